@@ -67,7 +67,7 @@ SOURCE = matcam.UncertaintySource("a", 1.0, 0.1, 1.0, "B")
         ),
         (
             lambda: matcam.inverse.tabulated_fresnel(xr.Dataset(), wavelengths=[]),
-            "result must be a Dataset as from fresnel: it lacks theta_d, raw, corrected, supported_angle, attrs['norm",
+            "result must be a Dataset from fresnel, but it lacks theta_d, raw, corrected, supported_angle, attrs['norm",
         ),
         (lambda: matcam.camera.LensField((1, 2), 3, k2=[[1], [1, 2]]), "k2 must be an array, got a list of rows"),
         (lambda: matcam.camera.LensField(b"x", 3), "centre_px must be a number or an array of numbers, got b'x'"),

@@ -242,7 +242,7 @@ BAD = [
     ("limits --radius 1e300", "--radius must lie in (0, 1e+100] px, got 1e+300"),
     ("predict --lamp 80", "--lamp must lie in"),
     ("predict --lamp nan", "--lamp must lie in [0, 22.5] degrees, got nan"),
-    ("inspect file", "not a format that matcam reads"),
+    ("inspect file", "unknown format; the supported formats are"),
     ("figures short.binary", "truncated"),
     ("frensel", "No such command 'frensel'"),
     ("figures same.binary SAME", "two files have the same name"),

@@ -47,6 +47,6 @@ def test_a_table_beyond_the_range_is_not_fitted(scale):
     """A conductor cannot reflect it: a fit would make up for the scale with another lobe."""
     table = brdf_table(np.full((*GRID_SHAPE, 3), scale), "centre")
     with pytest.raises(
-        FitError, match=r"channel R: its brightest value, 1e.20+, is not that of a BRDF: give the table in 1/sr"
+        FitError, match=r"channel R: the brightest value, 1e.20+, is impossible for a BRDF: give the table in 1/sr"
     ):
         fit_data((table,), chosen_cells(FAR_AWAY, "centre", 30))

@@ -79,7 +79,7 @@ def test_files_are_known_by_their_content(tmp_path, stand_in):
     assert identify(tmp_path / "a.dat") == "camera profile"
     (tmp_path / "b.txt").write_text("hello")
     for path, words in (
-        (tmp_path / "b.txt", "not a format that matcam reads"),
+        (tmp_path / "b.txt", "unknown format; the supported formats are"),
         (tmp_path / "c", "no such file"),
         (tmp_path, "cannot be read"),
     ):

@@ -77,5 +77,5 @@ def test_metadata_is_json_and_complete():
     assert document["receiver"]["solid_angle_sr"] == pytest.approx(4 * 4.23264 / 256**2, rel=1e-4)
     assert document["instrument"]["sample"] == {"kind": "sphere", "radius_px": 256.0, "distance_radii": None}
     assert document["about"] == {"sample": "chrome"}
-    with pytest.raises(ArgumentError, match="sample must be text"):
+    with pytest.raises(ArgumentError, match="sample must be a string"):
         metadata(rigs.merl(), sample=3)

@@ -90,7 +90,7 @@ def test_colours_have_lenses_and_shifts_of_their_own():
     np.testing.assert_allclose(whole[2:, 1:, 2], alone[:-2, :-1], rtol=0, atol=1e-5 * alone.max())
     assert np.abs(whole[..., 1] - alone).max() > 0.02 * alone.max()
     two = Microfacet(GGX(0.2), Conductor([0.2, 0.4], [3.0, 2.0]))
-    with pytest.raises(ArgumentError, match="has 3 colours, and the material 2 channels"):
+    with pytest.raises(ArgumentError, match="has 3 colours, but the material has 2 channels"):
         picture(two, Rig(Camera(lens), **rig), 0.9)
 
 
@@ -152,7 +152,7 @@ def test_a_cylinder_is_its_lines():
 @pytest.mark.parametrize(
     ("rig", "words"),
     [
-        (Rig(Camera(LENS), Cylinder(40.0), NearLamp(9.0)), "a cylinder's image before a near camera or lamp"),
+        (Rig(Camera(LENS), Cylinder(40.0), NearLamp(9.0)), "a cylinder's image with a near camera or lamp"),
         (Rig(Camera(SeidelOptics(*PARTS, unit=40.0, coma=0.1)), Cylinder(40.0)), "the same all over the field"),
         (Rig(Camera(SeidelOptics(*PARTS, unit=4.0, coma=0.1)), Sphere(40.0)), "the wavefront error is"),
         (Rig(Camera(ZernikeOptics(1.0, 550e-9, 4e-6)), Sphere(40.0)), "give a larger f-number"),

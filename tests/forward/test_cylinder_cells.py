@@ -204,7 +204,7 @@ def test_what_a_cylinder_cannot_show_is_refused():
     camera, material = matcam.rigs.merl().camera, Microfacet(GGX(0.1), 0.9)
     for rig, words in (
         (Rig(camera, Cylinder(100.0), lamp_azimuth=0.3), "the azimuth must be left out"),
-        (Rig(camera, Cylinder(100.0), cell_value="mean"), "cell_value must be 'centre' or 'edge'"),
+        (Rig(camera, Cylinder(100.0), cell_value="mean"), "specify 'centre' or 'edge'"),
     ):
         with pytest.raises(ArgumentError, match=words):
             matcam.measure(material, rig)

@@ -103,7 +103,7 @@ def test_refusals():
         Rig(camera, sphere, cell_value="nearest", pixel_phase=(0.0, 0.7))
     with pytest.raises(ArgumentError, match=r"pixel_phase must be \(x, y\), px, or 90 such pairs"):
         Rig(camera, sphere, cell_value="nearest", pixel_phase=(0.0, 0.1, 0.2))
-    with pytest.raises(ArgumentError, match="cells of 'bilinear' need the rig's pixel_phase"):
+    with pytest.raises(ArgumentError, match="cell_value 'bilinear' requires the positions of the pixels"):
         measure(Microfacet(GGX(0.1), 1.0), Rig(camera, sphere, cell_value="bilinear"))
     with pytest.raises(ArgumentError, match="a real pixel grid needs a distant camera and lamp"):
         near = Rig(camera, Sphere(256, distance=20), cell_value="nearest", pixel_phase=(0.0, 0.0))

@@ -39,7 +39,7 @@ def test_a_budget_is_the_stated_uncertainty(found):
         assert budgets[name].combined == pytest.approx(found.std[name], rel=1e-9)
     assert budgets["hwhm_rad"].combined == pytest.approx(found.hwhm_std, rel=1e-9)
     assert found.uncertainty_budget("alpha").to_dict() == budgets["alpha"].to_dict()
-    with pytest.raises(ArgumentError, match="no parameter 'beta'; it has alpha"):
+    with pytest.raises(ArgumentError, match="no parameter 'beta'; give one of: alpha"):
         found.uncertainty_budget("beta")
 
 

@@ -156,7 +156,7 @@ def test_cylinders_whose_tables_cannot_be_fitted_are_refused():
     camera = RIG.camera
     for rig, words in (
         (Rig(camera, Cylinder(100.0), lamp_azimuth=0.3), "azimuth must be left out"),
-        (Rig(camera, Cylinder(100.0), cell_value="nearest"), "need a sphere"),
+        (Rig(camera, Cylinder(100.0), cell_value="nearest"), "needs a sphere"),
     ):
         with pytest.raises(ArgumentError, match=words):
             lobe_operator(rig, "centre", 12)

@@ -107,7 +107,7 @@ def test_an_outline_frame_without_a_sphere_is_left_out_with_its_true_reason(draw
     outline, region, remarks = given(drawn, tmp_path, np.full(VIEW.shape, 9000.0))
     assert outline is None
     assert region is None
-    assert "no sphere dark before a bright field is visible" in remarks[0].text
+    assert "no sphere dark in front of a bright field is visible" in remarks[0].text
 
 
 @pytest.mark.parametrize(

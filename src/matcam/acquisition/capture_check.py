@@ -178,7 +178,10 @@ def _lamp_remarks(capture: Capture, radiometry: Radiometry | None, sample: tuple
     if scatter <= 2 * stated + 0.002:
         return []
     worst = max(values, key=lambda lamp: abs(values[lamp] - 1))
-    text = f"lamp {worst}: the reference differs by {values[worst] - 1:+.1%} from the mean, and all scatter by {scatter:.1%}, "
+    text = (
+        f"lamp {worst}: the reference differs by {values[worst] - 1:+.1%} from the mean, and the light of all lamps "
+        f"scatters by {scatter:.1%}, "
+    )
     return [
         Remark(
             "lamp-drifts", f"{text}more than lamp.gain_std = {stated:.1%}: let the lamp warm up, or raise lamp.gain_std"

@@ -98,7 +98,7 @@ def find_shifts(
             used.append(chosen)
         if not any(chosen.any() for chosen in used):
             raise FitError(
-                "no image shows the limb in front of its background: photograph the outline before a bright field"
+                "no image shows the limb in front of its background: photograph the outline in front of a bright field"
             )
         step, covariance = _solved(np.array(blocks), np.array(pulls), shifts, shift_std, position, outline, same_radius)
         position, shifts = position + step[:3], shifts + step[3:].reshape(-1, 2)

@@ -26,14 +26,14 @@ from matcam.files.capture import Capture, Region
 _SAFE = 0.93
 """Largest predicted share of the clip level of a usable pixel."""
 _DIM = 10.0
-"""Signal in the longest exposure, in read noises, below which the neighbours of a pixel determine its variance.
+"""Signal in the longest exposure, relative to the read noise, below which neighbours determine the variance of a pixel.
 
 Weights from the noisy pixel itself would bias its flux.
 """
 _AGREE = 4.0
 """Largest difference of a pixel from the neighbours that determine its variance, in standard deviations."""
 _BRIGHT = 30.0
-"""Signal, in read noises, above which a pixel tests the agreement of its exposures."""
+"""Signal, as a multiple of the read noise, above which a pixel tests the agreement of its exposures."""
 
 
 def merge(

@@ -226,7 +226,7 @@ def _searched(picture: MergedPicture, light: LimbLight) -> tuple[float, float, f
         picture.values, picture.std, bright_inside=light == "lit", mosaic=len(np.unique(picture.channel)) > 1
     )
     if not circles:
-        what = "brighter than its background" if light == "lit" else "dark before a bright field"
+        what = "brighter than its background" if light == "lit" else "dark in front of a bright field"
         raise FitError(
             f"{picture.name}: no sphere {what} is visible; show the entire sphere, or specify its centre and radius"
         )
@@ -333,7 +333,7 @@ class OutlineFit:
         if used.sum() < FEWEST_SECTORS:
             raise FitError(
                 f"{self.picture.name}: only {used.sum()} of {self.count} sectors of the limb stand out from the background; "
-                f"light the limb, or photograph the outline before a bright field"
+                "light the limb, or photograph the outline in front of a bright field"
             )
         matrix = self.slopes(position, edges.azimuth)
         std = np.nan_to_num(edges.std * np.sqrt(np.maximum(edges.misfit, 1.0)), nan=1.0)
@@ -389,7 +389,7 @@ class OutlineFit:
                 remarks.append(
                     Remark(
                         "backlight-reach-not-given",
-                        f"the sphere mirrors the backlight: specify its extent (the radius may err by {shrunk_std:.2f} px)",
+                        f"the mirrored backlight may shift the radius by {shrunk_std:.2f} px: specify the backlight extent",
                     )
                 )
         seen = int(np.sum(edges.contrast > _CONTRAST))

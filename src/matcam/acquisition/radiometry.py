@@ -296,10 +296,15 @@ def _clip_level(
         return (clip if largest < saturation else ClipLevel(largest, 0.29, 0.0, 1)), []
     where = [f"lamp {sample.lamp}, exposure {names[k]}" for sample in samples for k in sample.exposures]
     text = f"{found.clip.pixels} pixels of {len(found.frames)} frames have the largest code, {found.clip.level:.0f} DN"
-    remarks = [Remark("clip-by-pile-up", f"{text}, which is taken as the clip level: noise spreads unclipped pixels")]
+    remarks = [
+        Remark(
+            "clip-by-pile-up",
+            f"{text}, which is used as the clip level, because noise would distribute unclipped pixels over several codes",
+        )
+    ]
     if found.apart:
         apart = some_of([f"{where[k]} ({tops[k].level:.0f} DN)" for k in found.apart], 3)
-        text = f"the brightest pixels pile up at other codes than {found.clip.level:.0f} DN: {apart}; check for rescaled frames"
+        text = f"the largest codes of some frames differ from {found.clip.level:.0f} DN: {apart}; check for rescaled frames"
         remarks.append(Remark("clip-unclear", text))
     return found.clip, remarks
 

@@ -129,8 +129,8 @@ class RunFolder:
     def check(self, settings: dict[str, Any], jobs: Sequence[Job], *, force: bool) -> bool:
         """Check whether the folder already belongs to this run.
 
-        OutputError names the settings that differ if it belongs to another run and `force` is not set. It is also
-        raised if files of the same names exist that no run wrote.
+        Unless `force` is set, an OutputError is raised if the folder belongs to another run, or if it contains files
+        with the names of the outputs that no run wrote. The message contains the first setting that differs.
         """
         if not is_there(self._settings):
             for path in (*(path for job in jobs for path in job.files), self.index, self._failed, self.camera):

@@ -186,7 +186,7 @@ def _check_arrays(store: Path) -> None:
                 raise FileFormatError(f"{described}: lists {shape[0]} materials, more than the {_MOST_ROWS} of a run")
             if (shape[1:], chunks, kind) != expected:
                 raise FileFormatError(
-                    f"{described}: {shape} values of {kind!r:.20} in chunks of {chunks} are not of a run"
+                    f"{described}: {shape} values of {kind!r:.20} in chunks of {chunks} are not those of a run"
                 )
         except (FileFormatError, KeyError, TypeError, IndexError) as error:
             raise FileFormatError(f"{store}: is not the Zarr of a run: {error}") from None

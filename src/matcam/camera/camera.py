@@ -229,7 +229,7 @@ class Camera(Module, Summarised):
         """Return the camera with another sensor.
 
         Args:
-            sensor: noise and mosaic, as from `SensorCharacteristics.sensor`; None: unknown.
+            sensor: noise and mosaic, such as the result of `SensorCharacteristics.sensor`; None: unknown.
 
         Raises:
             ArgumentError: lens and sensor have different pixel pitches.
@@ -273,7 +273,7 @@ class Camera(Module, Summarised):
         """Return the profile as JSON, to be embedded in another file.
 
         Returns:
-            Dicts, lists, numbers and texts.
+            Nested dicts and lists of numbers and strings.
         """
         from matcam.camera import profile
 

@@ -150,7 +150,7 @@ def command(
     if budget and not alone:
         raise ArgumentError("--budget is for one table: give one file, and no output folder")
     if layers and (not alone or layers.suffix.lower() != ".exr"):
-        raise ArgumentError(f"--layers is for one table, and its name must end in .exr, got {layers}")
+        raise ArgumentError(f"--layers requires a single table and a file name that ends in .exr, got {layers}")
     if not alone and (output is None or output.suffix.lower() == ".binary"):
         raise ArgumentError("several tables need an output folder: give -o FOLDER")
     for wanted, what, module in ((zarr, "a run's Zarr", "zarr"), (cluster, "a cluster", "distributed")):

@@ -57,7 +57,7 @@ def command(
     ] = 0.0,
     rival: Annotated[
         bool,
-        typer.Option("--rival", help="Compare the camera with free shadowing as explanations of the data."),
+        typer.Option("--rival", help="Compare the camera with free shadowing: which of both fits the data better."),
     ] = False,
     slice_step: Annotated[int, typer.Option("--slice-step", metavar="N", help="Use every n-th slice of theta_d.")] = 1,
     masking: Masking = "smith",

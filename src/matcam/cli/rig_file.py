@@ -105,7 +105,7 @@ def _value(path: Path, keys: tuple[str, ...], value: Any) -> Any:
         return [float(one) for one in value]
     if keys in (("camera",), ("sample", "shape"), ("table", "cell")):
         if not isinstance(value, str):
-            raise FileFormatError(f"{path}: {where} must be text, got {value!r:.60}")
+            raise FileFormatError(f"{path}: {where} must be a string, got {value!r:.60}")
         if keys != ("camera",):
             return value
         if Path(value).name != value or is_link(path.parent / value):

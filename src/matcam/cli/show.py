@@ -1,6 +1,6 @@
 """Output of the commands: results and tables to standard output, progress and remarks to standard error.
 
-Texts may come from files: control characters are printed as escapes, and markup is disabled.
+Text may come from files: control characters are printed as escapes, and markup is disabled.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ def as_json(result: dict[str, Any]) -> None:
 
 
 def _laid_out(value: Any, indent: str = "") -> str:
-    """Format JSON: one entry per line, and an array of numbers or texts on one line."""
+    """Format JSON: one entry per line, and an array of numbers or strings on one line."""
     inner = indent + "  "
     if isinstance(value, dict) and value:
         entries = [f"{json.dumps(str(key), ensure_ascii=False)}: {_laid_out(one, inner)}" for key, one in value.items()]

@@ -29,7 +29,7 @@ _trusted: ContextVar[bool] = ContextVar("trusted", default=False)
 
 @contextmanager
 def trusted() -> Iterator[None]:
-    """Skip all checks, because a fit may temporarily leave a range."""
+    """Skip all checks in the block, because a fit may temporarily leave a range."""
     token = _trusted.set(True)
     try:
         yield
@@ -126,7 +126,10 @@ def outside_jit(value: ArrayLike, what: str) -> float:
     """
     value = constant(value)
     if not is_concrete(value):
-        raise ArgumentError(f"{what} determine the integration of a record: call this outside of jax.jit and vmap")
+        raise ArgumentError(
+            f"{what} must have concrete values, because they determine the integration of a record: call this function "
+            "outside jax.jit and jax.vmap"
+        )
     return float(np.asarray(value))
 
 
@@ -168,7 +171,7 @@ def whole_number(
 def flag(name: str, value: Any) -> bool:
     """Check that `value` is True or False, also of NumPy.
 
-    ArgumentError otherwise, because Python would treat a text or an array as true.
+    ArgumentError otherwise, because Python would treat a string or an array as true.
     """
     if not isinstance(value, bool | np.bool_):
         raise ArgumentError(f"{name} must be True or False, got {_shown(value)}")
@@ -178,7 +181,7 @@ def flag(name: str, value: Any) -> bool:
 def instance(name: str, value: Any, kind: type[T]) -> T:
     """Check that `value` is an instance of a class.
 
-    ArgumentError otherwise, which names the class.
+    ArgumentError otherwise; the message contains the class.
     """
     if not isinstance(value, kind):
         raise ArgumentError(f"{name} must be a {kind.__name__}, got {_shown(value)}")
@@ -188,7 +191,7 @@ def instance(name: str, value: Any, kind: type[T]) -> T:
 def instances(name: str, values: Any, kind: type[T]) -> list[T]:
     """List values, each of which must be an instance of a class.
 
-    ArgumentError otherwise, which names the class.
+    ArgumentError otherwise; the message contains the class.
     """
     if isinstance(values, str | bytes) or not isinstance(values, Iterable):
         raise ArgumentError(f"{name} must be a sequence of {kind.__name__}, got {_shown(values)}")
@@ -208,7 +211,7 @@ def broadcastable(**values: ArrayLike) -> tuple[jax.Array, ...]:
 def broadcast_shape(**arrays: jax.Array) -> tuple[int, ...]:
     """Compute the common shape of arrays.
 
-    ArgumentError if the arrays do not broadcast. It names the arrays and their shapes.
+    ArgumentError if the arrays do not broadcast; the message contains their names and shapes.
     """
     shapes = [np.shape(array) for array in arrays.values()]
     try:
@@ -240,9 +243,7 @@ def not_masked(name: str, value: Any) -> None:
     NumPy would ignore the mask and use the masked values.
     """
     if np.ma.is_masked(value):
-        raise ArgumentError(
-            f"{name} must not be masked: use .filled(np.nan) where values are missing, or leave them out"
-        )
+        raise ArgumentError(f"{name} must not be masked: use .filled(np.nan) where values are missing, or omit them")
 
 
 def plain_array(name: str, value: Any) -> np.ndarray:
@@ -275,7 +276,7 @@ def _as_float64(name: str, value: ArrayLike | npt.ArrayLike) -> np.ndarray:
         array = np.asarray(value)
         if (
             array.dtype.kind not in "biufO"
-        ):  # NumPy accepts times and texts as numbers, and the real part of complex numbers
+        ):  # NumPy accepts times and strings as numbers, and the real part of complex numbers
             raise TypeError
         if array.dtype.kind == "O" and any(one is None or isinstance(one, str | bytes) for one in array.flat):
             raise TypeError
@@ -288,7 +289,7 @@ def _shown(value: Any) -> str:
     """Format an argument in a few words, on one line."""
     try:
         return " ".join(repr(value).split())[:60]
-    except Exception:  # an integer of ten thousand digits has no text, and foreign classes have arbitrary ones
+    except Exception:  # an integer of ten thousand digits has no repr, and foreign classes have arbitrary ones
         return type(value).__name__
 
 

@@ -4,8 +4,8 @@ A pair of directions is given by (theta_h, theta_d, phi_d): the half vector's an
 direction in the frame whose pole is the half vector and whose x axis points away from the normal. Reciprocity is phi_d
 -> phi_d + pi.
 
-A table is a labelled xarray on this grid; missing values are NaN, and its attribute `sampling` is the sampling position
-in a cell.
+A table is an xarray.DataArray on this grid. Missing values are NaN, and the attribute `sampling` is the sampling
+position in a cell.
 """
 
 from __future__ import annotations
@@ -214,8 +214,8 @@ def brdf_table(values: np.ndarray, sampling: Sampling, **attrs: object) -> xr.Da
 def checked_table(table: xr.DataArray) -> xr.DataArray:
     """Check a BRDF on the MERL grid, and order its channels.
 
-    Channels are ordered R, G, B if these are their labels. ArgumentError names the wrong dims, shape, coordinate, label,
-    unit or value.
+    Channels are ordered R, G, B if these are their labels. The message of an ArgumentError contains the wrong dims,
+    shape, coordinate, label, unit or value.
     """
     import xarray as xr
 
@@ -246,8 +246,9 @@ def checked_table(table: xr.DataArray) -> xr.DataArray:
 def in_order(table: xr.DataArray, what: str) -> xr.DataArray:
     """Order the channels R, G, B if these are their labels.
 
-    Three channels have these labels in any order, or no labels and this order. ArgumentError for three other labels,
-    whose wavelengths are unknown, and for duplicate labels. what: name of the values, for the message.
+    Three channels without labels are assumed to be in this order. An ArgumentError is raised if three channels have
+    other labels, because their wavelengths are unknown, or if labels are duplicate. what: name of the values, for the
+    message.
     """
     if "channel" not in table.coords:
         return table
@@ -259,7 +260,7 @@ def in_order(table: xr.DataArray, what: str) -> xr.DataArray:
     if set(labels) != set(CHANNELS):
         raise ArgumentError(
             f"{what} of three channels must label them R, G, B, in any order, got {', '.join(labels)[:60]}: "
-            "assign these labels, or leave the coordinate out if the channels are in this order"
+            "assign these labels, or omit the coordinate if the channels are in this order"
         )
     return table.isel(channel=[labels.index(label) for label in CHANNELS])
 

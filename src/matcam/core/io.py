@@ -41,7 +41,7 @@ def check_output(path: str | Path, *, force: bool = False, inputs: Iterable[str 
     `force` is not set; ArgumentError if `force` is neither True nor False.
     """
     path = Path(path)
-    if type(force).__name__ not in ("bool", "bool_"):  # also of NumPy; a text would be true
+    if type(force).__name__ not in ("bool", "bool_"):  # also of NumPy; a string would be true
         raise ArgumentError(f"force must be True or False, got {force!r:.60}")
     if re.search(UNPRINTABLE, path.name):
         raise OutputError(f"output {printable(str(path))} has a name that is not plain text: choose another name")
@@ -411,7 +411,7 @@ def write_json(path: str | Path, document: dict[str, Any], *, force: bool = Fals
 
 
 def plain(value: Any) -> Any:
-    """Convert a result to lists, numbers and texts, as JSON requires.
+    """Convert a result to lists, numbers and strings, as JSON requires.
 
     NaN and infinities become None.
     """

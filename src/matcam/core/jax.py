@@ -106,8 +106,9 @@ def placed(array: npt.ArrayLike) -> jax.Array:
 def plainly_compiled(runs: Runs = "some") -> dict[str, Any] | None:
     """Return options for `jax.jit` that reduce the compile time.
 
-    runs: expected number of runs. "once": a quarter of the compile time, twice the run time. "some": two thirds of the
-    compile time, and most programs are not slower. "many": three quarters, and no program is slower.
+    runs: expected number of runs. "once" takes a quarter of the default compile time, and twice the run time. "some"
+    takes two thirds of the compile time, and most programs are not slower. "many" takes three quarters of the compile
+    time, and no program is slower.
     """
     options: dict[str, Any] = {"xla_cpu_use_fusion_emitters": False}
     if runs == "once" or jax.config.read("jax_disable_most_optimizations"):
@@ -120,8 +121,8 @@ def plainly_compiled(runs: Runs = "some") -> dict[str, Any] | None:
 def jit_plainly(function: Callable[P, T], *, runs: Runs = "some", static: tuple[str, ...] = ()) -> Callable[P, T]:
     """Compile a function as `jax.jit` does, with the options of `plainly_compiled`.
 
-    The result must not be called inside another compiled function, because the options apply to a whole program. runs: as in
-    `plainly_compiled`. static: names of arguments that are not arrays.
+    The result must not be called inside another compiled function, because the options apply to a whole program. runs:
+    expected number of runs, as in `plainly_compiled`. static: names of arguments that are not arrays.
     """
     programs: dict[bool, Callable[P, T]] = {}
 

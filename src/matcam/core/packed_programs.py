@@ -84,7 +84,7 @@ def unpack_program(packed: bytes) -> Any:
 
 @cache
 def _load_lapack() -> None:
-    """Make JAX load LAPACK by lowering a call. A program that calls LAPACK before would crash."""
+    """Make JAX load LAPACK by lowering a call. Otherwise a program that calls LAPACK would crash."""
     jax.jit(jax.numpy.linalg.cholesky).lower(jax.ShapeDtypeStruct((1, 1), float))
 
 

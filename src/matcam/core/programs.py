@@ -200,7 +200,7 @@ class _Kept(NamedTuple):
             write_sealed(path, key, packed)
             size = len(packed) if path.exists() else 0  # a full disk is not an error
         except Exception as error:  # programs that cannot be serialised can still run
-            _log.debug("matcam: %s is not kept: %s", name, error)
+            _log.debug("matcam: %s is not cached: %s", name, error)
         return _Program(self._of_its_kind(program), size), None
 
     def _of_its_kind(self, program: Callable[..., Any]) -> Callable[..., Any]:

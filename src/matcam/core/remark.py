@@ -82,7 +82,7 @@ def gathered(remarks: Iterable[tuple[str, Remark]], most: int = 3) -> list[Remar
 
 
 def texts(remarks: Iterable[Remark]) -> list[str]:
-    """Return the texts of remarks.
+    """Return the text of each remark.
 
     Args:
         remarks: any number of remarks.
@@ -94,7 +94,7 @@ def texts(remarks: Iterable[Remark]) -> list[str]:
 
 
 def to_attribute(remarks: Iterable[Remark]) -> str:
-    """Join remarks to one text for an attribute of a file.
+    """Join remarks to one string for an attribute of a file.
 
     Args:
         remarks: any number of remarks.

@@ -42,7 +42,7 @@ def shading(normal: Vector, tangent: Vector, light: Vector, view: Vector) -> Sha
 
     tangent: first tangent, perpendicular to the normal.
 
-    Slopes keep their digits near the mirror direction, unlike the angle of a half vector from its cosine.
+    Slopes remain accurate near the mirror direction, unlike an angle that is computed from its cosine.
     """
     total = _combined(light, view, 1)
     difference = _combined(light, view, -1)

@@ -140,7 +140,7 @@ class Workspace:
 
 
 def kept_file(folder: Path, description: str) -> Path:
-    """Return the path of the file of a description in a folder."""
+    """Return the path of the file in which the arrays of a description are stored."""
     return folder / _file_name(_key(description))
 
 

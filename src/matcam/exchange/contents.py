@@ -110,7 +110,7 @@ def write(path: str | Path, thing: Any, *, force: bool = False) -> None:
 
     Args:
         path: file to write.
-        thing: object as from `read`, except a sidecar (see `write_sidecar`).
+        thing: object such as `read` returns, except a sidecar (see `write_sidecar`).
         force: replace an existing file. Default: False.
 
     Raises:

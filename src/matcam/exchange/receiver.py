@@ -91,7 +91,7 @@ def metadata(rig: Rig, **about: str) -> dict[str, Any]:
     """
     wrong = [name for name, value in about.items() if not isinstance(value, str)]
     if wrong:
-        raise ArgumentError(f"{wrong[0]} must be text, got {about[wrong[0]]!r:.60}")
+        raise ArgumentError(f"{wrong[0]} must be a string, got {about[wrong[0]]!r:.60}")
     solid = solid_angles(rig)
     note = "4 A / r^2 for a distant camera: views that move the half vector at the peak as much as the kernel does"
     return {

@@ -42,7 +42,8 @@ def draw_camera(axes: Axes, camera: Camera) -> None:
 
     if isinstance(camera.optics, VaryingOptics):
         raise ArgumentError(
-            "the lens of this camera varies: draw one of the cameras of its parts, such as camera.optics.red"
+            "the lens of this camera differs between colours or positions: draw a camera with one of its lenses, such as "
+            "Camera(camera.optics.red, camera.pixel)"
         )
     frequency = np.linspace(0, 1, 201)
     axes.axhline(0, color=GREY, lw=0.6)
@@ -86,7 +87,7 @@ def draw_correction(axes: Axes, done: Correction, theta_d: float = _SHOWN, chann
 def draw_corrected_table(axes: Axes, table: xr.Dataset, theta_d: float = _SHOWN, channel: int | None = None) -> None:
     """Draw the recorded and the corrected lobe of a result of `correct`.
 
-    The recorded lobe is recovered from the result. Parameters as in `draw_correction`.
+    The recorded lobe is recovered from the result. The parameters are those of `draw_correction`.
     """
     from matcam.inverse.correction.corrected_table import recorded_table
 

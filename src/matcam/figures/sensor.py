@@ -21,10 +21,10 @@ _SPREAD = 3.0
 
 
 def sensor_figure(result: SensorCharacteristics, name: str) -> Figure:
-    """Draw photon transfer, signal over noise, linearity and maps of the response.
+    """Draw photon transfer, signal-to-noise ratio, linearity and maps of the response.
 
     Args:
-        result: as from `characterise_sensor`.
+        result: result of `characterise_sensor`.
         name: title.
     """
     with styled():
@@ -45,7 +45,7 @@ def write_sensor_page(path: str | Path, result: SensorCharacteristics, name: str
 
     Args:
         path: HTML file to write; it needs no network and no other file.
-        result: as from `characterise_sensor`.
+        result: result of `characterise_sensor`.
         name: title of the page.
         force: whether to replace the file. Default: False.
     """
@@ -56,7 +56,7 @@ def write_sensor_page(path: str | Path, result: SensorCharacteristics, name: str
         "parameters": [(one.name, one.value, one.std) for one in result.quantities()],
         "figures": [
             (
-                "Photon transfer, signal over noise, linearity, and fixed patterns",
+                "Photon transfer, signal-to-noise ratio, linearity, and fixed patterns",
                 inline_png(sensor_figure(result, name)),
             )
         ],
@@ -87,7 +87,7 @@ def _draw_snr(axes: Axes, result: SensorCharacteristics) -> None:
     axes.loglog(fine, result.snr(fine * result.gain.value), color=VERMILION, lw=1.1, label="from gain and read noise")
     axes.loglog(fine, np.sqrt(fine), color=BLACK, lw=0.8, ls="--", label="ideal sensor")
     axes.legend(loc="lower right")
-    axes.set(title="Signal over noise", xlabel="signal [e-]", ylabel="signal / noise")
+    axes.set(title="Signal-to-noise ratio", xlabel="signal [e-]", ylabel="signal / noise")
 
 
 def _draw_linearity(axes: Axes, result: SensorCharacteristics) -> None:

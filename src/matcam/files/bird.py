@@ -120,8 +120,8 @@ def write_bird(path: str | Path, samples: xr.DataArray, *, force: bool = False) 
 
     Args:
         path: file to write (.brdf).
-        samples: values in 1/sr as from `read_samples`, dims (sample, channel), with coordinates theta_h, theta_d, phi_d
-            in rad.
+        samples: values in 1/sr, such as those returned by `read_samples`, dims (sample, channel), with
+            coordinates theta_h, theta_d, phi_d in rad.
         force: replace an existing file. Default: False.
 
     Raises:

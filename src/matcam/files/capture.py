@@ -257,7 +257,7 @@ def _check_light(folder: Path, settings: dict[str, Any], lamps: dict[str, LampGu
 
 
 def read_settings(path: Path) -> dict[str, Any]:
-    """Read and check a `capture.toml`; FileFormatError names the field."""
+    """Read and check a `capture.toml`. The message of a FileFormatError contains the field."""
     check_within(path, path.parent)
     document = read_toml(path, _WHAT)
     checked_version(document, path, _WHAT, FORMAT, (VERSION,))

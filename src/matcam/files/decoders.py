@@ -23,7 +23,7 @@ from matcam.core.errors import ArgumentError, FileFormatError
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 _MOST_TIMES, _MOST_VARIABLES, _SPARE = 16, 256, 1 << 16
 _BYTES_A_TEXT = 64
-"""Memory of a text of variable length, bytes, for a Python object and the pointers to it."""
+"""Memory of a string of variable length, bytes, for a Python object and the pointers to it."""
 _FILTERS = {1: "deflate", 2: "shuffle", 3: "fletcher32", 4: "szip", 5: "nbit", 6: "scaleoffset"}
 """Built-in filters of HDF5 by number. All others are plugins, which are not loaded."""
 _CODECS = {"bytes", "crc32c", "gzip", "zstd", "blosc", "transpose", "vlen-utf8"}
@@ -138,7 +138,7 @@ def _check_hdf5(path: Path, file: Any) -> None:
                     f"{path}: variable {name!r:.60} is compressed by filter {code}; supported: {', '.join(_FILTERS.values())}"
                 )
             if code in seen:  # each pass of deflate multiplies the size by up to 1032
-                raise FileFormatError(f"{path}: variable {name!r:.60} is filtered twice by {_FILTERS[code]}: damaged")
+                raise FileFormatError(f"{path}: damaged: variable {name!r:.60} is filtered twice by {_FILTERS[code]}")
             seen.add(code)
         shapes[name] = (variable.shape or (), variable.dtype)
         if variable.chunks:  # a chunk is decoded completely, even if the array uses little of it
@@ -206,7 +206,10 @@ def _check_zarr(path: Path) -> None:
                         f"{path}: {member.filename!r:.60} is inside an array or a second group, but results have variables only"
                     )
                 if member.file_size > _DESCRIPTION_BYTES:
-                    raise FileFormatError(f"{path}: {member.filename!r:.60} has {member.file_size} bytes: damaged")
+                    raise FileFormatError(
+                        f"{path}: damaged: {member.filename!r:.60} has {member.file_size} bytes, but at most "
+                        f"{_DESCRIPTION_BYTES} are allowed"
+                    )
                 described[member.filename] = json.loads(archive.read(member))
         broken = archive.testzip()
     if broken:

@@ -278,7 +278,7 @@ def identify(path: str | Path) -> str:
         if not form.mark and path.suffix in form.suffixes:
             return form.name
     known = (f"{form.title} ({form.hint})" if form.hint else form.title for form in FORMATS)
-    raise FileFormatError(f"{path}: not a format that matcam reads: {', '.join(known)}")
+    raise FileFormatError(f"{path}: unknown format; the supported formats are {', '.join(known)}")
 
 
 def format_for(path: str | Path, *contents: str) -> Format:

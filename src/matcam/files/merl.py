@@ -86,8 +86,8 @@ def write_merl(path: str | Path, brdf: xr.DataArray, *, force: bool = False) -> 
 
     Args:
         path: file to write (.binary).
-        brdf: table in 1/sr as from `read_merl`, shape (90, 90, 180, 3), non-negative, not all missing. Labelled
-            channels must be R, G and B.
+        brdf: table in 1/sr, such as that returned by `read_merl`, shape (90, 90, 180, 3), non-negative, not all missing.
+            Labelled channels must be R, G and B.
         force: replace an existing file (no unit). Default: False.
 
     Raises:

@@ -33,7 +33,7 @@ PICTURES = (".tif", ".tiff", ".png", ".jpg", ".jpeg", ".exr", *SUFFIXES)
 
 
 class Mosaic(NamedTuple):
-    """Linear mosaic.
+    """Linear mosaic of a camera raw file.
 
     Attributes:
         values: counts above the black level, float32 (height, width).
@@ -49,8 +49,8 @@ class Mosaic(NamedTuple):
 def read_raw(path: str | Path, region: tuple[int, int, int, int] | None = None) -> Mosaic:
     """Read the mosaic of a camera raw file, or a region.
 
-    region: first column, first row (both even), width, height, px; None: the whole image. Raise FileFormatError, which
-    names the file, if LibRaw does not support it, it is damaged, its colours are not a Bayer mosaic, or rawpy is not
+    region: first column, first row (both even), width, height, px; None: the whole image. A FileFormatError is raised
+    if LibRaw does not support the file, the file is damaged, its colours are not a Bayer mosaic, or rawpy is not
     installed.
     """
     path = Path(path)
@@ -83,8 +83,8 @@ def open_photograph(path: str | Path, region: tuple[int, int, int, int] | None =
     """Read an image of any supported format, or a region of it.
 
     region: first column, first row, width, height, px; None: the whole image. The first two must be even, to preserve
-    the mosaic. Images are cropped during decoding. Raise FileFormatError, which names the file, if it is missing, of an
-    unknown format, damaged, smaller than the region, or too large for the memory.
+    the mosaic. Images are cropped during decoding. A FileFormatError is raised if the file is missing, of an unknown
+    format, damaged, smaller than the region, or too large for the memory.
     """
     path = Path(path)
     with reading(path, "an image"), path.open("rb") as file:
@@ -102,7 +102,7 @@ def read_photograph(path: str | Path, region: tuple[int, int, int, int] | None =
     """Read the codes of an image or of a region of it.
 
     The result has shape (height, width) or (height, width, 3), and the type of the file. An alpha channel is omitted.
-    Raise FileFormatError, which names the file, if it is missing, unsupported or damaged.
+    A FileFormatError is raised if the file is missing, unsupported or damaged.
     """
     path = Path(path)
     there = _memory_for(path)

@@ -91,7 +91,7 @@ def table_of(samples: xr.DataArray) -> xr.DataArray:
 def checked_samples(samples: xr.DataArray) -> xr.DataArray:
     """Check samples of a BRDF, dims (sample, channel).
 
-    ArgumentError names the wrong dims, coordinate, label or unit.
+    The message of an ArgumentError contains the wrong dims, coordinate, label or unit.
     """
     if not isinstance(samples, xr.DataArray) or samples.dims != ("sample", "channel"):
         dims = getattr(samples, "dims", type(samples).__name__)
@@ -120,7 +120,7 @@ def write_samples(path: str | Path, samples: xr.DataArray, *, force: bool = Fals
 
     Args:
         path: file to write (.csv).
-        samples: values in 1/sr as from `read_samples`, dims (sample, channel), shape (n, channels), with the
+        samples: values in 1/sr, such as those returned by `read_samples`, dims (sample, channel), shape (n, channels), with the
             coordinates theta_h, theta_d and phi_d in rad.
         force: replace an existing file (no unit). Default: False.
 

@@ -153,9 +153,9 @@ def write_sidecar(
     names.
 
     Args:
-        path: file to write, as from `sidecar_path`.
+        path: file to write, such as the path returned by `sidecar_path`.
         picture: file, shape (rows, columns, channels), quantity, wavelengths in m, position of the optical axis in px.
-        camera: camera profile, as from `Camera.profile()`.
+        camera: camera profile, such as the result of `Camera.profile()`.
         sample: kind "sphere", "cylinder" or "flat", radius in px, distance in radii (None: infinite).
         lamp: angles between lamp and optical axis, azimuths about the axis (None: 0) and the lamp's angular radius,
             rad, all seen from the centre of the sample; distance of the lamp in radii (None: infinite).
@@ -212,7 +212,7 @@ def read_sidecar(path: str | Path) -> dict[str, Any]:
     """Read the sidecar of an image.
 
     Args:
-        path: JSON file, as from `sidecar_path`.
+        path: JSON file, such as the path returned by `sidecar_path`.
 
     Returns:
         Sections of the sidecar by name, as dicts with all fields.

@@ -43,7 +43,7 @@ def decoded(code: ArrayLike) -> np.ndarray:
 def read_tone_curve(path: str | Path) -> np.ndarray:
     """Read a tone curve: linear values by code, (codes,) or (codes, 3).
 
-    Raise FileFormatError, which names the file, if it does not contain a tone curve, or the curve is not monotone.
+    A FileFormatError is raised if the file does not contain a tone curve, or the curve is not monotone.
     """
     values = read_numbers(path)
     try:
@@ -59,7 +59,7 @@ def read_numbers(path: str | Path, columns: int | None = None) -> np.ndarray:
     """Read the numbers of a text file, (lines, columns).
 
     Comments and empty lines are skipped. columns: count of numbers in every line; None: one to three, the same in all
-    lines. FileFormatError names the file and the line.
+    lines. The message of a FileFormatError contains the file and the line.
     """
     path = Path(path)
     lines = read_lines(path, "a tone curve")

@@ -1,4 +1,4 @@
-"""Records of a material by a camera: tables, images, peaks."""
+"""Simulated records of a material: tables, images, and peaks of highlights."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""Positions of the cells of a table in the images of a sphere, and the pixels behind each entry (docs/model.md 3)."""
+"""Positions of the cells of a table in the images of a sphere, and the pixels of each cell (docs/model.md 3)."""
 
 from __future__ import annotations
 
@@ -27,22 +27,23 @@ _POINTS: dict[CellValue, tuple[float, ...]] = {
 
 
 def cell_sampling(cell_value: CellValue) -> Sampling:
-    """Find the position in its cell at which a table is sampled: "centre" or "edge"."""
+    """Return the position in each cell at which a table is sampled: "centre" or "edge"."""
     return "edge" if cell_value == "edge" else "centre"
 
 
 class CellChoice(NamedTuple):
-    """Choice of the pixels behind the cells of a table.
+    """Parameters that determine the pixels of the cells of a table.
 
     Attributes:
-        cell_value: meaning of a cell's value.
-        crop: (height, width) of the sensor, px; None: unlimited.
+        cell_value: origin of the value of a cell, as in `Rig`.
+        crop: (height, width) of the sensor, px; None: the sensor is unlimited.
         azimuth: azimuth of the lamp in all images, rad.
-        pixel_phase: phase of the real pixels that are looked up, px; None: every cell has its own pixels.
-        even: True if images through the lens are symmetric above and below.
+        pixel_phase: phase of the real pixel grid that provides the values of the cells, px; None: every cell has its own
+            pixel.
+        even: True if the kernel of the lens is symmetric about the x axis.
         shift: shift of the images, (right, up), px.
-        finest: standard deviation of the narrowest Gaussian of the lens, px, with which cells around a highlight are
-            interpolated between fewer positions; None: every cell is recorded.
+        finest: standard deviation of the narrowest Gaussian of the lens, px. It determines how many positions suffice to
+            interpolate the cells around a highlight. None: every cell is recorded.
     """
 
     cell_value: CellValue
@@ -54,9 +55,12 @@ class CellChoice(NamedTuple):
     finest: float | None = None
 
     def cells(self, sample: Curved, lamp_nearness: jax.Array | None = None) -> TableCells | RealCells:
-        """Return the cells of a table of this sample."""
+        """Compute the cells of a table of a sample.
+
+        lamp_nearness: inverse of the lamp's distance, 1/radii; None: a distant lamp.
+        """
         cells = self._unshifted(sample, lamp_nearness)
-        # a pixel of a shifted image corresponds to another position of the unshifted one
+        # a pixel of a shifted image corresponds to another position in the unshifted image
         x, y = (at - by for at, by in zip(cells.positions[:2], self.shift, strict=True))
         return cells._replace(positions=cells.positions._replace(x=x, y=y))
 
@@ -65,31 +69,32 @@ class CellChoice(NamedTuple):
             return _table_cells(sample, self, lamp_nearness)
         if not sample.distant or lamp_nearness is not None:
             raise ArgumentError(
-                "a real pixel grid needs a distant camera and lamp: with near ones each cell has its own image"
+                "a real pixel grid needs a distant camera and lamp, because with near ones each cell has its own image"
             )
         if self.pixel_phase is None:
             raise ArgumentError(
-                f"cells of '{self.cell_value}' need the rig's pixel_phase (x, y), px, which gives the positions "
-                "of the pixels"
+                f"cell_value '{self.cell_value}' requires the positions of the pixels: give the rig's pixel_phase (x, y), px"
             )
         return _real_cells(float(sample.radius), self, self.pixel_phase)
 
 
 class TableCells(NamedTuple):
-    """Cells of a table in one of the two directions: arrays over (theta_d, theta_h, phi_d, point, point).
+    """Cells of a table in one of the two reciprocal directions: arrays over (theta_d, theta_h, phi_d, point, point).
 
-    With the lamp in the x direction of the sensor, the image at phi_d + pi mirrors that at pi - phi_d. Reversing phi_d,
-    and the points along it, therefore gives the other direction. With any other lamp, or through a lens that is not
-    even, phi_d covers the full turn.
+    If the lamp is in the x direction of the sensor, the image at phi_d + pi is the mirror image of that at pi - phi_d.
+    Reversing the order of phi_d, and of the points along phi_d, therefore yields the other direction. For any other
+    azimuth of the lamp, or if the kernel of the lens is not symmetric, phi_d covers the full turn.
 
     Attributes:
-        positions: positions of the visible points, and of those from which rings are interpolated.
-        flat_index: indices of the visible points, except those on rings, in the flattened arrays.
-        rings: cells that are interpolated.
-        irradiance: cosine of the angle of incidence at each cell, times the irradiance of a near lamp relative to the centre.
-        weight: share of each point in the value of its cell; 0 for invisible points.
-        pixels: pixels behind the cells, (theta_h, theta_d, phi_d).
-        mirrored: True where reversing phi_d gives the other direction.
+        positions: positions of the visible points that are not on rings, followed by those from which rings are
+            interpolated.
+        flat_index: indices of the visible points that are not on rings, in the flattened arrays.
+        rings: rings of cells that are interpolated.
+        irradiance: irradiance of the surface at each point, relative to that of a surface at the centre of the sample that
+            faces the lamp, no unit.
+        weight: weight of each point in the value of its cell, no unit; 0 for invisible points.
+        pixels: number of pixels of each cell, (theta_h, theta_d, phi_d).
+        mirrored: True if reversing the order of phi_d yields the other direction.
     """
 
     positions: RecordPositions
@@ -102,7 +107,6 @@ class TableCells(NamedTuple):
 
 
 def _table_cells(sample: Curved, choice: CellChoice, lamp_nearness: jax.Array | None) -> TableCells:
-    """Find the cells of a table in the images of a sphere."""
     n_h, n_d, n_p = GRID_SHAPE
     cell_value, azimuth = choice.cell_value, choice.azimuth
     mirrored = azimuth == 0 and choice.even
@@ -110,7 +114,7 @@ def _table_cells(sample: Curved, choice: CellChoice, lamp_nearness: jax.Array | 
     share = (np.arange(n_h)[:, None] + points) / n_h
     theta_h = (share**2 * np.pi / 2)[None, :, None, :, None]
     theta_d = merl_grid(cell_sampling(cell_value)).theta_d[:, None, None, None, None]
-    # sampling 0 requires sampling pi, its mirror image
+    # the mirror image of phi_d = 0 is phi_d = pi, which therefore has to be sampled, too
     columns = np.arange(n_p + (cell_value == "edge") if mirrored else 2 * n_p)
     phi_d = ((columns[:, None] + points) / n_p * np.pi)[None, None, :, None, :]
     theta_h, theta_d, phi_d = np.broadcast_arrays(theta_h, theta_d, phi_d)
@@ -126,7 +130,7 @@ def _table_cells(sample: Curved, choice: CellChoice, lamp_nearness: jax.Array | 
     if choice.crop is not None:
         height, width = choice.crop
         seen &= (np.abs(x) <= width / 2) & (np.abs(y) <= height / 2)
-    # the position of a normal that a distant camera does not see is nevertheless one of the sensor
+    # in a distant rig, a normal that is not visible has a position on the sensor, too
     whole = np.ones(seen.shape, dtype=bool) if sample.distant and lamp_nearness is None else seen
     rings, samples = rings_of(theta_h, theta_d, phi_d, whole, _per_radian(sample, choice.finest), mirrored)
     on_ring = np.zeros(seen.size, dtype=bool)
@@ -139,32 +143,35 @@ def _table_cells(sample: Curved, choice: CellChoice, lamp_nearness: jax.Array | 
     x, y, lamp_angle, picture = (np.concatenate(both) for both in zip(direct, (*placed(*samples), slices), strict=True))
     positions = RecordPositions(x, y, lamp_angle, np.full(x.size, azimuth) if azimuth else None, picture)
 
-    # pixels per point: distant camera, r^2 cos_o sin theta_h dtheta_h dphi_d (docs/model.md 8)
+    # number of pixels per point, for a distant camera: r^2 cos_o sin theta_h dtheta_h dphi_d (docs/model.md 8)
     edges = theta_h_edges()
     solid = (np.sin(edges[:-1] + np.diff(edges) / 2) * np.diff(edges) * np.pi / n_p)[None, :, None, None, None]
     content = np.where(seen, cos_o * solid, 0.0) * float(sample.radius) ** 2 / points.size**2
     pixels = (content + _other_way(content, mirrored)).sum(axis=(3, 4))[:, :, :n_p].transpose(1, 0, 2)
-    # equal shares of sqrt(theta_h) contain unequal numbers of pixels
+    # equal intervals of sqrt(theta_h) contain unequal numbers of pixels
     weight = content * share[None, :, None, :, None] * np.sin(theta_h) if cell_value == "mean" else seen * 1.0
     irradiance = cos_i * np.asarray(closeness(lamp_nearness, jnp.asarray(cos_i))) ** 2
     return TableCells(positions, index, rings, irradiance, weight, pixels, mirrored)
 
 
 def _per_radian(sample: Curved, finest: float | None) -> float:
-    """Compute the largest shift of the image per rotation of the normal, in standard deviations of the lens; 0: unknown."""
+    """Compute the largest shift of the image per rotation of the normal; 0 if it is unknown.
+
+    The unit is the standard deviation of the lens, `finest`, per rad.
+    """
     return 0.0 if finest is None else float(sample.stretch / (1 - sample.nearness)) / finest
 
 
 class RealCells(NamedTuple):
-    """Cells of a table that are looked up in real pixels.
+    """Cells of a table whose values come from real pixels.
 
     Attributes:
-        positions: the pixels, of all slices.
-        irradiance: (pixels,), cosine of the angle of incidence at each.
-        cell: (entries,), index of a cell in the flattened (theta_d, theta_h, phi_d).
-        pixel: (entries,), index of a pixel behind it.
-        share: (entries,), share of the pixel in the value of the cell.
-        pixels: pixels behind the cells, (theta_h, theta_d, phi_d).
+        positions: centres of the pixels of all slices.
+        irradiance: cosine of the angle of incidence at the centre of each pixel, (pixels,).
+        cell: index of a cell in the flattened (theta_d, theta_h, phi_d), (entries,).
+        pixel: index of a pixel of this cell, (entries,).
+        share: share of this pixel in the value of the cell, (entries,).
+        pixels: number of pixels of each cell, (theta_h, theta_d, phi_d).
     """
 
     positions: RecordPositions
@@ -176,7 +183,7 @@ class RealCells(NamedTuple):
 
 
 def _real_cells(radius: float, chosen: CellChoice, phase: PixelPhase) -> RealCells:
-    """Find the pixels behind all cells, slice by slice."""
+    """Find the real pixels of all cells, slice by slice. radius: radius of the limb, px."""
     n_h, n_d, n_p = GRID_SHAPE
     theta_d = merl_grid("centre").theta_d
     columns: list[tuple[np.ndarray, ...]] = []
@@ -199,11 +206,13 @@ def _real_cells(radius: float, chosen: CellChoice, phase: PixelPhase) -> RealCel
 
 
 def cell_means(radiance: jax.Array, cells: TableCells | RealCells) -> AnyArray:
-    """Average the BRDF over the positions of each cell, both directions.
+    """Average the BRDF over the positions of each cell in both directions, 1/sr, (theta_h, theta_d, phi_d, channels).
 
     The mean is NaN where no position is visible.
+
+    radiance: radiance at the positions of the cells, 1/sr, (positions, channels).
     """
-    # JAX would compile a program for every shape
+    # concrete values are averaged by NumPy, because JAX would compile a program for every shape
     known: AnyArray = np.asarray(radiance) if is_concrete(radiance) else radiance
     channels = known.shape[-1]
     if isinstance(cells, RealCells):

@@ -1,9 +1,9 @@
 """Record of the cells of a table on a cylinder, whose normals lie in one plane (docs/model.md 3).
 
-The normal of a cell lies outside the plane of camera and lamp. On a sphere such a normal is visible. On a cylinder it
-is visible if the lamp is turned about the optical axis until the normal is perpendicular to the axis of the cylinder.
-Each cell therefore has its own lamp, and is recorded on the line across the axis that contains the optical axis. In a
-near rig the cell is visible at its angles only on that line.
+In general, the normal of a cell lies outside the plane of camera and lamp. A sphere has such a normal. A cylinder has it
+only if the lamp is rotated about the optical axis until the normal is perpendicular to the axis of the cylinder. Each
+cell therefore has its own lamp azimuth, and is recorded on the line through the optical axis that is perpendicular to the
+axis of the cylinder. In a near rig, the angles of the cell occur only on that line.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ from matcam.rigs import UNKNOWN, Rig
 from matcam.sample.curved import Cylinder, Sphere
 
 _TURN = 1e-9
-"""Sine of half an azimuth below which the azimuth is treated as a multiple of a full turn."""
+"""Largest |sin(azimuth / 2)| for which an azimuth counts as a multiple of a full turn, up to rounding errors."""
 
 _AT_ONCE = 1 << 17
-"""Number of positions that are recorded at once. The plan of a near rig takes up to 1 GiB."""
+"""Largest number of positions that are recorded at once. In a near rig, their plan takes up to 1 GiB."""
 
 
 class CylinderCells(NamedTuple):
@@ -38,7 +38,8 @@ class CylinderCells(NamedTuple):
     Attributes:
         positions: positions of the visible cells.
         flat_index: indices of the visible cells in the flattened arrays.
-        irradiance: irradiance of the surface at each cell, over that at the centre of a surface that faces the lamp.
+        irradiance: irradiance of the surface at each cell, relative to that of a surface at the centre that faces the lamp,
+            no unit.
         seen: True for visible cells.
     """
 
@@ -49,17 +50,17 @@ class CylinderCells(NamedTuple):
 
 
 def check_cylinder(rig: Rig, azimuth: float = 0.0) -> None:
-    """Raise ArgumentError if no table can be recorded by a rig with a cylinder.
+    """Check that a rig with a cylinder can record a table; ArgumentError otherwise.
 
-    rig: with a cylinder. azimuth: requested azimuth of the lamp, rad.
+    azimuth: requested azimuth of the lamp, rad.
     """
     if any(abs(np.sin((turned or 0.0) / 2)) > _TURN for turned in (azimuth, rig.lamp_azimuth)):
         raise ArgumentError(
-            "a table of a cylinder has another lamp azimuth for every cell: the azimuth must be left out"
+            "each cell of a table of a cylinder has its own lamp azimuth, so the azimuth must be left out"
         )
     if rig.cell_value not in ("centre", "edge", UNKNOWN):
         raise ArgumentError(
-            f"cells of '{rig.cell_value}' need a sphere: on a cylinder each cell has its own image; cell_value must be "
+            f"cell_value '{rig.cell_value}' needs a sphere, because on a cylinder each cell has its own image: specify "
             "'centre' or 'edge'"
         )
 
@@ -67,7 +68,8 @@ def check_cylinder(rig: Rig, azimuth: float = 0.0) -> None:
 def cylinder_table(material: Material, rig: Rig, workspace: Workspace) -> tuple[jax.Array, np.ndarray]:
     """Compute the table of a material on a cylinder, (90, 90, 180, channels), 1/sr, and the pixel counts of its cells.
 
-    Differentiable in material and camera. NaN where a cell is not visible. Each visible direction is one pixel.
+    The table is NaN where a cell is not visible, and differentiable in the parameters of material and camera. The pixel
+    count of a cell is the number of its visible directions, 0 to 2.
     """
     sample, near = rig.sample, rig.lamp.nearness
     assert isinstance(sample, Cylinder)
@@ -82,7 +84,7 @@ def cylinder_table(material: Material, rig: Rig, workspace: Workspace) -> tuple[
 
 
 def record_cells(material: Material, rig: Rig, positions: RecordPositions) -> jax.Array:
-    """Record positions on the line of a cylinder at height 0, 1/sr, (positions, channels)."""
+    """Compute the record of a material at positions on a cylinder at height 0, 1/sr, (positions, channels)."""
     parts = (
         positions.at(np.arange(begin, min(begin + _AT_ONCE, positions.x.size)))
         for begin in range(0, positions.x.size, _AT_ONCE)
@@ -91,7 +93,7 @@ def record_cells(material: Material, rig: Rig, positions: RecordPositions) -> ja
 
 
 def cylinder_cells(rig: Rig) -> CylinderCells:
-    """Compute the positions of the cells of a table on the cylinder of a rig."""
+    """Compute the cells of a table on the cylinder of a rig."""
     grid = merl_grid(cell_sampling(rig.cell_value))
     angles = np.meshgrid(*grid, [0.0, np.pi], indexing="ij")
     theta_h, theta_d, phi_d = angles[0], angles[1], angles[2] + angles[3]
@@ -106,10 +108,9 @@ def cylinder_cells(rig: Rig) -> CylinderCells:
 
 
 def line_positions(rig: Rig, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> RecordPositions:
-    """Compute the positions of half and difference angles on the cylinder of a rig, and their lamps.
+    """Compute the positions of half and difference angles, rad, on the cylinder of a rig, and the lamp of each position.
 
-    The positions have the same distance from the optical axis as on a sphere of the same radius, under a lamp at the
-    same angle from the axis.
+    Distance and lamp angle of each position, measured from the optical axis, are those on a sphere of the same radius.
     """
     sample: Cylinder = rig.sample  # type: ignore[assignment]
     sphere = Sphere(float(sample.radius), float(sample.distance))

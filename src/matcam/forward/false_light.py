@@ -20,7 +20,7 @@ from matcam.rigs import Rig
 from matcam.sample.curved import Sphere
 
 _FALSE_LIGHT_THETA_H = np.radians([0.5, 1, 2, 3, 5, 7, 10, 15, 20, 30, 40, 50, 60])
-_FAR_FROM_HIGHLIGHT = 29.9  # degrees of theta_h
+_FAR_FROM_HIGHLIGHT = 29.9  # smallest theta_h far from the highlight, degrees
 _NAMES = {
     "true": "BRDF of the material [1/sr]",
     "recorded": "BRDF as recorded, with the halo [1/sr]",
@@ -33,8 +33,8 @@ _NAMES = {
 def false_light(material: Material, rig: Rig, theta_d: float = np.pi / 8) -> xr.Dataset:
     """Predict the haze and the diffuse part that a halo adds.
 
-    Both are veiling glare of the highlight (docs/model.md 2). The angles lie across the plane of camera and lamp
-    (phi_d = pi / 2), where light and view are far from the horizon.
+    Both are veiling glare of the highlight (docs/model.md 2). The normals are tilted perpendicularly to the plane of camera
+    and lamp (phi_d = pi / 2), where the directions to lamp and camera are far from the horizon.
 
     Args:
         material: the material.
@@ -42,9 +42,9 @@ def false_light(material: Material, rig: Rig, theta_d: float = np.pi / 8) -> xr.
         theta_d: slice of the table, in [0, pi/4], rad. Default: pi / 8.
 
     Returns:
-        Dataset over theta_h (rad) and channel, 1/sr: `true` BRDF, `recorded`, and `added`, the difference to the record
-            without the halo. `false_diffuse` over channel is the albedo of the Lambertian part that would explain
-            `added` far from the highlight: pi times its mean from 30 degrees on.
+        Dataset over theta_h (rad) and channel, 1/sr: `true` BRDF, `recorded` BRDF, and `added`, the recorded BRDF minus
+            that without the halo. `false_diffuse` over channel is the albedo of the Lambertian part that would explain
+            `added` far from the highlight: pi times the mean of `added` for theta_h of at least 30 degrees.
 
     Raises:
         ArgumentError: the lens has no halo, or the sample is not a sphere.
@@ -53,7 +53,7 @@ def false_light(material: Material, rig: Rig, theta_d: float = np.pi / 8) -> xr.
     if not isinstance(optics, HaloOptics):
         raise ArgumentError("the lens has no halo: use HaloOptics(core, fraction, radius)")
     if not isinstance(rig.sample, Sphere):
-        raise ArgumentError(f"false light can be predicted for a Sphere, not for a {type(rig.sample).__name__}")
+        raise ArgumentError(f"the prediction of false light needs a Sphere, got a {type(rig.sample).__name__}")
     theta_d = float(checks.within("theta_d", theta_d, 0, np.pi / 4, "rad"))
     sphere = rig.sample
     theta_h, phi_d = _FALSE_LIGHT_THETA_H, np.full(_FALSE_LIGHT_THETA_H.size, np.pi / 2)

@@ -3,8 +3,8 @@
 An image with a given error is computed exactly only where required, because most of a sample is smooth or much darker
 than the highlight. The value of a pixel lies between the smallest and the largest radiance within the support of its
 kernel. Where these differ by less than the error, the radiance at the centre of the pixel suffices. A highlight may lie
-between the centres, so all pixels around it are exact. A crescent or its tips may also lie between the centres, so
-light is evaluated along the limb, too.
+between the centres, so all pixels around a highlight are computed exactly. A lit crescent or its tips may also lie
+between the centres, so the radiance is evaluated along the limb, too.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def picture(
 ) -> xr.DataArray:
     """Simulate the image of a sphere or cylinder in a rig.
 
-    The lamp's irradiance is 1 at the sample's centre, on a surface that faces it. Row 0 is on top. Pixel centres lie on
+    The irradiance is 1 at the sample's centre, on a surface that faces the lamp. Row 0 is on top. Pixel centres lie on
     integers, and the optical axis at ((width - 1) / 2, (height - 1) / 2). For derivatives see `picture_values`.
 
     The image under a source disc is the mean of the images under its points. This takes 15 times as long for a disc
@@ -61,15 +61,15 @@ def picture(
         lamp_angle: angle between lamp and optical axis, seen from the sample's centre, rad: 2 theta_d in a distant rig.
             In [0, pi), or up to the angle where a near lamp lights no visible surface.
         azimuth: azimuth of the lamp about the optical axis, in [-2 pi, 2 pi], rad. Pixels and the axis of a cylinder
-            (y) do not turn with it. Default: None, the rig's `lamp_azimuth`, or 0, the lamp towards +x (right); pi / 2
+            (y) do not rotate with the lamp. Default: None, the rig's `lamp_azimuth`, or 0, the lamp towards +x (right); pi / 2
             is towards +y (up).
         shape: (height, width), px. Default: the crop of the rig, or an area that contains the sample and its blur.
         shift: shift of the sample and the optical axis from the centre of the image, px: columns to the right, rows
-            down.
-            Default: none.
+            down. Default: (0, 0).
         error: largest allowed error, as a share of the peak of the image, in [1e-6, 0.1], no unit; larger is faster.
-            Default: None, full accuracy (1e-4 of every value or 1e-7 of the peak). Where the image is filtered by
-            frequencies, half of it is the allowed error of the transfer function, by default 1e-6.
+            Default: None, full accuracy (1e-4 of every value or 1e-7 of the peak). If a finer image is filtered by the
+            transfer function of the lens, half of `error` is the allowed error of the transfer function; its default is
+            1e-6.
         exposure: electrons per unit of radiance, e- sr, for a raw image of the camera's sensor. Default: None,
             radiance.
         seed: seed of the noise of the raw image, an integer or a JAX key. Default: None, for radiance only.
@@ -89,7 +89,8 @@ def picture(
         docs/model.md 2, 3 and 10.
 
     Example:
-        The middle of a sphere, where no kernel contains the highlight or the limb; without a shape, the whole sphere.
+        The image shows the middle of a sphere, where no kernel contains the highlight or the limb. Without `shape` it
+        would show the whole sphere.
 
         >>> rig = matcam.Rig(matcam.Camera(matcam.GaussianOptics(0.5)), matcam.Sphere(40.0))
         >>> image = matcam.picture(matcam.Microfacet(matcam.GGX(0.1), 0.9), rig, lamp_angle=1.0, shape=(3, 5))
@@ -144,15 +145,15 @@ def picture_values(
 ) -> jax.Array:
     """Compute the radiance of `picture` as an array.
 
-    It is differentiable in the parameters of material and camera.
+    The array is differentiable in the parameters of material and camera.
 
     Args:
         material: material of the sample, such as `Microfacet(GGX(0.1), 0.9)`.
         rig: camera, sample and lamp; the sample is a `Sphere` or `Cylinder`.
-        lamp_angle: angle between lamp and optical axis, see `picture`, rad. It can be differentiated for a sphere under
-            a point lamp.
+        lamp_angle: angle between lamp and optical axis, see `picture`, rad. For a sphere under a point lamp, the array is
+            differentiable with respect to this angle, too.
         shape: (height, width), px. Default: see `picture`.
-        azimuth: azimuth of the lamp about the optical axis, rad; it cannot be traced. Default: None, see `picture`.
+        azimuth: azimuth of the lamp about the optical axis, rad; it must be concrete. Default: None, see `picture`.
 
     Returns:
         Radiance under unit irradiance, (height, width, channels), 1/sr.
@@ -172,9 +173,9 @@ def picture_values(
 
 
 def _record_within(error: float, material: Material, view: View) -> jax.Array:
-    """Record an image with an error of at most `error` times its largest value.
+    """Compute the radiance of an image, 1/sr, with an error of at most `error` times its largest value.
 
-    It must not be differentiated, because the material decides which pixels are exact.
+    The image must not be differentiated, because the selection of the exact pixels depends on the material.
     """
     scales = [group.scale for group in groups_of(view.imaging.blur, view.imaging.sample)]
     around = int(np.ceil(max(scale.reach for scale in scales)))
@@ -213,23 +214,26 @@ def _record_within(error: float, material: Material, view: View) -> jax.Array:
 
 
 def _turned(view: View) -> bool:
-    """Check whether pixels are turned relative to the axes of the scene, which are those of a cylinder."""
+    """Check whether the rows of pixels are rotated relative to the axes of the scene; for a cylinder they are not."""
     return isinstance(view.imaging.sample, Sphere) and bool(np.any([point.azimuth for point in view.points]))
 
 
 _Positions = Sequence[np.ndarray]
-"""x and y, px."""
+"""Arrays of x and y, px."""
 _ALONG = 0.5
-"""Step along the limb at which light is evaluated, px."""
+"""Step along the limb between positions at which the radiance is evaluated, px."""
 _BELOW_LIMB = 1.5 * 3.0 ** -np.arange(16)
-"""Distances of these positions from the limb, px. At least one lies in any crescent."""
+"""Distances of these positions from the limb, px. Any lit crescent contains at least one of them."""
 
 
 def _on_sphere(
     material: Material, view: View, point: LampPoint, wide: _Positions, pixels: _Positions
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Compute the light of a point of the lamp at centres of pixels, the largest about each, and the pixels near its
-    highlight.
+    """Compute the radiance under one point of the lamp, and find the pixels near its highlight.
+
+    Returns:
+        Radiance at the positions `wide`, 1/sr; the largest radiance found in the pixels at these positions, 1/sr; and
+        True for each of `pixels` near the highlight.
     """
     imaging, sample = nearer(view.imaging, point.distance), view.imaging.sample
     turned = _turned(view)
@@ -243,7 +247,10 @@ def _on_sphere(
 
 
 def _most_at_limb(scene: Scene, radius: float, light: np.ndarray, wide: _Positions) -> np.ndarray:
-    """Compute the light at centres, or at the nearest point of the limb if that is brighter."""
+    """Compute the larger of two radiances in each pixel, 1/sr.
+
+    They are the radiance at the centre of the pixel, `light`, and the largest radiance along the limb inside the pixel.
+    """
     count = few_lengths(int(np.ceil(2 * np.pi * radius / _ALONG)))
     azimuth = 2 * np.pi * np.arange(count) / count
     depth = radius - np.minimum(_BELOW_LIMB, radius / 2)[:, None]
@@ -259,7 +266,7 @@ def _most_at_limb(scene: Scene, radius: float, light: np.ndarray, wide: _Positio
 def _on_cylinder(
     material: Material, view: View, point: LampPoint, wide: _Positions, pixels: _Positions
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Compute the same as `_on_sphere` for a cylinder, whose limbs are treated as highlights, too."""
+    """Compute the results of `_on_sphere` for a cylinder. Pixels near a limb count as pixels near the highlight."""
     imaging = nearer(view.imaging, point.distance)
     turn = Turn(jnp.cos(point.azimuth), jnp.sin(point.azimuth))
     scene = Scene(material, imaging.sample, jnp.asarray(point.angle), imaging.lamp_nearness, turn)
@@ -278,7 +285,7 @@ def _at_centres(scene: Scene, x: jax.Array, y: jax.Array) -> jax.Array:
 def _raw_conversion(
     sensor: Sensor | None, exposure: float | None, seed: Seed | None, time: float
 ) -> Callable[[jax.Array], jax.Array] | None:
-    """Build the function from radiance to a raw image; None if radiance is requested."""
+    """Build the function that converts radiance, 1/sr, to a raw image, DN; None if no exposure is given."""
     if exposure is None:
         return None
     if sensor is None:

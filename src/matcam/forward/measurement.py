@@ -1,9 +1,10 @@
 """Table of a material as recorded by a rig: the pixels of every cell of the MERL grid (docs/model.md 3).
 
-One image of a sphere, with lamp and camera 2 theta_d apart, is one theta_d slice of a table. Each cell occurs twice in
-it: at azimuth pi - phi_d about the half vector, and opposite. The value of a cell is the mean of the two records, each
-divided by the cosine of the angle of incidence there. Positions and integrals depend only on the rig, so a workspace
-keeps the plan for further materials. Cells on one pixel share its noise (docs/model.md 8).
+One image of a sphere, with an angle of 2 theta_d between lamp and camera, contains one theta_d slice of a table. Each
+cell occurs twice in this image: at the azimuth pi - phi_d about the half vector, and at the opposite azimuth. The value
+of a cell is the mean of both records, each divided by the cosine of the angle of incidence at its position. Positions
+and quadrature nodes depend only on the rig, so a workspace stores the plan for further materials. Cells on the same
+pixel have the same noise (docs/model.md 8).
 """
 
 from __future__ import annotations
@@ -59,34 +60,35 @@ def measure(
     """Simulate the BRDF table that a rig records of a material.
 
     The value of a cell comes from a pixel centred on the point of the cell that `cell_value` of the rig specifies;
-    "mean" is the mean over the pixels inside. "nearest" and "bilinear" look the cell up in a real grid of pixels, and
-    so does "mean" if the rig has a `pixel_phase`. Several cells near the peak then have the value of the same pixel.
-    The record is divided by the cosine of the angle of incidence at the centre of the pixel, and averaged over the two
-    positions of the cell (reciprocity). The light of a flat sample is uniform and is not blurred.
+    "mean" is the mean over the pixels inside the cell. For "nearest" and "bilinear", and for "mean" if the rig has a
+    `pixel_phase`, the value comes from the pixels of a real grid. Several cells near the peak then have the value of the
+    same pixel. The record is divided by the cosine of the angle of incidence at the centre of the pixel, and averaged
+    over the two positions of the cell (reciprocity). The radiance of a flat sample is uniform, so blur does not change
+    its record.
 
-    In a near rig each cell comes from the image in which it is visible at its angles, and is divided by the irradiance
-    of the lamp there. A complete table takes about 15 s on two cores, for each of the 20 or more points of a source
-    disc. For derivatives see `table_values`.
+    In a near rig, each cell is recorded in the image in which its angles occur, and the record is divided by the
+    irradiance at its position. A complete table takes about 15 s on two cores for each point of the lamp; a source disc
+    has at least 20 points. For derivatives see `table_values`.
 
-    On a cylinder, cells are recorded on a line that crosses its axis at height 0. Each cell comes from the image whose
-    lamp is turned about the optical axis until the normal of the cell lies on that line.
+    On a cylinder, cells are recorded on the line at height 0 that is perpendicular to the axis of the cylinder. Each cell
+    has its own image, whose lamp is rotated about the optical axis until the normal of the cell occurs on that line.
 
     Args:
         material: material to record, such as `Microfacet(GGX(0.1), 0.9)`, with one channel (grey) or three.
         rig: camera, sample and lamp; any sample.
-        workspace: keeps the plan of a rig's table for its next material. Default: None, that of the process.
+        workspace: store of the plan of a table, for further materials. Default: None, the workspace of the process.
         azimuth: azimuth of the lamp about the optical axis in all images, in [-2 pi, 2 pi], rad. The plane of
-            incidence turns; the square pixels do not. Default: None, the rig's `lamp_azimuth`, or 0, the lamp towards
-            +x.
+            incidence rotates with the lamp; the square pixels do not. Default: None, the rig's `lamp_azimuth`, or 0,
+            the lamp towards +x.
 
     Returns:
         BRDF, 1/sr, on the MERL grid (theta_h, theta_d, phi_d, channel), NaN for invisible cells. Coordinate `pixels`
-        (theta_h, theta_d, phi_d) is the number of pixels behind a cell at both positions. Attribute `kernel_error` is
+        (theta_h, theta_d, phi_d) is the number of pixels of a cell at both of its positions. Attribute `kernel_error` is
         the largest error of the transfer function of the lens; 0 for Gaussian lenses.
 
     Raises:
-        ArgumentError: the lamp of a cylinder has an azimuth, or its cells are on real pixels; the lens varies over the
-            field, or is not isotropic for a cylinder; or the call is inside jax.jit.
+        ArgumentError: the lens varies over the field; a lamp azimuth, real pixels or a lens that is not isotropic are
+            specified for a cylinder; or the call is inside jax.jit.
 
     Source:
         docs/model.md 2 and 3. The error is below 1e-4 of the value or 1e-7 of the peak for Gaussian optics (tests).
@@ -126,19 +128,19 @@ def measure(
 def table_values(
     material: Material, rig: Rig, workspace: Workspace | None = None, *, azimuth: ArrayLike | None = None
 ) -> tuple[jax.Array, np.ndarray]:
-    """Return the values and pixel counts of `measure` as arrays.
+    """Compute the values and pixel counts of `measure` as arrays.
 
     The values are differentiable in the parameters of material and camera.
 
     Args:
         material: material to record, with any number of channels.
         rig: camera, sample and lamp; any sample.
-        workspace: keeps the plan of a rig's table for its next material. Default: None, that of the process.
-        azimuth: azimuth of the lamp about the optical axis in all images, rad. Default: None, the rig's, or 0,
-            towards +x.
+        workspace: store of the plan of a table, for further materials. Default: None, the workspace of the process.
+        azimuth: azimuth of the lamp about the optical axis in all images, rad. Default: None, the rig's `lamp_azimuth`,
+            or 0, the lamp towards +x.
 
     Returns:
-        BRDF, (90, 90, 180, channels), 1/sr, NaN for invisible cells; and the number of pixels behind each cell,
+        BRDF, (90, 90, 180, channels), 1/sr, NaN for invisible cells; and the number of pixels of each cell,
         (90, 90, 180).
 
     Raises:
@@ -185,7 +187,7 @@ def _colours(rig: Rig) -> list[tuple[Rig, tuple[float, float]]]:
 def _values_through(
     material: Material, rig: Rig, azimuth: float, shift: tuple[float, float], workspace: Workspace
 ) -> tuple[AnyArray, np.ndarray]:
-    """Compute values and pixel counts of a table through one lens. shift: shift of its images, (right, up), px."""
+    """Compute values and pixel counts of a table through one lens. shift: shift of the images, (right, up), px."""
     if served_by_frequencies(rig, material):
         return _by_frequencies(material, rig, azimuth, shift)
     imaging = imaging_of(rig)
@@ -204,7 +206,7 @@ def _values_through(
 def _by_frequencies(
     material: Material, rig: Rig, azimuth: float, shift: tuple[float, float]
 ) -> tuple[AnyArray, np.ndarray]:
-    """Compute a table and its pixel counts from the frequencies of the image of each slice."""
+    """Compute values and pixel counts of a table by filtering the image of each slice. shift: see `_values_through`."""
     even = rig.camera.optics.isotropic and shift[1] == 0
     chosen = CellChoice(rig.cell_value, rig.crop, azimuth, rig.pixel_phase, even, shift)
     assert isinstance(rig.sample, Sphere)
@@ -214,7 +216,7 @@ def _by_frequencies(
 
 
 def _azimuth(rig: Rig, azimuth: ArrayLike | None) -> float:
-    """Choose the azimuth of the lamp in the images of a table: as given, otherwise that of the rig, otherwise 0."""
+    """Choose the azimuth of the lamp, rad: the given azimuth, otherwise that of the rig, otherwise 0."""
     return float(checks.scalar("azimuth", rig.azimuths(azimuth)))
 
 
@@ -223,7 +225,7 @@ def true_table(material: Material, sampling: Sampling = "centre") -> xr.DataArra
 
     Args:
         material: the material.
-        sampling: point of each cell at which it is evaluated, "centre" or "edge". Default: "centre".
+        sampling: point of each cell at which the BRDF is evaluated, "centre" or "edge". Default: "centre".
 
     Returns:
         BRDF on the MERL grid, (90, 90, 180, 3), 1/sr; NaN below the horizon.
@@ -247,11 +249,17 @@ class TablePlan(NamedTuple):
 
 
 def _table_plan(imaging: Imaging, chosen: CellChoice, lobe: tuple[float, float], workspace: Workspace) -> TablePlan:
-    """Plan the table of a rig. Values must be concrete: ArgumentError inside jax.jit. lobe: see `record_plan`."""
+    """Compute the cells of a table and the plan of their record; ArgumentError inside jax.jit.
+
+    lobe: narrowest scale, rad, and elongation of the lobe, see `record_plan`.
+    """
     imaging = jax.lax.stop_gradient(imaging)
     leaves, tree = jax.tree.flatten(imaging)
     if not all(is_concrete(leaf) for leaf in leaves):
-        raise ArgumentError("the rig's parameters select the pixels of a table: call this outside of jax.jit and vmap")
+        raise ArgumentError(
+            "the rig must have concrete parameters, because they determine the pixels of a table: call this function "
+            "outside jax.jit and jax.vmap"
+        )
 
     def plan() -> TablePlan:
         cells = chosen.cells(imaging.sample, imaging.lamp_nearness)
@@ -262,9 +270,9 @@ def _table_plan(imaging: Imaging, chosen: CellChoice, lobe: tuple[float, float],
 
 
 def _flat_values(material: Material, rig: Rig) -> jax.Array:
-    """Compute the values of a flat sample, both directions.
+    """Compute the table of a flat sample, the mean of both directions, 1/sr, (90, 90, 180, channels).
 
-    The sample is tilted so that each cell is visible. Uniform light is not blurred.
+    The sample is assumed to be tilted such that each cell is visible. Blur does not change its uniform radiance.
     """
     if rig.cell_value not in ("centre", "edge", UNKNOWN):
         raise ArgumentError("all pixels of a flat sample belong to one cell: cell_value must be 'centre' or 'edge'")
@@ -276,17 +284,17 @@ def _flat_values(material: Material, rig: Rig) -> jax.Array:
 
 
 PICTURE_STRIDE = 1 << 13
-"""Number of pixels per row in the number of a pixel. It exceeds the width of any image."""
+"""Factor of the column in the index of a pixel. It exceeds the height of any image, px."""
 
 CHROMIUM_WIDTH = 0.002
 """Width of the lobe of `simulated_chromium`, rad: half a pixel on the MERL rig's sphere."""
 
 
 def with_pixel_noise(table: xr.DataArray, rig: Rig, noise: PixelNoise, seed: int) -> xr.DataArray:
-    """Add the noise of the pixels behind its cells to a table.
+    """Add pixel noise to a table.
 
-    Each theta_d slice is one image. Cells that share a pixel share its noise; a mean of pixels has the mean of their
-    noise. Negative results are kept, because clipping would bias faint cells.
+    Each theta_d slice is one image. Cells on the same pixel have the same noise, and the noise of a mean of pixels is the
+    mean of their noise. Negative results are kept, because clipping would bias faint cells.
 
     Args:
         table: BRDF on the MERL grid, (90, 90, 180, channels), 1/sr.
@@ -320,7 +328,7 @@ def with_pixel_noise(table: xr.DataArray, rig: Rig, noise: PixelNoise, seed: int
     phase = rig.pixel_phase
     on_line = isinstance(rig.sample, Cylinder)
     if phase is None and rig.cell_value == "mean" and rig.sample.distant:
-        phase = 0.0, 0.0  # an arbitrary choice
+        phase = 0.0, 0.0  # an arbitrary phase, because the phase is unknown
     phases = None if phase is None else phase_of_slices(phase)
     azimuth = _azimuth(rig, azimuth_of(table))
     if isinstance(rig.sample, Cylinder):
@@ -346,9 +354,9 @@ def with_pixel_noise(table: xr.DataArray, rig: Rig, noise: PixelNoise, seed: int
 
 
 class CellPixels(NamedTuple):
-    """Numbers of the pixels behind each cell, arrays of shape (theta_d, theta_h, phi_d).
+    """Indices of the pixels of each cell, arrays of shape (theta_d, theta_h, phi_d).
 
-    A number is unique within its slice. The axis of the sphere lies at the centre of a pixel.
+    An index is unique within its slice. The optical axis is at the centre of a pixel.
 
     Attributes:
         first: pixel at azimuth pi - phi_d about the half vector.
@@ -360,7 +368,7 @@ class CellPixels(NamedTuple):
 
 
 def cell_pixels(sphere: Sphere, sampling: Sampling, azimuth: float = 0.0) -> CellPixels:
-    """Number the pixels behind the cells in the images of a sphere. azimuth: azimuth of the lamp, rad."""
+    """Compute the indices of the pixels of all cells in the images of a sphere. azimuth: azimuth of the lamp, rad."""
     grid = merl_grid(sampling)
     theta_h, theta_d, phi_d = grid.theta_h[:, None], grid.theta_d[:, None, None], grid.phi_d
     position = jax.jit(lambda sphere, *angles: sphere.position(*angles))

@@ -1,12 +1,13 @@
-"""Real pixels behind the cells of one image of a distant sphere (docs/model.md 3, *Cells on real pixels*).
+"""Pixels of a real image that determine the values of the cells of a table (docs/model.md 3, *Cells on real pixels*).
 
-The pixels of a measured table do not lie at the positions of its cells. The image has its own grid, and the value of a
-cell is looked up in it: the pixel whose centre is nearest to the cell, the bilinear interpolation between four, or the
-mean of the pixels that show directions of the cell. Near the peak many cells repeat one pixel. The value of a pixel is
-its radiance over the cosine of the angle of incidence at its own centre, so repeated values agree to the last digit.
+In a measured image of a distant sphere, the centres of the pixels do not coincide with the positions of the cells. The
+value of a cell is that of the pixel with the nearest centre, the bilinear interpolation between four pixels, or the mean
+of all pixels with directions inside the cell. Near the peak, many cells have the value of the same pixel. The value of a
+pixel is its radiance divided by the cosine of the angle of incidence at its centre, so these cells have exactly equal
+values.
 
-The phase of the grid specifies the positions of the pixels: their centres are whole numbers of px plus the phase from
-the centre of the sphere.
+The phase of the grid specifies the positions of the pixels: relative to the centre of the sphere, the coordinates of
+their centres are integers plus the phase, px.
 """
 
 from __future__ import annotations
@@ -21,13 +22,13 @@ from matcam.core.grid import GRID_SHAPE, merl_grid
 from matcam.rigs import ON_REAL_PIXELS, CellValue, PixelPhase, Rig
 
 _SMALLEST = 1e-12
-"""Weight below which an interpolation omits a pixel."""
+"""Weight up to which a pixel is omitted from an interpolation, no unit. Such weights are rounding errors."""
 _STRIDE = 1 << 16
-"""Number of pixels per row in the number of a pixel. It exceeds the width of any image."""
+"""Factor of the column in the index of a pixel. It exceeds the height of any image, px."""
 
 
 class PixelGrid(NamedTuple):
-    """Lookup of cells in a real grid of pixels.
+    """Real pixel grid, and the rule for the values of cells on this grid.
 
     Attributes:
         rule: "nearest", "bilinear" or "mean".
@@ -41,7 +42,7 @@ class PixelGrid(NamedTuple):
     azimuth: float = 0.0
 
     def of_slices(self, slices: np.ndarray) -> np.ndarray:
-        """Return the phase of the image of each slice, (slices, 2), px; 0 if it is unknown."""
+        """Return the phase of the image of each slice, (slices, 2), px; 0 if it is unknown. slices: indices of the slices."""
         return phase_of_slices(self.phase or (0.0, 0.0))[slices]
 
 
@@ -51,19 +52,19 @@ def phase_of_slices(phase: PixelPhase) -> np.ndarray:
 
 
 def grid_of(rig: Rig) -> PixelGrid | None:
-    """Return the grid in which the cells of a rig are looked up; None if each cell has its own pixel, or if unknown."""
+    """Return the real pixel grid of the cells of a rig; None if each cell has its own pixel or if the grid is unknown."""
     if rig.cell_value == "mean" or (rig.cell_value in ON_REAL_PIXELS and rig.pixel_phase is not None):
         return PixelGrid(rig.cell_value, rig.pixel_phase, rig.lamp_azimuth or 0.0)
     return None
 
 
 class PositionPixels(NamedTuple):
-    """Pixels that are looked up for positions in an image; the last axis is over the pixels of one position.
+    """Pixels that determine the values at positions in an image; the last axis is over the pixels of one position.
 
     Attributes:
-        x: centres to the right of the sphere's centre, px.
-        y: centres upwards from the sphere's centre, px.
-        weight: share of each pixel; the shares add up to 1.
+        x: positions of the centres to the right of the sphere's centre, px.
+        y: positions of the centres above the sphere's centre, px.
+        weight: share of each pixel in the value at its position; the shares add up to 1.
     """
 
     x: np.ndarray
@@ -72,13 +73,15 @@ class PositionPixels(NamedTuple):
 
 
 class SlicePixels(NamedTuple):
-    """Pixels behind all cells of one theta_d slice.
+    """Pixels that determine the values of all cells of one theta_d slice.
 
     Attributes:
-        x: (pixels,), centres in the plane of light and view, px from the sphere's centre, the lamp towards +x.
-        y: (pixels,), centres across this plane, px.
-        cos_i: (pixels,), cosine of the angle of incidence at each centre.
-        share: (cells, pixels) matrix, cells over (theta_h, phi_d); rows add up to 1, or to 0 for invisible cells.
+        x: positions of the centres along the plane of lamp and camera, (pixels,), px from the sphere's centre, positive
+            towards the lamp.
+        y: positions of the centres perpendicular to this plane, (pixels,), px.
+        cos_i: cosine of the angle of incidence at each centre, (pixels,).
+        share: share of each pixel in the value of each cell, a matrix (cells, pixels), cells over (theta_h, phi_d). Each row
+            adds up to 1, or to 0 for an invisible cell.
     """
 
     x: np.ndarray
@@ -88,13 +91,14 @@ class SlicePixels(NamedTuple):
 
 
 def looked_up(rule: CellValue, phase: ArrayLike, x: np.ndarray, y: np.ndarray) -> PositionPixels:
-    """Find the pixels that a rule looks up for positions of an image.
+    """Find the pixels, and their weights, from which the values at positions in an image are computed.
 
     Args:
         rule: "nearest" or "bilinear".
-        phase: phase of the pixel grid, px, (2,) or (..., 2), over the axes of the positions.
-        x: positions, px from the centre of the sphere along the rows of the sensor.
-        y: positions across the rows of the sensor, px.
+        phase: phase of the pixel grid, px, shape (2,), or (..., 2) if it depends on the position; the leading axes are those
+            of the positions.
+        x: positions along the rows of the sensor, px from the centre of the sphere.
+        y: positions along the columns of the sensor, px from the centre of the sphere.
     """
     shift = np.asarray(phase)
     a, b = shift[..., 0], shift[..., 1]
@@ -114,7 +118,7 @@ class PixelAngles(NamedTuple):
 
     Attributes:
         theta_h: half angle, rad.
-        psi: azimuth about the half vector from the lamp's side, rad.
+        psi: azimuth of the normal about the half vector, rad; 0 on the side of the lamp.
         cos_i: cosine of the angle of incidence; -1 outside the sphere.
         cos_o: cosine of the viewing angle; -1 outside the sphere.
     """
@@ -126,7 +130,14 @@ class PixelAngles(NamedTuple):
 
 
 def pixel_angles(radius: float, theta_d: np.ndarray | float, x: np.ndarray, y: np.ndarray) -> PixelAngles:
-    """Compute the angles at the centres of pixels, in the plane of light and view."""
+    """Compute the angles at the centres of pixels.
+
+    Args:
+        radius: radius of the sphere, px.
+        theta_d: difference angle, rad.
+        x: positions along the plane of lamp and camera, px from the centre of the sphere, positive towards the lamp.
+        y: positions perpendicular to this plane, px.
+    """
     n_x, n_y = x / radius, y / radius
     depth2 = 1 - n_x**2 - n_y**2
     n_z = np.sqrt(np.maximum(depth2, 0))
@@ -150,7 +161,9 @@ def slice_pixels(
     crop: tuple[int, int] | None = None,
     azimuth: float = 0.0,
 ) -> SlicePixels:
-    """Find the pixels behind all cells of a slice, both positions of a cell together.
+    """Find the pixels that determine the values of all cells of a slice.
+
+    The pixels of a cell are those at both of its positions.
 
     Args:
         rule: "nearest", "bilinear" or "mean".
@@ -197,7 +210,11 @@ def slice_pixels(
 def _pixels_inside(
     phase: np.ndarray, radius: float, theta_d: float, azimuth: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Find (cell, x, y) of every lit pixel, where the cell contains the directions at the centre of the pixel."""
+    """Find the cell that contains the directions at the centre of each visible and lit pixel.
+
+    Returns:
+        Index of the cell, and x and y of the centre, px, (pixels,) each.
+    """
     n_h, _, n_p = GRID_SHAPE
     size = int(np.ceil(radius)) + 1
     line = np.arange(-size, size + 1.0)
@@ -210,7 +227,7 @@ def _pixels_inside(
 
 
 def turned(x: np.ndarray, y: np.ndarray, angle: float) -> tuple[np.ndarray, np.ndarray]:
-    """Rotate positions of an image about the centre of the sphere by an angle, rad."""
+    """Rotate positions in an image about the centre of the sphere by an angle, rad."""
     if angle == 0:
         return x, y
     return x * np.cos(angle) - y * np.sin(angle), x * np.sin(angle) + y * np.cos(angle)

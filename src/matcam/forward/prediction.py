@@ -1,4 +1,4 @@
-"""Prediction of the loss at the peak for a rig."""
+"""Prediction of the loss at the peak of a highlight for a rig."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 LOSS = 0.05
-"""Relative loss that defines the loss angle (`loss_angle`)."""
+"""Relative loss that defines the loss angle (`loss_angle`), no unit."""
 _ANGLES = np.radians(np.append(np.arange(0, 90, 0.25), 89.9))
 
 
@@ -29,7 +29,7 @@ class Prediction(NamedTuple):
         family: name of the family.
         roughness: roughness of the lobes, (lobes,).
         theta: viewing angles, rad, (angles,).
-        response: recorded over true peak, (lobes, angles), no unit.
+        response: recorded peak divided by true peak, (lobes, angles), no unit.
         loss_angle: see `loss_angle`, rad, (lobes,).
     """
 
@@ -41,11 +41,11 @@ class Prediction(NamedTuple):
 
     @property
     def relative_response(self) -> np.ndarray:
-        """Compute the response relative to that at theta = 0, no unit."""
+        """Compute the response relative to the response at theta = 0, no unit."""
         return self.response / self.response[:, :1]
 
     def columns(self) -> dict[str, Sequence[Any]]:
-        """Return the values as columns by name and unit, with a row for each lobe and angle."""
+        """Return the values as a table: columns by name with unit, and one row for each lobe and angle."""
         lobes, angles = self.response.shape
         arrays = {
             "roughness": np.repeat(self.roughness, angles),
@@ -86,19 +86,20 @@ class Prediction(NamedTuple):
 def predict(rig: Rig, ndfs: NDF | Sequence[NDF], *, dims: int = 2, exact: bool = False) -> xr.Dataset:
     """Predict the recorded share of the peak of a highlight.
 
-    `matcam predict` prints the same.
+    The command `matcam predict` prints the result.
 
     Args:
         rig: camera, sample and lamp.
-        ndfs: lobes of one family, such as `[GGX(0.01), GGX(0.1)]`; or a single one.
+        ndfs: lobes of one family, such as `[GGX(0.01), GGX(0.1)]`, or a single lobe.
         dims: 2 for a real sample, 1 for the paper's one-dimensional model. Default: 2.
-        exact: True for the curved sample with its limb, as for `peak_response`; masking is Smith's. Default: False, its
-            tangent plane.
+        exact: True for the curved sample with its limb, as in `peak_response`, with Smith's masking. Default: False, the
+            tangent plane of the sample.
 
     Returns:
-        Dataset over roughness and theta (rad, viewing angle of the highlight): `response`, recorded over true peak, and
-        `relative_response`, relative to theta = 0, both without unit; and `loss_angle`, rad, the first angle whose
-        relative loss exceeds 5 %, pi/2 if there is none below 89.9 degrees. `result.matcam.plot()` draws it.
+        Dataset over roughness and theta (viewing angle of the highlight, rad). `response` is the recorded peak divided by
+        the true peak, and `relative_response` is the response relative to theta = 0, both without unit. `loss_angle`,
+        rad, is the smallest angle with a relative loss above 5 %; it is pi/2 if there is none below 89.9 degrees.
+        `result.matcam.plot()` draws the dataset.
 
     Raises:
         ArgumentError: see `peak_response`, or the lobes are of several families.
@@ -137,15 +138,15 @@ def prediction_summary(data: xr.Dataset) -> Summary:
 
 
 def predicted(rig: Rig, ndfs: Sequence[NDF], dims: int = 2, exact: bool = False, fast: bool = False) -> Prediction:
-    """Predict the loss at the peak for several lobes of one family, as arrays, without import of xarray.
+    """Predict the response at the peak for several lobes of one family, as arrays, without importing xarray.
 
     Args:
         rig: camera, sample and lamp.
         ndfs: the lobes.
         dims: see `peak_response`. Default: 2.
-        exact: see `peak_response`; masking is Smith's. Default: False.
-        fast: True for a quarter of the angles by `response_preview`, in two dimensions on a sphere, without defocus.
-            Default: False.
+        exact: see `peak_response`; the masking is Smith's. Default: False.
+        fast: True to use `response_preview` at a quarter of the angles, which is valid in two dimensions, on a sphere and
+            without defocus. Default: False.
     """
     if fast:
         from matcam.forward.previews import response_preview
@@ -165,7 +166,7 @@ def predicted(rig: Rig, ndfs: Sequence[NDF], dims: int = 2, exact: bool = False,
 
 
 def loss_angle(rig: Rig, ndf: NDF, dims: int = 2) -> float:
-    """Find the first angle whose relative loss exceeds 5 %.
+    """Compute the smallest viewing angle with a relative loss above 5 %.
 
     The loss is that of the peak in the tangent plane, relative to theta = 0 (see `peak_response`).
 

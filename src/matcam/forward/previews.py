@@ -1,12 +1,13 @@
 """Previews of records, about a thousand times faster than the exact computation and nearly as accurate.
 
-- The light at the centres of pixels gives the sphere without a camera.
+- The radiance at the centres of pixels is the image of the sphere without a camera.
 - The highlight is a sum of Gaussians in the tangent plane (docs/model.md 4). The lens is also a sum of Gaussians.
-- The effect of the camera is the difference of recorded and true lobe times the peak. It is added to the sphere.
+- The effect of the camera is the difference between recorded and true lobe, multiplied by the radiance at the peak. The
+  effect is added to the image of the sphere.
 
-A preview thus has no blurred limb and no blurred terminator. It uses the shape of the lobe at the highlight everywhere,
-replaces a source disc by a Gaussian of its variance, and neglects the aperture of a rig. A program is compiled once for
-all rigs with one kind of lens and pixel.
+Limb and terminator are therefore not blurred in a preview. The shape of the lobe is that at the highlight everywhere, a
+source disc is replaced by a Gaussian of the same variance, and the aperture of a rig is neglected. A program is compiled
+once for all rigs with the same kinds of lens and pixel.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ from matcam.sample.curved import Sphere
 _MARGIN = 1.03
 """Half the side of a sphere's preview, in radii of the sphere."""
 _STEEPEST = 1.56
-"""Largest theta_d of an image, rad."""
+"""Largest theta_d of a preview, rad. At pi / 2 no visible surface is lit."""
 _LARGEST = 4096
 """Largest number of values along the side of a preview."""
 _FAR = 1e8
@@ -44,11 +45,11 @@ _FAR = 1e8
 
 
 def response_preview(rig: Rig, ndf: NDF, theta: ArrayLike) -> jax.Array:
-    """Compute the response at the peak, fast enough for a slider.
+    """Compute an approximate response at the peak, for interactive use.
 
-    It is `peak_response` in the tangent plane, with the lens as a sum of Gaussians. The error is 1e-6 for a Gaussian
-    lens and its halo, and 0.5 % for others. A source disc is approximated by a Gaussian, with an error of 2 % for a
-    disc as wide as the blur.
+    The result is that of `peak_response` in the tangent plane, with the lens approximated by a sum of Gaussians. The
+    error is 1e-6 for a Gaussian lens with or without a halo, and 0.5 % for other lenses. A source disc is
+    approximated by a Gaussian, with an error of 2 % for a disc as wide as the blur.
 
     Args:
         rig: camera, `Sphere` and lamp.
@@ -56,7 +57,7 @@ def response_preview(rig: Rig, ndf: NDF, theta: ArrayLike) -> jax.Array:
         theta: viewing angle of the highlight, in [0, pi/2), rad, (n,).
 
     Returns:
-        Recorded over true peak, (n,), no unit.
+        Recorded peak divided by true peak, (n,), no unit.
 
     Raises:
         ArgumentError: an argument is out of its range or of the wrong kind.
@@ -93,8 +94,8 @@ def highlight_preview(
 
     Returns:
         Dataset over y and x, px from the highlight, x towards the lamp: `true` and `recorded` radiance of the middle
-        channel, 1/sr, and `difference`, recorded less true. `recorded` at a point is the value of a pixel centred
-        there.
+        channel, 1/sr, and `difference`, recorded minus true. `recorded` at a point is the value of a pixel that is
+        centred at the point.
 
     Raises:
         ArgumentError: an argument is out of its range or of the wrong kind.
@@ -128,13 +129,14 @@ def sphere_preview(material: Microfacet, rig: Rig, theta_d: float, side: int = 1
         material: a metal or dielectric whose lobe is a sum of Gaussians: ggx, beckmann or gaussian.
         rig: camera, `Sphere` and lamp.
         theta_d: difference angle at the highlight, in [0, 1.56], rad.
-        side: largest width and height, number of values. For a wider sphere a value covers several pixels. Default:
+        side: largest number of values along each side. If the sphere is wider, a value covers several pixels. Default:
             192.
 
     Returns:
         Dataset over y and x, px from the optical axis, x towards the lamp: `true` and `recorded` radiance of the middle
-        channel, 1/sr, and `difference`, recorded less true. A value is the mean over `pixels_per_value` squared pixels.
-        Further attributes are `largest` and `largest_difference`.
+        channel, 1/sr, and `difference`, recorded minus true. A value is the mean over a square of `pixels_per_value` x
+        `pixels_per_value` pixels. The attributes `largest` and `largest_difference` are the largest radiance and the
+        largest absolute difference, 1/sr.
 
     Raises:
         ArgumentError: an argument is out of its range or of the wrong kind.
@@ -152,7 +154,7 @@ def sphere_preview(material: Microfacet, rig: Rig, theta_d: float, side: int = 1
     side = _count("side", side, 8)
     width = 2 * float(rig.sample.radius) * _MARGIN  # type: ignore[attr-defined]
     block = int(np.ceil(width / side))
-    block += 1 - block % 2  # a value lies on the optical axis
+    block += 1 - block % 2  # an odd number, so that a value is centred on the optical axis
     count = 2 * int(np.ceil(width / block / 2 - 0.5)) + 1
     # a grid of one size for spheres of all sizes, because each size requires a program
     whole = np.arange(2 * (side // 2) + 1)
@@ -165,11 +167,11 @@ def sphere_preview(material: Microfacet, rig: Rig, theta_d: float, side: int = 1
 
 
 def _checked_rig(rig: Rig, ndf: object) -> Rig:
-    """Check rig and lobe; convert the rig to the kind for which programs are compiled."""
+    """Check rig and lobe, and convert the rig to a near rig whose lens has a halo, so that all rigs share a program."""
     if not isinstance(rig, Rig):
         raise ArgumentError(f"rig must be a Rig such as rigs.merl(), got {type(rig).__name__}")
     if not isinstance(rig.sample, Sphere):
-        raise ArgumentError(f"a preview needs a Sphere, not a {type(rig.sample).__name__}")
+        raise ArgumentError(f"a preview needs a Sphere, got a {type(rig.sample).__name__}")
     if not isinstance(ndf, MixtureNDF):
         raise ArgumentError(
             f"a preview needs a lobe that is a sum of Gaussians, such as GGX(0.1), got {type(ndf).__name__}"
@@ -201,7 +203,7 @@ def _mixture(material: Microfacet) -> MixtureNDF:
 _NAMES = {
     "true": "BRDF of the material [1/sr]",
     "recorded": "BRDF as recorded [1/sr]",
-    "difference": "recorded less true [1/sr]",
+    "difference": "recorded minus true [1/sr]",
 }
 
 
@@ -224,7 +226,7 @@ def _count(name: str, value: int, low: int) -> int:
 
 
 class _SumOfGaussians(eqx.Module):
-    """Highlight on the sensor: Gaussians of the lobe times Gaussians of the lens.
+    """Highlight on the sensor, as a sum over all pairs of a Gaussian of the lobe and a Gaussian of the lens.
 
     Attributes:
         weights: weights of the lobe, (n,), no unit.
@@ -252,7 +254,16 @@ def _sum_of_gaussians(rig: Rig, ndf: MixtureNDF, theta: jax.Array) -> _SumOfGaus
 
 
 def _recorded_lines(rig: Rig, std: jax.Array, spread: jax.Array, at: jax.Array) -> jax.Array:
-    """Compute the record of lines of unit peak, (..., k, n): k Gaussians of the lens, n of the lobe."""
+    """Compute the one-dimensional records of the Gaussians of a lobe, whose peaks are 1, (..., k, n).
+
+    k is the number of Gaussians of the lens, and n that of the lobe.
+
+    Args:
+        rig: the rig.
+        std: standard deviations of the Gaussians of the lobe, (n,), px.
+        spread: standard deviations of lens, jitter and lamp, (k,), px.
+        at: positions, px, (...).
+    """
     total = jnp.hypot(std, spread[:, None])
     return jnp.sqrt(2 * jnp.pi) * std * rig.camera.pixel.of_gaussian(at[..., None, None], total)
 
@@ -273,7 +284,7 @@ def _responses(rig: Rig, ndf: MixtureNDF, theta: jax.Array) -> jax.Array:
 def _closeup(
     material: Microfacet, rig: Rig, theta: jax.Array, positions: jax.Array, half_side: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Compute half the side, px, and the true and the recorded lobe, (y, x), 1/sr. half_side: NaN for the default."""
+    """Compute half the side, px, and the true and the recorded lobe, (y, x), 1/sr. half_side: px; NaN: the default."""
     lobe = _sum_of_gaussians(rig, _mixture(material), theta)
     half_side = jnp.where(jnp.isnan(half_side), 4 * _recorded_width(rig, lobe), half_side)
     scene, position = _scene(material, rig, theta)
@@ -284,7 +295,7 @@ def _closeup(
 
 
 def _recorded_width(rig: Rig, lobe: _SumOfGaussians) -> jax.Array:
-    """Estimate a half width of the record, px, from the curvature of its Gaussians at the peak."""
+    """Estimate the half width at half maximum of the record along y, px, from the curvature of the lobe at the peak."""
     own = 1 / (lobe.weights @ (1 / lobe.std[1] ** 2))
     pixel = rig.camera.pixel.half_width**2 / 3
     return 1.18 * jnp.sqrt(own + jnp.min(lobe.spread[1]) ** 2 + pixel)
@@ -306,7 +317,7 @@ def _recorded(rig: Rig, lobe: _SumOfGaussians, x: jax.Array, y: jax.Array) -> ja
 
 
 def _sum(lobe: _SumOfGaussians, down: jax.Array, across: jax.Array) -> jax.Array:
-    """Sum products of lines, (y, k, n) and (x, k, n), over lens and lobe."""
+    """Sum the products of one-dimensional records, (y, k, n) and (x, k, n), over the Gaussians of lens and lobe."""
     weighted = down * (lobe.lens_weights[:, None] * lobe.weights)
     return weighted.reshape(len(down), -1) @ across.reshape(len(across), -1).T
 
@@ -327,7 +338,10 @@ def _middle(channels: jax.Array) -> jax.Array:
 def _sphere(
     material: Microfacet, rig: Rig, theta: jax.Array, at: jax.Array, block: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """Compute the true and the recorded sphere at the positions `at` along both axes."""
+    """Compute the true and the recorded image of the sphere at the positions `at` along both axes, px; 1/sr.
+
+    block: number of pixels along the side of a value.
+    """
     scene, position = _scene(material, rig, theta)
     x, y = at[None, :], at[:, None]
     element, lit = scene.shown(x, y)
@@ -345,7 +359,7 @@ def _sphere(
         )
         return sums[0] + of_y, sums[1] + of_x
 
-    # the mean over the pixels of a value is separable, as the Gaussians are
+    # the mean over the pixels of a value is separable, because the Gaussians are separable
     nothing = jnp.zeros((at.size, lobe.lens_weights.size, lobe.weights.size))
     mean_down, mean_across = (one / block for one in jax.lax.fori_loop(0, block, add, (nothing, nothing)))
     recorded = _sum(lobe, mean_down, mean_across)
@@ -354,7 +368,7 @@ def _sphere(
     left = points - peak * centre
 
     def sphere(changed: jax.Array) -> jax.Array:
-        # the residual of the tangent plane is scaled as the lobe itself
+        # the error of the tangent plane is assumed to be proportional to the lobe
         share = jnp.minimum(1.0, changed / jnp.maximum(centre, 1e-300))
         return jnp.maximum(left * share + peak * changed, 0.0)
 
@@ -362,6 +376,6 @@ def _sphere(
 
 
 def _mean_lines(std: jax.Array, at: jax.Array, width: jax.Array) -> jax.Array:
-    """Average Gaussian lines of unit peak over intervals of a width, (at, n)."""
+    """Average one-dimensional Gaussians, whose peaks are 1, over intervals of a width about positions, (positions, n)."""
     ends = [jax.scipy.special.ndtr((at[:, None] + side * width / 2) / std) for side in (1, -1)]
     return jnp.sqrt(2 * jnp.pi) * std / width * (ends[0] - ends[1])

@@ -1,9 +1,9 @@
 """Small images of many single highlights: elliptical Gaussians through a Gaussian lens and a box pixel.
 
-Lens and highlight combine to one Gaussian. Along the pixel grid its mean over a pixel is a product of two differences
-of erf, and neighbouring pixels share their edges. At any other orientation it is the Gaussian in y times the
-conditional Gaussian in x, whose mean depends on y. The integral over x is again a difference of erf; the integrand over
-the height of the pixel is smooth and integrated numerically.
+Lens and highlight combine to one Gaussian. If its axes are parallel to the pixel grid, its mean over a pixel is a product
+of two differences of erf, and neighbouring pixels share their edges. For any other orientation, the Gaussian is the
+product of a Gaussian in y and the conditional Gaussian in x, whose mean depends on y. The integral over x is again a
+difference of erf. The integral over the height of the pixel is computed numerically, because its integrand is smooth.
 """
 
 from __future__ import annotations
@@ -29,10 +29,11 @@ from matcam.rigs import Rig
 from matcam.sample.curved import Sphere
 
 _ERROR = 1e-8
-"""Error of the rule over a pixel's height, relative to the highlight's density."""
+"""Largest error of the quadrature over the height of a pixel, relative to the density of the highlight, no unit."""
 _NARROWEST = 0.2
-"""Smallest total standard deviation, px, that the rule resolves; it is assumed for traced values."""
+"""Smallest total standard deviation, px, that the quadrature resolves. It is assumed for traced values."""
 _LARGEST = 4096
+"""Largest side of a stamp, px."""
 
 
 class Highlights(NamedTuple):
@@ -42,9 +43,9 @@ class Highlights(NamedTuple):
 
     Attributes:
         flux: integral over each highlight, in the unit of radiance times px^2.
-        x: column of its centre from the stamp's middle, px. Pixel centres lie at integers for an odd size, half way between
-            them for an even one.
-        y: row of its centre from the stamp's middle, upwards, px.
+        x: position of its centre to the right of the middle of the stamp, px. Pixel centres lie at integers if the size of
+            the stamp is odd, and half way between integers if the size is even.
+        y: position of its centre above the middle of the stamp, px.
         std_along: standard deviation of the highlight alone along its direction, >= 0, px.
         std_across: standard deviation across that direction, >= 0, px.
         angle: direction, from the x axis, rad. Default: None, along the pixel grid, which is faster.
@@ -65,11 +66,11 @@ class Highlights(NamedTuple):
 def highlight_stamps(camera: Camera, size: int, highlights: Highlights) -> jax.Array:
     """Compute small images of Gaussian highlights.
 
-    Row 0 is on top. Stamps along the pixel grid are exact. At any angle they are within 5e-7 of the peak if the total
-    standard deviation is at least 0.2 px (tests).
+    Row 0 is on top. The stamps are exact for highlights along the pixel grid. For any other direction, the error is below
+    5e-7 of the peak if the total standard deviation is at least 0.2 px (tests).
 
     Args:
-        camera: camera with a Gaussian lens (a halo may surround it) and a box pixel.
+        camera: camera with a Gaussian lens, with or without a halo, and a box pixel.
         size: side of a stamp, in [1, 4096], px.
         highlights: the highlights; their broadcast shape gives the leading axes of the result.
 
@@ -103,22 +104,22 @@ def rig_highlights(
 ) -> Highlights:
     """Compute the highlights of a lobe on the sphere of a rig.
 
-    The lobe is Gaussian, and the sphere is replaced by its tangent plane. The decrease of a near lamp's irradiance, and
-    the variation of the half vector by a near lamp or camera, are included. The source disc, defocus and registration
-    jitter widen a highlight as Gaussians of the same variance. There is no masking.
+    The lobe is Gaussian, and the sphere is replaced by its tangent plane. The results include the dependence of the
+    irradiance on the distance of a near lamp, and the variation of the half vector due to a near lamp or camera. The
+    source disc, defocus and registration jitter are replaced by Gaussians of the same variance. Masking is neglected.
 
     Args:
-        rig: camera, sample and lamp; the sample is a `Sphere`. Its lens and pixel are for `highlight_stamps`.
+        rig: camera, sample and lamp; the sample is a `Sphere`. Lens and pixel do not affect the result.
         width: standard deviation of the lobe, rad, (0, 0.5].
         lamp_angle: angle between lamp and optical axis, seen from the sphere's centre, rad. All arguments broadcast.
         azimuth: azimuth of the lamp about the optical axis, in [-2 pi, 2 pi], rad. Default: None, the rig's
             `lamp_azimuth`, or 0, towards +x, for stamps along the pixel grid, which are faster.
-        reflectance: F of each highlight, no unit, >= 0. Default: 1.
+        reflectance: Fresnel term F of each highlight, no unit, >= 0. Default: 1.
 
     Returns:
-        The highlights, x and y from the optical axis: subtract the positions of the centres of the stamps from them.
-        Their flux is that of radiance under the lamp's irradiance of 1 at the sphere's centre, 1/sr px^2.
-        Differentiable.
+        The highlights. Their x and y are relative to the optical axis; for `highlight_stamps`, subtract the positions of
+        the centres of the stamps. Their flux is the integral of the radiance over the sensor, px^2/sr, for an irradiance
+        of 1 at the sphere's centre on a surface that faces the lamp. The highlights are differentiable.
 
     Raises:
         ArgumentError: the sample is not a sphere, a value is out of its range, or a lamp is behind the sphere or inside
@@ -147,7 +148,7 @@ def rig_highlights(
     u, theta_d = sample.highlight(angle, near), sample.theta_d(angle, near)
     x = sample.surface(u, jnp.zeros(())).x
     along, across = sample.px_per_rad(theta_d, near)
-    # radiance F D / 4 cos^2, the area of normals on the sensor, and the lamp's irradiance there; D cos integrates to 1
+    # integral of the BRDF, F D / (4 cos^2), times cos and the relative irradiance, over the sensor; D cos integrates to 1
     flux = share * along * across * closeness(near, jnp.cos(theta_d)) ** 2 / (4 * jnp.cos(theta_d))
     by_lamp, by_lamp_across, _ = blur_of(rig).spread(sample, jnp.cos(u), angle, near)
     jitter = rig.jitter**2
@@ -201,21 +202,21 @@ class _PixelEdges(eqx.Module):
     half_width: jax.Array
 
     def positions(self) -> jax.Array:
-        """Return the edges, px from the middle: one row of shared edges, or all left edges followed by all right ones."""
+        """Compute the edges, px from the middle: all shared edges, or all left edges followed by all right edges."""
         if self.shared:
             return jnp.arange(self.size + 1) - self.size / 2
         centres = jnp.arange(self.size) - (self.size - 1) / 2
         return jnp.concatenate([centres - self.half_width, centres + self.half_width])
 
     def differences(self, at_edges: jax.Array) -> jax.Array:
-        """Compute the value of a function at the right edge less that at the left edge (last axis)."""
+        """Compute the value of a function at the right edge minus that at the left edge of each pixel (last axis)."""
         if self.shared:
             return at_edges[..., 1:] - at_edges[..., :-1]
         return at_edges[..., self.size :] - at_edges[..., : self.size]
 
 
 def _gaussians(camera: Camera) -> list[tuple[jax.Array, jax.Array]]:
-    """Return (weight, standard deviation) of the Gaussians of the lens."""
+    """Return the weight and the standard deviation, px, of each Gaussian of the lens."""
     if not isinstance(camera, Camera):
         raise ArgumentError(f"camera must be a Camera (optics and pixel), got {type(camera).__name__}")
     if not isinstance(camera.pixel, BoxPixel):
@@ -223,7 +224,7 @@ def _gaussians(camera: Camera) -> list[tuple[jax.Array, jax.Array]]:
     parts = []
     for weight, part in camera.optics.components():
         if not isinstance(part, GaussianOptics):
-            raise ArgumentError(f"stamps need GaussianOptics (a halo may surround them), got {type(part).__name__}")
+            raise ArgumentError(f"stamps need GaussianOptics, with or without a halo, got {type(part).__name__}")
         parts.append((weight, part.sigma))
     return parts
 
@@ -245,8 +246,8 @@ def _order(lens: list[tuple[jax.Array, jax.Array]], lights: _Lights) -> int:
 def _log_error(order: int, length: float) -> float:
     """Compute the logarithm of the error of the Gauss-Legendre rule.
 
-    The integrand is exp(-t^2 / 2) over `length`, and the error is relative to the length. The bound is length^(2n+1)
-    n!^4 / ((2n+1) (2n)!^3) max |f^(2n)| with max |f^(2n)| = (2n-1)!!.
+    The integrand is exp(-t^2 / 2) on an interval of `length`, and the error is relative to the length. The bound is
+    length^(2n+1) n!^4 / ((2n+1) (2n)!^3) max |f^(2n)| with max |f^(2n)| = (2n-1)!!.
     """
     n = order
     derivative = lgamma(2 * n + 1) - n * log(2) - lgamma(n + 1)

@@ -1,8 +1,8 @@
-"""Synthetic capture of a known material: brackets of mosaic frames, dark frames, outline, reference.
+"""Synthetic capture of a known material: exposure series of mosaic frames, dark frames, outline frames and a reference.
 
-It is intended for practice and planning. It is simulated with the forward model of this package, so a reconstruction
-from it tests everything except that model. The specified values have realistic errors: lamp table, exposure times,
-distances, reflectance of the patch. The sphere moves slightly between lamp positions, and the light of the lamp drifts.
+A synthetic capture is intended for practice and planning. It is simulated with the forward model of this package, so its
+reconstruction tests everything except this model. The specified lamp directions, exposure times, distances and patch
+reflectance have realistic errors. The sphere moves slightly between lamp positions, and the intensity of the lamp drifts.
 """
 
 from __future__ import annotations
@@ -31,16 +31,19 @@ from matcam.rigs import Rig
 from matcam.sample.shape import Curved
 
 _REFERENCE = (4, 4, 40, 40)
-_FILLED = 0.8  # of the full well, by the brightest pixel in the shortest exposure
-_FIELD = 0.6  # of the full well, by the bright field of an outline frame
+"""Region of the reference in each frame: column, row, width and height, px."""
+_FILLED = 0.8
+"""Share of the full well in the brightest pixel of the shortest exposure, or of the longest one if pixels must not clip."""
+_FIELD = 0.6
+"""Share of the full well in the bright field of an outline frame, and in the monitor in the longest exposure."""
 
 
 class WhitePatch(NamedTuple):
-    """White patch beside the sphere that faces the camera, and the errors of its specified properties.
+    """White patch that faces the camera beside the sphere, and the errors of its specified properties.
 
     Attributes:
         reflectance: reflectance, no unit. Default: 0.98.
-        reflectance_std: standard deviation of the specified reflectance. Default: 0.003.
+        reflectance_std: standard deviation of the specified reflectance, no unit. Default: 0.003.
         depth: distance from the centre of the sphere towards the camera, radii. Default: 0.
         depth_std: standard deviation of the specified depth, radii. Default: 0.02.
     """
@@ -55,19 +58,19 @@ class CapturePlan(NamedTuple):
     """Contents of a synthetic capture, and the errors of its specified values.
 
     Attributes:
-        theta_d: difference angle of each lamp position at the sphere's mirror point, rad, (n,).
-        azimuth: azimuth of the lamp's arc about the optical axis, rad.
-        exposures: number per lamp position. Default: 5.
-        step: ratio of successive exposures, > 1. Default: 4.
+        theta_d: difference angle at the highlight for each lamp position, rad, (n,).
+        azimuth: azimuth of the lamp's arc about the optical axis, rad. Default: 0.
+        exposures: number of exposures per lamp position. Default: 5.
+        step: ratio of successive exposure times, > 1. Default: 4.
         lamp_std: standard deviation of the specified lamp angles, rad. Default: 0.3 degrees.
-        gain_std: standard deviation of the light between lamp positions, relative. Default: 0.005.
-        time_std: true over nominal exposure time, relative. Default: 0.05.
+        gain_std: relative standard deviation of the lamp's intensity between lamp positions. Default: 0.005.
+        time_std: relative standard deviation of the specified exposure times. Default: 0.05.
         error: error of the simulated images, as a share of their peak (`picture`). Default: 1e-4.
         shift_std: standard deviation of the position of the sphere between lamp positions, along columns and rows, px.
             Default: 0.2.
         distance_std: standard deviation of the specified distances, relative. Default: 0.005.
-        patch: white patch in every frame of a sphere or cylinder; None: a monitor of the lamp's output. Default: a
-            typical patch.
+        patch: white patch in every frame of a sphere or cylinder; None: the reference is a monitor of the lamp's intensity.
+            Default: a typical patch.
         shape: (height, width) of the images of a flat sample, px. Default: None, 256 x 256.
     """
 
@@ -95,10 +98,11 @@ def simulate_capture(
     force: bool = False,
     progress: Callable[[int, int], None] | None = None,
 ) -> dict[str, Any]:
-    """Write a capture of a sphere, a cylinder or a flat sample, and its true parameters (truth.json).
+    """Simulate a capture, and write it with its true parameters (truth.json).
 
-    A flat sample has textures of diffuse albedo and specular strength about the material's. It is tilted between images
-    under one distant lamp, and its capture has neither reference nor outline frames.
+    The sample is a sphere, a cylinder or flat. On a flat sample, textures modulate the diffuse albedo and the specular
+    strength of the material. A flat sample is tilted between images under one distant lamp, and its capture has neither
+    reference nor outline frames.
 
     Args:
         material: material of the sample.
@@ -106,7 +110,7 @@ def simulate_capture(
         plan: lamp positions, exposures, and errors of specified values.
         folder: output folder; it is created.
         seed: seed of noise and errors. Default: 0.
-        force: replace existing files (no unit). Default: False.
+        force: True to replace existing files. Default: False.
         progress: function that is called with the numbers of finished and of all lamp positions. Default: None.
 
     Returns:
@@ -121,7 +125,7 @@ def simulate_capture(
     sensor = _sensor(rig)
     sample = synthetic_sample(rig, plan.shape, seed)
     shape = sample.shape
-    checked_isotropic(rig.camera.optics, "a capture, whose outline is an edge by any direction,")
+    checked_isotropic(rig.camera.optics, "a capture, whose outline has edges in all directions,")
     if not 1 <= plan.exposures <= 12 or not plan.step > 1 or not len(plan.theta_d):
         got = f"{len(plan.theta_d)}, {plan.exposures} and {plan.step:g}"
         raise ArgumentError(f"plan must have lamp positions, 1 to 12 exposures and a step above 1, got {got}")
@@ -200,7 +204,10 @@ def simulate_capture(
 
 
 def sensor_or_usual(rig: Rig) -> Rig:
-    """Give the rig a typical sensor if its camera has none: 30,000 electrons, 14 bits, RGGB; grey for a flat sample."""
+    """Add a typical sensor to a rig whose camera has none.
+
+    The sensor has a full well of 30,000 electrons, 14 bits and an RGGB mosaic; for a flat sample it has no mosaic.
+    """
     camera = rig.camera
     if camera.sensor is not None:
         return rig
@@ -211,7 +218,7 @@ def sensor_or_usual(rig: Rig) -> Rig:
 
 
 def _holds_files(folder: Path) -> bool:
-    """Check whether a folder contains files other than leftovers of an interrupted run."""
+    """Check whether a folder contains files. Hidden files do not count, because they remain from interrupted runs."""
     return any(not is_folder(path) and not path.name.startswith(".") for path in folder.rglob("*"))
 
 
@@ -225,12 +232,11 @@ def _sensor(rig: Rig) -> Sensor:
 
 
 def _drawn(sample: SyntheticSample, material: Material, lamp: dict[str, Any], error: float) -> np.ndarray:
-    """Compute the radiance (height, width, channels) of one lamp position."""
     return sample.drawn(material, lamp, error)
 
 
 def _mosaic(sensor: Sensor, radiance: np.ndarray) -> np.ndarray:
-    """Select the colour of each pixel, or the mean of all channels."""
+    """Select the radiance in the colour of each pixel, or compute the mean of all channels for a grey sensor."""
     if sensor.cfa is None:
         return radiance.mean(2)
     three = np.broadcast_to(radiance, (*radiance.shape[:2], 3)) if radiance.shape[2] == 1 else radiance
@@ -239,7 +245,7 @@ def _mosaic(sensor: Sensor, radiance: np.ndarray) -> np.ndarray:
 
 
 def _exposed(sensor: Sensor, electrons: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Compute codes from the expected electrons of a mosaic (`Sensor.expose` expects radiance)."""
+    """Simulate the codes of a mosaic, DN, with noise. electrons: expected number of electrons in each pixel."""
     well = float(sensor.full_well)
     charge = np.minimum(rng.poisson(np.minimum(electrons, 2 * well + 100)), well)
     code = float(sensor.gain) * (charge + float(sensor.read_noise) * rng.standard_normal(charge.shape))
@@ -261,7 +267,7 @@ def _patch_radiance(patch: WhitePatch, rig: Rig, lamp: dict[str, Any], shape: tu
 
 
 def _of_curved(rig: Rig, name: str) -> float:
-    """Return radius or camera distance of a curved sample; infinity for a flat one."""
+    """Return the attribute `name` of a curved sample, its radius or camera distance; infinity for a flat sample."""
     return float(getattr(rig.sample, name, math.inf))
 
 
@@ -276,7 +282,7 @@ def _finite(value: Any) -> float | None:
 def _settings(
     rig: Rig, sample: SyntheticSample, sensor: Sensor, plan: CapturePlan, rng: np.random.Generator
 ) -> dict[str, Any]:
-    """Build capture.toml from the specified values, including their errors."""
+    """Build the contents of capture.toml: true values with random errors."""
     spread = plan.distance_std
     distances = {
         "camera_mm": _of_curved(rig, "distance") * (1 + spread * rng.standard_normal()),

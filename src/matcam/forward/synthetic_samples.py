@@ -21,21 +21,25 @@ from matcam.sample.shape import Curved, Flat
 RADIUS_MM = 25.0
 """Radius of a simulated sphere or cylinder, mm."""
 MARGIN = 48
-"""Border of an image beside a curved sample, px, which contains the reference."""
+"""Width of the border of an image beside a curved sample, px. The border contains the reference."""
 _ROWS = 96
 """Height of a cylinder's image, px."""
 _LARGEST_TILT = math.radians(40)
+"""Largest tilt of a flat sample, rad."""
 _LAMP_OF_FLAT = math.radians(20)
-"""Angle of the fixed lamp over a flat sample, rad. Tilting it gives half angles from 10 degrees through 0 to 30."""
+"""Angle between the fixed lamp and the optical axis for a flat sample, rad. The tilts of the sample then yield half angles
+from 10 degrees through 0 to 30 degrees.
+"""
 _TEXTURE_SLOPE = -2.0
-"""Exponent of the textures' power over frequency, as of natural textures (van der Schaaf and van Hateren 1996)."""
+"""Exponent of frequency in the power spectrum of the textures, as in natural images (van der Schaaf and van Hateren 1996)."""
 _CONTRASTS = (0.2, 0.3)
-"""Relative standard deviation of the diffuse and of the specular texture."""
+"""Relative standard deviations of the diffuse and of the specular texture."""
 _MM_PER_PX = 0.02
+"""Length on a flat sample per pixel, mm."""
 
 
 class LampErrors(NamedTuple):
-    """Standard deviations of the specified direction of a lamp, rad, its relative light, and the sample shift, px."""
+    """Standard deviations of specified lamp direction, rad, relative intensity of the lamp, and shift of the sample, px."""
 
     direction: float
     gain: float
@@ -47,25 +51,30 @@ class SyntheticSample(Protocol):
 
     shape: tuple[int, int]
     may_clip: bool
-    """True if longer exposures may clip. Images of a flat sample are transformed, and a clipped pixel has no value."""
+    """True if pixels may clip in longer exposures. Images of a flat sample are Fourier transformed, which requires the values
+    of all pixels.
+    """
 
     def lamps(
         self, theta_d: np.ndarray, azimuth: float, errors: LampErrors, rng: np.random.Generator
     ) -> Iterator[dict[str, Any]]:
-        """Yield every lamp position: true and specified direction, light, and shift of the sample."""
+        """Generate a dictionary for each lamp position: true and specified direction, intensity, and shift of the sample."""
 
     def drawn(self, material: Material, lamp: dict[str, Any], error: float) -> np.ndarray:
         """Compute the radiance of one lamp position, (height, width, channels), 1/sr."""
 
     def before_field(self, shift: np.ndarray) -> np.ndarray | None:
-        """Compute the share of a bright field in each pixel past the sample; None: the sample has no outline."""
+        """Compute the share of a bright field behind the sample in each pixel; None if the sample has no outline.
+
+        shift: shift of the sample, (right, down), px.
+        """
 
     def settings(self) -> dict[str, Any]:
         """Return the section [sample] of capture.toml."""
 
 
 def synthetic_sample(rig: Rig, shape: tuple[int, int] | None, seed: int) -> SyntheticSample:
-    """Choose the synthetic sample of a rig.
+    """Build the synthetic sample of a rig.
 
     Args:
         rig: camera, sample and lamp.
@@ -84,7 +93,7 @@ def synthetic_sample(rig: Rig, shape: tuple[int, int] | None, seed: int) -> Synt
     if isinstance(rig.sample, Cylinder):
         return _CylinderSample(rig, rig.sample)
     raise ArgumentError(
-        f"a capture can be simulated of a Sphere, a Cylinder or a Flat, not of a {type(rig.sample).__name__}"
+        f"a synthetic capture needs a Sphere, a Cylinder or a Flat sample, got a {type(rig.sample).__name__}"
     )
 
 
@@ -133,12 +142,16 @@ class _CurvedSample:
         return image if image.ndim == 3 else image[..., None]
 
     def _past_edge(self, beyond: np.ndarray, angle: np.ndarray) -> np.ndarray:
-        """Compute the light of a field beyond a straight edge at a distance, px, and a direction across it, rad."""
+        """Compute the share of a bright field beyond a straight edge in each pixel.
+
+        Args:
+            beyond: distance of the pixel from the edge, px, positive on the side of the field.
+            angle: direction of the normal of the edge, rad.
+        """
         out = (beyond > 0).astype(float)
         near = np.abs(beyond) < 12
-        turned = np.minimum(np.mod(angle, np.pi / 2), np.pi / 2 - np.mod(angle, np.pi / 2))[
-            near
-        ]  # the pixel is a square
+        # the symmetry of a square pixel reduces all directions to [0, pi / 4]
+        turned = np.minimum(np.mod(angle, np.pi / 2), np.pi / 2 - np.mod(angle, np.pi / 2))[near]
         steps = np.linspace(0, np.pi / 4, 9)
         curves = np.stack([np.asarray(self.rig.camera.esf(np.linspace(-12, 12, 481), angle=a)) for a in steps])
         from scipy.interpolate import RegularGridInterpolator
@@ -158,7 +171,7 @@ class _SphereSample(_CurvedSample):
         super().__init__(rig, (side, side))
 
     def before_field(self, shift: np.ndarray) -> np.ndarray:
-        """Treat the limb as a straight edge, because its radius is hundreds of pixels."""
+        """Compute the share of the field. The limb is treated as straight, because its radius is hundreds of pixels."""
         x, y = self._from_centre(shift)
         return self._past_edge(np.hypot(x, y) - self.radius, np.arctan2(y, x))
 
@@ -193,12 +206,12 @@ class _FlatSample:
 
     def __init__(self, rig: Rig, shape: tuple[int, int], seed: int):
         if isinstance(rig.lamp, NearLamp):
-            raise ArgumentError("a flat sample is simulated under a distant lamp: leave out the lamp distance")
+            raise ArgumentError("a flat sample is simulated under a distant lamp: omit the lamp distance")
         if rig.camera.sensor is not None and rig.camera.sensor.cfa is not None:
             raise ArgumentError("a flat sample needs a grey sensor: give a camera whose sensor has no cfa")
         self.rig, self.shape = rig, shape
         rng = np.random.default_rng(seed + 1_000_000)
-        size = (2 * shape[0], 2 * shape[1])  # the tilted sample shows more than the images contain head-on
+        size = (2 * shape[0], 2 * shape[1])  # an image of the tilted sample shows a larger part of the texture
         self.textures = [1 + contrast * _noise(size, rng) for contrast in _CONTRASTS]
         self._tilts: list[float] = []
 
@@ -226,7 +239,7 @@ class _FlatSample:
 
 
 def _noise(shape: tuple[int, int], rng: np.random.Generator) -> np.ndarray:
-    """Draw a periodic random texture of mean 0 and standard deviation 1, band-limited to the texels."""
+    """Generate a periodic random texture, band-limited to 0.45 cycles per texel, with mean 0 and standard deviation 1."""
     frequency = np.hypot(np.fft.fftfreq(shape[0])[:, None], np.fft.fftfreq(shape[1]))
     amplitude = np.maximum(frequency, 2 / min(shape)) ** (_TEXTURE_SLOPE / 2) * (frequency < 0.45)
     amplitude[0, 0] = 0.0
@@ -235,7 +248,10 @@ def _noise(shape: tuple[int, int], rng: np.random.Generator) -> np.ndarray:
 
 
 def _weights(material: Material, tilt: float, towards: np.ndarray) -> tuple[float, float]:
-    """Compute the radiance of lobe and diffuse part where both textures are 1, mean of the channels, 1/sr."""
+    """Compute the radiance of lobe and diffuse part where both textures are 1, 1/sr, averaged over the channels.
+
+    tilt: tilt of the sample, rad. towards: unit vector to the lamp.
+    """
     normal, view = np.array([math.sin(tilt), 0.0, math.cos(tilt)]), np.array([0.0, 0.0, 1.0])
     half = (towards + view) / np.linalg.norm(towards + view)
     cos_i = max(float(normal @ towards), 0.0)

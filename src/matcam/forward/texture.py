@@ -1,4 +1,4 @@
-"""Texture on a flat sample: contrast after tilt and camera (paper (4)), and its image.
+"""Texture of a flat sample: its recorded contrast after tilt and blur (paper (4)), and its image.
 
 A texture is periodic, so its image is a sum of waves. The tilt along x changes the frequency of each wave on the
 sensor, and the wave is multiplied by the transfer function of the camera at this frequency. The sum is evaluated at the
@@ -21,14 +21,14 @@ from matcam.rigs import Rig
 from matcam.sample.shape import Flat
 
 Texels = Literal["band-limited", "squares"]
-_MOST_WAVES = 1 << 23  # in the quarter plane: half a GB per channel
+_MOST_WAVES = 1 << 23  # largest number of waves in a quarter of the plane, which take half a GB per channel
 
 
 def texture_contrast(rig: Rig, frequency: ArrayLike, theta_o: ArrayLike) -> jax.Array:
-    """Compute the recorded over the true contrast of a sinusoidal texture.
+    """Compute the ratio of recorded to true contrast of a sinusoidal texture.
 
-    The texture varies along the tilt. On the sensor a frequency nu becomes nu / cos(theta_o), where the MTF of the
-    camera applies. A negative contrast means that bright and dark are exchanged.
+    The texture varies along the tilt. On the sensor its frequency nu becomes nu / cos(theta_o), and the ratio is the MTF
+    of the camera at this frequency. A negative contrast means that bright and dark are exchanged.
 
     Args:
         rig: a rig with a `Flat` sample.
@@ -67,21 +67,21 @@ def textured_picture(
     rounding if the MTF of the lens vanishes at its `band()`.
 
     Args:
-        texture: albedo, or any factor of the light, (H, W) or (H, W, channels), finite and >= 0; row 0 on top.
+        texture: albedo, or any other factor of the radiance, (H, W) or (H, W, channels), finite and >= 0; row 0 on top.
         rig: a rig with a `Flat` sample.
         theta_o: angle of the tilt, in [0, pi/2), rad.
         shape: (rows, columns) of the image, px. Default: the texture's.
         texture_pitch: distance of neighbouring texels on the sensor, head-on, px. Default: 1.
-        texels: signal between the texels' centres. Default: "band-limited", the smoothest periodic signal through their
-            values: a sampled sine is reproduced, and edges overshoot, even below 0. With "squares" each texel is a
-                square of constant albedo (a chart, a print): the image through a positive kernel is >= 0.
+        texels: signal between the texels' centres. Default: "band-limited", the band-limited periodic signal through the
+            values; a sampled sine is reproduced exactly, and edges overshoot, possibly below 0. With "squares" each texel
+            is a square of constant albedo, as in a printed chart, and the image through a positive kernel is >= 0.
 
     Returns:
         Image in the texture's unit, (rows, columns) or (rows, columns, channels). A uniform texture keeps its value.
         Differentiable in texture, angle and camera.
 
     Raises:
-        ArgumentError: the sample is not flat, an argument is out of its range, or the texture makes too many waves.
+        ArgumentError: the sample is not flat, an argument is out of its range, or the texture requires too many waves.
 
     Source:
         Holzschuch and Pacanowski (2017), equations (3) and (4); docs/model.md 3.
@@ -98,7 +98,7 @@ def textured_picture(
     texture = _check_texture(texture)
     theta_o = checks.scalar("theta_o", checks.viewing_angle("theta_o", theta_o))
     checks.scalar("texture_pitch", checks.positive("texture_pitch", texture_pitch, "px"))
-    pitch = float(texture_pitch)  # must be concrete, because it decides the number of waves
+    pitch = float(texture_pitch)  # must be concrete, because it determines the number of waves
     rows, columns = _check_shape(texture.shape[:2] if shape is None else shape)
     height, width = texture.shape[:2]
     band = rig.camera.optics.band() if texels == "squares" else None
@@ -106,8 +106,8 @@ def textured_picture(
     along = _axis_waves(width, columns, jnp.cos(theta_o), pitch, band)
     if (along.k.size // 2 + 1) * (across.k.size // 2 + 1) > _MOST_WAVES:
         raise ArgumentError(
-            f"texture of {height} x {width} texels of {pitch:g} px has {across.k.size} x {along.k.size} waves that this lens "
-            f"may pass, more than {4 * _MOST_WAVES}: give a smaller texture"
+            f"texture of {height} x {width} texels of {pitch:g} px requires {across.k.size} x {along.k.size} waves, more than "
+            f"{4 * _MOST_WAVES} in total: give a smaller texture"
         )
     # the transfer function is even in both frequencies: a quarter of the plane suffices
     frequency_x = flat.frequency_on_sensor(np.arange(along.k.size // 2 + 1) / (width * pitch), theta_o)
@@ -127,7 +127,7 @@ class _AxisWaves(NamedTuple):
     Attributes:
         texels: number of texels.
         k: wave numbers.
-        weight: share of each wave in the signal between the texels' centres.
+        weight: factor of each wave in the signal between the texels' centres, no unit.
         at: positions of the pixels on the texture, in texels.
     """
 
@@ -145,7 +145,7 @@ def _axis_waves(texels: int, pixels: int, foreshortening: ArrayLike, pitch: floa
     at = (texels - 1) / 2 + (jnp.arange(pixels) - (pixels - 1) / 2) / (pitch * foreshortening)
     if band is None:
         k = np.arange(-(texels // 2), texels // 2 + 1)
-        # the wave that changes sign between texels is its own mirror image
+        # at half the sampling frequency, k and -k are the same wave
         return _AxisWaves(texels, k, np.where(2 * np.abs(k) == texels, 0.5, 1.0), at)
     reach = int(np.ceil(band * texels * pitch))
     k = np.arange(-reach, reach + 1)
@@ -154,9 +154,9 @@ def _axis_waves(texels: int, pixels: int, foreshortening: ArrayLike, pitch: floa
 
 @eqx.filter_jit
 def _sum_of_waves(planes: jax.Array, transfer: jax.Array, across: _AxisWaves, along: _AxisWaves) -> jax.Array:
-    """Sum the waves of a texture (H, W, channels) after the camera.
+    """Sum the waves of a texture, (H, W, channels), multiplied by the transfer function of the camera.
 
-    The transfer function is given at wave numbers from 0.
+    transfer: transfer function at the wave numbers 0, 1, 2, ... of both axes.
     """
     transfer = transfer[jnp.abs(across.k)[:, None], jnp.abs(along.k)]
     spectrum = jnp.fft.fft2(planes, axes=(0, 1), norm="forward")

@@ -1,7 +1,8 @@
 """View of a sample by a rig, and the exact record of its pixels.
 
-For a lens that is a sum of Gaussians, every pixel is recorded separately by the operator (`integral/`). For a
-band-limited lens, all light is computed or recorded at several positions per pixel, and filtered (`frequencies/`).
+For a lens that is a sum of Gaussians, every pixel is computed separately by quadrature (`integral/`, `sampler/`). For a
+band-limited lens, the radiance of the whole image is computed at several positions per pixel, and filtered
+(`frequencies/`).
 """
 
 from __future__ import annotations
@@ -35,22 +36,23 @@ from matcam.sample.curved import Cylinder, Sphere
 from matcam.sample.shape import Curved
 
 _AT_ONCE = 1 << 18
-"""Number of positions of a fine record that are recorded at once."""
-_FARTHEST_REACH = 8.0  # px beyond the limb that an image holds unless it is given a shape
+"""Largest number of positions of a fine record that are computed at once, which limits the memory."""
+_FARTHEST_REACH = 8.0  # largest margin beyond the limb of an image without a given shape, px
 
 
 class View(NamedTuple):
-    """Sample, camera and lamp, and the visible part of the sample in an image.
+    """Sample, camera and lamp of an image, and the positions of its pixels.
 
     Attributes:
-        imaging: sample, blur and the lamp's nearness.
+        imaging: sample, blur and the inverse distance of the lamp.
         lamp_angle: angle between lamp and optical axis, rad.
-        turning: 0, with the derivative of the lamp angle, rad; None: it is not differentiated.
+        turning: offset of the lamp angle, rad. Its value is 0; JAX differentiates the lamp angle through it. None: the lamp
+            angle is not differentiated.
         azimuth: azimuth of the lamp, rad.
         points: points of the lamp, each with one angle and azimuth.
         x: positions of the columns, px.
         y: positions of the rows, px.
-        lens: filter of a fine record; None: the lens is part of the imaging.
+        lens: filter for a fine record; None: `imaging` includes the blur of the lens.
     """
 
     imaging: Imaging
@@ -75,9 +77,9 @@ def view_of(
     Args:
         material: material of the sample.
         rig: camera, sample and lamp.
-        lamp: angle between lamp and optical axis, and its azimuth; None: the rig's, rad.
+        lamp: angle between lamp and optical axis, and azimuth of the lamp, rad; None: the azimuth of the rig.
         shape: (height, width) of the image, px. None: an area that contains the sample.
-        error: twice the target for the largest error of a transfer function. Default: None, full accuracy.
+        error: twice the target for the largest error of a transfer function, no unit. Default: None, full accuracy.
 
     Raises:
         ArgumentError: see `matcam.picture`.
@@ -89,7 +91,7 @@ def view_of(
     if not isinstance(rig, Rig):
         raise ArgumentError(f"rig must be a Rig such as rigs.merl(), got {type(rig).__name__}")
     if not isinstance(rig.sample, Curved):
-        raise ArgumentError("a flat sample has only one normal: see textured_picture, or use a Sphere or a Cylinder")
+        raise ArgumentError("a flat sample has only one normal: use textured_picture, or give a Sphere or a Cylinder")
     lens = _lens_of(material, rig, rig.sample, error)
     if lens is not None:
         rig = eqx.tree_at(lambda one: one.camera, rig, Camera(GaussianOptics(lens.limit.sigma), BoxPixel(POINT)))
@@ -110,13 +112,13 @@ def view_of(
 
 
 def _lens_of(material: Material, rig: Rig, sample: Curved, error: float | None) -> PictureLens | None:
-    """Choose the filter of the image; None if the lens is a sum of Gaussians."""
+    """Build the filter of the image; None if a sum of Gaussians describes the lens."""
     optics = rig.camera.optics
     # a cylinder extends beyond any image: in a distant rig one row represents all
     if isinstance(sample, Cylinder) and not (sample.distant and rig.lamp.nearness is None):
-        checked_isotropic(optics, "a cylinder's image before a near camera or lamp")
+        checked_isotropic(optics, "a cylinder's image with a near camera or lamp")
         return None
-    aimed = None if error is None else error / 2  # of the transfer function: half of it is visible at the peak
+    aimed = None if error is None else error / 2  # error of the transfer function
     if isinstance(sample, Cylinder) and varies_over_field(optics):
         raise ArgumentError("a cylinder's image needs a lens that is the same all over the field: use a Sphere")
     lens = picture_lens(rig.camera, float(jax.lax.stop_gradient(sample.radius)), aimed)
@@ -129,7 +131,8 @@ def _lens_of(material: Material, rig: Rig, sample: Curved, error: float | None) 
 def _picture_shape(rig: Rig, shape: tuple[int, int] | None, reach: float) -> tuple[int, int]:
     """Return (height, width) of the image, px.
 
-    It is the given shape, the crop of the rig, or a square that contains the sample and its blur of at most 8 px.
+    The result is the given shape, the crop of the rig, or a square that contains the sample with a margin for its blur of at
+    most 8 px.
     """
     if shape is not None:
         return picture_shape("shape", shape)
@@ -148,7 +151,7 @@ def exact_record(material: Material, view: View) -> jax.Array:
 
 
 def _filtered_record(material: Material, view: View, lens: PictureLens) -> jax.Array:
-    """Record all light at several positions per pixel, and filter it by the lens."""
+    """Compute the radiance of all pixels, 1/sr, (rows, columns, channels), by filtering a fine record with the lens."""
     endless = isinstance(view.imaging.sample, Cylinder)
     if serves(view.imaging.sample, material.elongation, lens.highest) and not view.imaging.blur.varies:
         per_px, across, along, record = _light_record(material, view, lens)
@@ -175,7 +178,11 @@ def _filtered_record(material: Material, view: View, lens: PictureLens) -> jax.A
 
 
 def _light_record(material: Material, view: View, lens: PictureLens) -> tuple[int, FineLine, FineLine, FineRecord]:
-    """Return points per pixel, columns, rows, and the record of the light of a sphere."""
+    """Compute the fine record of a sphere from its radiance on a grid.
+
+    Returns:
+        Number of positions along the side of a pixel; positions of columns and of rows; and the record.
+    """
     sample = view.imaging.sample
     radius = float(jax.lax.stop_gradient(sample.radius))
     per_px = max(lens.limit.per_px, per_px_for(lens.highest, radius))
@@ -193,7 +200,7 @@ def _light_record(material: Material, view: View, lens: PictureLens) -> tuple[in
 
 
 def _fine_record(material: Material, view: View, lens: PictureLens) -> tuple[int, FineLine, FineLine, FineRecord]:
-    """Compute the same from positions that are recorded separately."""
+    """Compute the results of `_light_record` by quadrature, separately for each position."""
     per_px, endless = lens.limit.per_px, isinstance(view.imaging.sample, Cylinder)
     reach = max(group.scale.reach for group in groups_of(view.imaging.blur, view.imaging.sample))
     side = float(jax.lax.stop_gradient(view.imaging.sample.radius)) + reach
@@ -211,9 +218,10 @@ def _fine_record(material: Material, view: View, lens: PictureLens) -> tuple[int
 
 
 def record_pixels(material: Material, view: View, x: np.ndarray, y: np.ndarray) -> jax.Array:
-    """Record pixels centred on (x, y) px; shape (pixels, channels).
+    """Compute the radiance of pixels centred on (x, y), px, as the mean over the points of the lamp.
 
-    The image is the mean over the points of the lamp.
+    Returns:
+        Radiance, 1/sr, (pixels, channels).
     """
     which: np.ndarray | slice = slice(None)
     if Scene(material, view.imaging.sample, jnp.zeros(()), view.imaging.lamp_nearness).uniform_rows:

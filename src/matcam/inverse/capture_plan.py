@@ -1,7 +1,7 @@
 """Lamp angles, exposures, radius and tolerances that a wanted accuracy of F requires (docs/model.md 10).
 
-`limits` gives the accuracy that pixels and lens allow. The tolerances of geometry and light follow from the slope of F:
-an error of an angle gives F at another angle, and a relative error of the light of an image is a relative error of F.
+`limits` computes the accuracy that pixels and lens allow. An error of an angle results in F at another angle, so the
+tolerances of the geometry follow from the slope of F. A relative error of the image gain is an equal relative error of F.
 """
 
 from __future__ import annotations
@@ -25,15 +25,20 @@ from matcam.rigs import Rig
 from matcam.sample.curved import Sphere
 
 _FIRST = 5.0
+"""theta_d of the first lamp position, degrees. F is nearly constant below this angle."""
 _STEP = 4.5
-"""Largest step of theta_d between lamp positions, and the first position, degrees."""
+"""Largest step of theta_d between lamp positions, degrees."""
 _SHARES = 4.0
-"""Number of independent sources of error that share the wanted accuracy: angle, light, outline, pixels."""
+"""Number of independent sources of error that share the wanted accuracy: lamp angle, image gain, outline and
+pixels.
+"""
 _FLOOR = 30.0
-"""Signal of the dimmest useful pixel, in units of the read noise."""
+"""Smallest useful signal of a pixel, in units of the read noise, which is then about 3 % of the signal."""
 _STEP_OF_EXPOSURE = 4.0
 _RADII = (0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0)
-"""Radii that are tried, as multiples of the radius of the rig."""
+"""Radii that are tried, as multiples of the radius of the rig. Neighbouring radii differ by
+a factor of about sqrt(2), so that the number of pixels doubles.
+"""
 
 
 class CaptureNeeds(NamedTuple):
@@ -43,13 +48,14 @@ class CaptureNeeds(NamedTuple):
         theta_d: theta_d of the lamp positions, rad, (n,).
         lamp_angle: angle between lamp and optical axis, seen from the sample's centre, rad, (n,).
         radius: smallest tried radius of the limb at which the pixels allow the accuracy, px; infinite if there is none.
-        fresnel_std: bound of F at the last angle for each radius tried, (radius px, relative standard deviation).
-        exposures: number of exposures, in steps of a factor of 4.
-        dynamic_range: ratio of the brightest to the dimmest useful pixel.
+        fresnel_std: for each radius that was tried, the radius, px, and the bound of the relative standard deviation of F at
+            the last angle.
+        exposures: number of exposures of each image. Their times differ by factors of 4.
+        dynamic_range: ratio of the values of the brightest and the dimmest useful pixel.
         lamp_std: tolerance of the direction of each lamp, rad.
         outline_std: tolerance of centre and radius of the sphere, px.
-        gain_std: relative tolerance of the light of an image.
-        slope: relative change of F with the angle at the last angle, 1/rad.
+        gain_std: relative tolerance of the image gain.
+        slope: magnitude of the derivative of ln F with respect to theta_d at the last angle, 1/rad.
     """
 
     theta_d: np.ndarray
@@ -64,7 +70,7 @@ class CaptureNeeds(NamedTuple):
     slope: float
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the requirements as a JSON object, angles in degrees."""
+        """Convert the requirements to a dictionary for JSON, with angles in degrees."""
         return {
             "theta_d_deg": np.degrees(self.theta_d).tolist(),
             "lamp_angle_deg": np.degrees(self.lamp_angle).tolist(),
@@ -92,18 +98,18 @@ def plan_capture(
 ) -> CaptureNeeds:
     """Plan a capture for a wanted accuracy of F.
 
-    Four independent errors contribute: the angle, the light of the image, the outline, and the pixels. Each may be half
-    of the wanted standard deviation.
+    Four independent errors contribute: those of the lamp angle, the image gain, the outline, and the pixels. The standard
+    deviation of each may be half of the wanted standard deviation.
 
     Args:
-        rig: camera with a Gaussian lens, a `Sphere` and a lamp, distant or near. Distances in radii are constant when
-            other sizes of the sphere in the image are tried.
+        rig: camera with a Gaussian lens, a `Sphere` and a lamp, distant or near. Distances in radii stay constant when
+            other radii of the sphere in the image are tried.
         roughness: alpha of a GGX lobe, no unit.
-        accuracy: wanted standard deviation of F at `last` over F at small angles, relative. Default: 0.01.
+        accuracy: wanted relative standard deviation of the ratio of F at `last` to F at small angles. Default: 0.01.
         last: largest theta_d at which F is wanted, rad, [0.2, 1.5]. Default: 75 degrees.
-        n: refractive index of the material. Default: 1.5, whose F is steep.
-        k: extinction coefficient of the material. Default: 0.
-        noise: noise of a pixel. Default: None, 1 % of the value and 1e-4 of the peak.
+        n: refractive index of the material, no unit. Default: 1.5, for which F is steep at large angles.
+        k: extinction coefficient of the material, no unit. Default: 0.
+        noise: noise of a pixel and of the image gain. Default: None, 1 % of the value, 1e-4 of the peak and 1 % of gain.
         workspace: store of results that depend only on the rig. Default: None, that of the process.
 
     Returns:

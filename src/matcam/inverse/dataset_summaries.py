@@ -1,4 +1,4 @@
-"""Summaries of Datasets: of a Fresnel term, a corrected table, and the bounds of a rig."""
+"""Summaries of Datasets: Fresnel term, corrected table, and bounds of a rig."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from matcam.core.remark import from_attribute
 from matcam.core.results.summary import Quantity, Summary
 
 _ANGLES = (5, 15, 30, 45, 60, 75)
-"""Values of theta_d for listed values, degrees, from near normal incidence to the minimum of F of a metal."""
+"""Values of theta_d in a summary, degrees. They range from near normal incidence to the minimum of F of a metal."""
 
 
 def fresnel_summary(data: xr.Dataset) -> Summary:
@@ -33,7 +33,7 @@ def fresnel_summary(data: xr.Dataset) -> Summary:
         _titled("Fresnel term", data),
         verdict,
         {
-            f"F of channel {channels[middle]} over its mean from {low:.0f} to {high:.0f}°": [
+            f"F of channel {channels[middle]} divided by its mean from {low:.0f} to {high:.0f}°": [
                 Quantity(f"theta_d = {np.degrees(theta[row]):.1f}°", float(curve[row]), float(std[row]))
                 for row in dict.fromkeys(rows)
             ],
@@ -53,7 +53,7 @@ def corrected_summary(data: xr.Dataset) -> Summary:
     verdict = (
         "Rig and data contradict each other, so the table is unchanged. No entry is supported."
         if data.attrs.get("withheld")
-        else f"The correction leaves less than 5 % open in {share:.0%} of the entries that can be judged."
+        else f"The correction leaves less than 5 % of the value uncertain in {share:.0%} of the entries that can be judged."
     )
     theta = data["theta_d"].values
     rows = [int(np.argmin(np.abs(theta - np.radians(angle)))) for angle in _ANGLES]
@@ -74,7 +74,7 @@ def bounds_summary(data: xr.Dataset) -> Summary:
     """Summarise a result of `limits`."""
     columns = {
         "Bound of ln roughness, lens exact": "width_std",
-        "Bound of ln roughness, lens as its profile states": "width_std_stated",
+        "Bound of ln roughness, lens as specified by its profile": "width_std_stated",
         "Bound of ln roughness, lens free": "width_std_free",
     }
     names = [f"{data.attrs['ndf']}, roughness {value:g}" for value in data["roughness"].values]

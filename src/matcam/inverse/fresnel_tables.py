@@ -1,4 +1,4 @@
-"""Fresnel terms of metals and dielectrics from published tables, beside one that was measured."""
+"""Comparison of a measured Fresnel term with those of metals and dielectrics from published tables."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from matcam.material.reflectance import fresnel_conductor
 
 _DIMS = ("theta_d", "channel")
 _REFRACTIVE = (1.3, 1.4, 1.5, 1.6, 1.7, 1.8)
-"""Refractive indices of dielectrics that a result is compared with."""
+"""Refractive indices of the dielectrics with which a result is compared. They cover common polymers and glasses."""
 _NAMES = {
     "tabulated": "F of tabulated optical constants, normalised",
     "tabulated_f0": "F of tabulated optical constants at normal incidence",
@@ -28,35 +28,41 @@ _NAMES = {
 
 
 def check_fresnel_result(result: xr.Dataset) -> None:
-    """Check that a result is a Dataset as from `fresnel`; the ArgumentError names missing variables."""
+    """Check that a result is a Dataset from `fresnel`.
+
+    The ArgumentError lists the missing variables.
+    """
     checks.instance("result", result, xr.Dataset)
     dims = {"theta_d": ("theta_d",), "raw": _DIMS, "corrected": _DIMS, "supported_angle": _DIMS[1:]}
     lacking = [name for name, wanted in dims.items() if name not in result.variables or result[name].dims != wanted]
     lacking += [] if np.shape(result.attrs.get("normalised_over", 0)) == (2,) else ["attrs['normalised_over']"]
     if lacking:
-        raise ArgumentError(f"result must be a Dataset as from fresnel: it lacks {', '.join(lacking)}")
+        raise ArgumentError(f"result must be a Dataset from fresnel, but it lacks {', '.join(lacking)}")
 
 
 def tabulated_fresnel(
     result: xr.Dataset, metal: str | None = None, wavelengths: Sequence[float] = CHANNEL_WAVELENGTHS
 ) -> xr.Dataset:
-    """Return the Fresnel curves of metals and dielectrics from tables.
+    """Compute the Fresnel terms of metals and dielectrics from published tables.
 
     Args:
-        result: Dataset as from `fresnel`.
-        metal: name of the metal, as in `metals`. Default: None, all metals, and dielectrics of index 1.3, 1.4 ... 1.8.
-        wavelengths: wavelength of each channel, m (channels,). Default: those of R, G and B. Give others for other channels.
+        result: Dataset from `fresnel`.
+        metal: name of a metal in `metals`. Default: None, all metals, and dielectrics with refractive indices from 1.3 to
+            1.8 in steps of 0.1.
+        wavelengths: wavelength of each channel, m, (channels,). Default: those of R, G and B. Other channels require
+            their own wavelengths.
 
     Returns:
         Dataset over (table, theta_d, channel), without unit:
 
-        - `tabulated`: F of the table's n and k, normalised over the same range of theta_d as `result`.
+        - `tabulated`: F from the n and k of each table, normalised over the same range of theta_d as `result`.
         - `tabulated_f0`: F at normal incidence, (table, channel).
-        - `rms_corrected`, `rms_raw`: rms over theta_d of (result / tabulated - 1), (table, channel), from the start of
-          the normalisation to the supported angle; NaN where no angle is supported.
+        - `rms_corrected`, `rms_raw`: rms over theta_d of (corrected / tabulated - 1) and (raw / tabulated - 1), (table,
+          channel). theta_d is between the start of the range of the normalisation and the supported angle. NaN if no
+          angle is supported.
 
     Raises:
-        ArgumentError: the metal is unknown, the number of wavelengths differs from that of channels, or `result` lacks
+        ArgumentError: the metal is unknown, the number of wavelengths is not the number of channels, or `result` lacks
             a variable.
 
     Source:

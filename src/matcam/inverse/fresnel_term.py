@@ -1,4 +1,4 @@
-"""Fresnel term of a measured material, with and without its camera: equation (13) and Figure 6 of the paper."""
+"""Fresnel term of a measured material, with and without camera correction: equation (13) and Figure 6 of the paper."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ from matcam.numerics.fit_budget import parts_budget
 from matcam.rigs import Rig
 
 SUPPORTED_STD = 0.05
-"""Relative standard deviation beyond which F at an angle is not supported by the data."""
+"""Relative standard deviation of F above which the data do not support F at an angle, as for `supported` in `correct`."""
 
 NORMALISE = (np.radians(10.0), np.radians(45.0))
 """Default range of theta_d over which F is normalised, rad. Below 10 degrees lamp and camera occlude each other on real
@@ -51,25 +51,27 @@ rigs; F of metals is flat up to 45 degrees.
 """
 
 _NEGLIGIBLE = 1e-3
-"""Probability of no camera below which the fit without camera is not repeated in all slices."""
+"""Probability of the explanation without a camera below which its fit is not repeated in all slices. F would change by less
+than 0.1 % of the difference between the two fits.
+"""
 _SHARP_LENS = 0.05
-"""Smallest width of a lens that is used for exact peaks, px."""
+"""Smallest lens width for which exact peaks are computed, px. No pixel resolves a lens of this width."""
 _PARTS = 5
-"""Number of parts in which the angles of exact peaks are computed."""
-_QUIET = np.radians(np.arange(6, 60, 3))  # theta_d where lobes of real tables are complete
+"""Number of parts into which the angles of exact peaks are divided, so that several cores compute them in parallel."""
+_QUIET = np.radians(np.arange(6, 60, 3))  # theta_d at which the lobes of real tables are complete, rad
 _NAMES = {
     "raw": "F from the recorded peak",
     "raw_std": "standard deviation of raw (noise)",
-    "corrected_peak": "F from the recorded peak alone, over the relative loss",
+    "corrected_peak": "F from the recorded peak alone, divided by the relative response",
     "corrected": "F corrected for the camera",
     "corrected_std": "standard deviation of corrected",
-    "corrected_std_noise": "part of pixel noise in corrected_std",
-    "corrected_std_camera": "part of the uncertainty of the camera in corrected_std",
-    "absolute": "F corrected, not normalised",
+    "corrected_std_noise": "part of corrected_std due to pixel noise",
+    "corrected_std_camera": "part of corrected_std due to the uncertainty of the camera",
+    "absolute": "F corrected for the camera, not normalised",
     "absolute_std": "standard deviation of absolute",
     "response": "recorded / true peak",
     "masking": "G in the mirror direction",
-    "supported_angle": "last difference angle at which F is known to 5 % [rad]",
+    "supported_angle": "largest difference angle up to which F is known to 5 % [rad]",
     "hwhm": "half width of the lobe at half its maximum [rad]",
     "hwhm_std": "standard deviation of hwhm [rad]",
 }
@@ -88,45 +90,50 @@ def fresnel(
     force_correction: bool = False,
     workspace: Workspace | None = None,
 ) -> xr.Dataset:
-    """Extract the Fresnel term of a table, with and without its camera.
+    """Estimate the Fresnel term of a table, with and without camera correction.
 
-    F is free in every slice; one lobe and a Lambertian part are common to all. The uncertainty of the camera is a
-    prior, and the shape of its lens is fitted, too. F is averaged over the same explanations as in `correct`, and
-    withheld where `correct` withholds. If `corrected` and `corrected_peak` differ by more than their errors, the lobe
-    has another shape, or its blur differs from that of this camera.
+    F is free in every slice; one lobe and a Lambertian part are common to all slices. The uncertainty of the camera is
+    a prior of its parameters, and the shape of the lens is fitted, too. F is averaged over the same explanations as in
+    `correct`. F is not corrected if `correct` withholds the correction of the table. If `corrected` and
+    `corrected_peak` differ by more than their errors, the shape of the lobe differs from the fitted shape, or the blur
+    of the table differs from that of the camera.
 
     Args:
-        brdf: table as from `read_merl`, 1/sr.
+        brdf: table, 1/sr, for example from `read_merl`.
         rig: rig that recorded the table: a sphere; camera and lamp are distant or near.
-        ndf: family of the lobe. Default: "auto", a list of explanations that is averaged by their evidence: "ggx" and "epd",
-            and where these leave more than noise Student's t, two lobes, and a lobe with a smooth correction.
+        ndf: family of the lobe. Default: "auto", the mean over several explanations, weighted by their evidence. They are
+            "ggx" and "epd". If their residuals exceed the noise, Student's t, two lobes, a lobe over a rough base, and a
+            spline-modified lobe are added.
         masking: masking G in (13): "smith", "smith-separable", "van-ginneken" or None. Default: "smith".
         noise: noise of a pixel. Default: None, estimated from the residuals.
         normalise: range of theta_d, rad, over which the mean of the corrected F is 1. Default: 10 to 45 degrees.
-        slice_step: spacing of the slices of theta_d that are used (no unit). Default: 1, all of them; more is quicker.
+        slice_step: spacing of the slices of theta_d that are used (no unit). Default: 1, all slices. A larger
+            spacing is faster.
         force_correction: True to correct a table whose data contradict the rig. Default: False, F is not corrected.
         workspace: store of results that depend only on the rig. Default: None, that of the process.
 
     Returns:
-        Dataset over (theta_d, channel), without unit but for angles:
+        Dataset over (theta_d, channel), without unit except for angles:
 
         - `raw`, `raw_std`: F from the recorded peak alone, as if the camera were perfect.
-        - `corrected_peak`: the paper's estimate, raw over the loss at the peak, relative to theta_d = 0.
-        - `corrected`, `corrected_std`: F from the lobe fitted through the camera. The error has a part from pixel noise
-            and the gain of each image (`corrected_std_noise`), and one from the camera (`corrected_std_camera`).
-        - `absolute`, `absolute_std`: `corrected` without normalisation; NaN if the lobe is too narrow to know its
-        strength.
+        - `corrected_peak`: estimate of the paper: `raw` divided by the response at the peak relative to that at theta_d = 0.
+        - `corrected`, `corrected_std`: F from the lobe fitted through the camera. The standard deviation has a part from
+            pixel noise and image gain (`corrected_std_noise`), and a part from the camera (`corrected_std_camera`).
+        - `absolute`, `absolute_std`: `corrected` without normalisation; NaN if the lobe is too narrow to
+            determine its strength.
         - `response`: recorded / true peak. `masking`: G in the mirror direction.
-        - `supported_angle`: last theta_d, rad, up to which corrected_std is below 5 % of corrected.
+        - `supported_angle`: largest theta_d, rad, up to which corrected_std is below 5 % of corrected.
         - `width`, `width_std`: width of the lobe, as defined by its NDF; half width of a spline-modified lobe, rad.
         - `hwhm`, `hwhm_std`: half width of a lobe of any shape at half its maximum, rad.
-        - `budget_std`: part of each source in corrected_std, over (source, theta_d, channel); the sum of the squares is that of
-          corrected_std. Along `source` are the type, value, standard uncertainty and degrees of freedom (`fresnel_budget`).
+        - `budget_std`: part of corrected_std due to each source, over (source, theta_d, channel). Its squares add up to the
+          square of corrected_std. `budget_type`, `budget_value`, `budget_uncertainty` and `budget_degrees` are the type, value,
+          standard uncertainty and degrees of freedom of each source (see `fresnel_budget`).
 
-        `corrected` and `corrected_peak` have mean 1 over the range. `raw` is corrected_peak times the relative loss.
-        The attribute `picture_gain` is the standard deviation of the gain of an image, estimated from the roughness of
-        F beyond its noise. `withheld` is 1 if rig and data contradict each other; `corrected` is then F without a
-        camera. The attribute `remarks` has a line for each remark, "code: text" (`matcam.core.remark.from_attribute`).
+        `corrected` and `corrected_peak` have mean 1 over the range `normalise`. `raw` is `corrected_peak` times the
+        relative response. The attribute `picture_gain` is the standard deviation of the image gain, estimated from the
+        scatter of F between slices that exceeds the noise. The attribute `withheld` is 1 if rig and data contradict each
+        other and `force_correction` is False; `corrected` is then F of a fit without a camera. The attribute `remarks` has
+        a line for each remark, "code: text" (`matcam.core.remark.from_attribute`).
 
     Raises:
         ArgumentError: an argument is wrong, or a fit does not support the rig.
@@ -154,7 +161,7 @@ def fresnel(
         brdf, located.rig, masking=masking, noise=noise, workspace=workspace or default_workspace(),
         slice_step=max(slice_step, SEARCH_STEP),
     )  # fmt: skip
-    setup.rule()  # alone: the programs that it compiles serve the other fits
+    setup.rule()  # computed alone, because the other fits use the programs that it compiles
     with done_behind(setup.with_(slice_step=slice_step).rule):
         explained = explain(setup, located, ndf)
     found = explained.setup.with_(slice_step=slice_step).solve(start=explained.fit)
@@ -247,8 +254,8 @@ class PeakFresnel(NamedTuple):
     """Fresnel term from the peaks of a table alone.
 
     Attributes:
-        raw: as if the camera were perfect, (channels, slices).
-        corrected: over the share of the peak that is recorded, relative to theta_d = 0, (channels, slices).
+        raw: F without correction for the camera, with the same factor as `corrected`, (channels, slices).
+        corrected: F divided by the response at the peak relative to that at theta_d = 0, (channels, slices).
         masking: G in the mirror direction, (slices,).
     """
 
@@ -260,10 +267,12 @@ class PeakFresnel(NamedTuple):
 def fresnel_of_peaks(
     brdf: xr.DataArray, theta_d: np.ndarray, lobe: NDF, masking: Masking, response: np.ndarray, used: np.ndarray
 ) -> PeakFresnel:
-    """Compute F from recorded peaks, without and with the loss at the peak; the mean of the latter is 1.
+    """Compute F from recorded peaks, without and with correction of the loss.
 
-    response: recorded over true peak, relative to theta_d = 0, (slices,). used: slices of the mean, which broadcasts to
-        (channels, slices).
+    The corrected F has mean 1.
+
+    response: ratio of recorded to true peak, relative to that at theta_d = 0, (slices,). used: True for slices that
+        contribute to the mean; it broadcasts to (channels, slices).
     """
     hidden, highest = (np.asarray(a) for a in _mirror_masking(lobe, placed(theta_d), masking))
     raw = recorded_peak(brdf, theta_d) * (4 * np.cos(theta_d) ** 2 / (highest * hidden))
@@ -275,16 +284,16 @@ def fresnel_of_peaks(
 def fresnel_budget(result: xr.Dataset, theta_d: float, channel: str | None = None) -> UncertaintyBudget:
     """Compute the uncertainty budget of the corrected F at an angle (GUM).
 
-    Its combined uncertainty is `corrected_std`. Sources are the readings, the gains of the images, the specified
-    camera, and the other explanations of the table.
+    The combined uncertainty of the budget is `corrected_std`. The sources are the values of the pixels, the image gains,
+    the specified camera, and the other explanations of the table.
 
     Args:
-        result: Dataset as from `fresnel`.
+        result: Dataset from `fresnel`.
         theta_d: difference angle, rad; the nearest slice of the result is used.
-        channel: name of the channel. Default: None, the middle one.
+        channel: name of the channel. Default: None, the middle channel.
 
     Raises:
-        ArgumentError: the result has no such channel, or no F at this angle.
+        ArgumentError: `result` is not from `fresnel`, or has no such channel or no F at this angle.
 
     Example:
         >>> found = matcam.fresnel(table, matcam.rigs.merl())  # doctest: +SKIP
@@ -306,26 +315,28 @@ def fresnel_budget(result: xr.Dataset, theta_d: float, channel: str | None = Non
     value, degrees = float(result["corrected"].values[at]), float(np.degrees(result["theta_d"].values[at[0]]))
     if not np.isfinite(value):
         raise ArgumentError(
-            f"the result has no F at theta_d = {degrees:.1f} degrees in channel {channel}: choose an angle where it has a value"
+            f"the result has no F at theta_d = {degrees:.1f} degrees in channel {channel}: choose an angle where F has a value"
         )
     return parts_budget(f"F({degrees:.1f} deg), {channel}", value, budget_parts(result), at)
 
 
 def _fitted_rig(rig: Rig, found: MaterialFit) -> Rig:
-    """Return the rig with its fitted lens. A width of nearly 0 is replaced by a small one, which no pixel resolves."""
+    """Return the rig with its fitted lens. A width below `_SHARP_LENS` is replaced by `_SHARP_LENS`."""
     if LENS not in found.params:
         return rig
     return rig_with(rig, {LENS: max(found.params[LENS], _SHARP_LENS)})
 
 
 def _peak_responses(rig: Rig, lobe: NDF, theta_d: np.ndarray, masking: Masking, log_slope: np.ndarray) -> np.ndarray:
-    """Compute recorded over true peak, (n,). log_slope: slope of ln F, 1/rad, (n,), which matters in near rigs.
+    """Compute the ratio of recorded to true peak, (n,).
 
-    If the azimuth of the lamp turns the pixels, the response is computed by the operator of the fit.
+    If the azimuth of the lamp rotates the pixels relative to the plane of camera and lamp, the operator of the fit
+    computes the ratio. log_slope: derivative of ln F with respect to theta_d, 1/rad, (n,). It is used if camera or lamp
+    are near.
     """
     view = sample_view(rig)
     if not view.azimuth:
-        # parts of one length share one program, and the cores share them
+        # parts of equal length use one compiled program, and the cores compute them in parallel
         parts = np.split(theta_d, _PARTS if theta_d.size % _PARTS == 0 else 1)
 
         def exact(part: np.ndarray) -> np.ndarray:
@@ -343,7 +354,7 @@ def _peak_responses(rig: Rig, lobe: NDF, theta_d: np.ndarray, masking: Masking, 
 
 @kept_program
 def _mirror_masking(ndf: NDF, theta_d: jax.Array, masking: Masking) -> tuple[jax.Array, jax.Array]:
-    """Compute G where light and view mirror each other, and D in the same direction, 1/sr."""
+    """Compute G in the mirror direction, and the largest value of D, 1/sr."""
     highest = ndf.d(0.0)
     if masking is None:
         return jnp.ones_like(theta_d), highest
@@ -352,18 +363,22 @@ def _mirror_masking(ndf: NDF, theta_d: jax.Array, masking: Masking) -> tuple[jax
 
 
 def _check_highlight(brdf: xr.DataArray, normalise: tuple[float, float]) -> None:
-    """Raise FitError for a table that does not fall to half of its peak, or has no values where F is normalised."""
+    """Raise FitError for a table without a highlight, or without values in the range in which F is normalised."""
     quiet = brdf.values[merl_grid(sampling_of(brdf)).index(theta_d=_QUIET)]
     there = np.isfinite(quiet)
     rings = np.where(there, quiet, 0).sum(axis=2) / np.maximum(there.sum(axis=2), 1)
     bright = there[0].any(axis=1) & (rings[0] > 0)
     if bright.sum() < 3:
-        raise FitError("no highlight: the peak of the table (theta_h = 0) is missing or not positive at most theta_d")
+        raise FitError(
+            "no highlight: the peak of the table (theta_h = 0) is missing or not positive at nearly all theta_d"
+        )
     seen = there.any(axis=2)[:, bright]
     fall = np.where(seen, rings[:, bright] / rings[0][bright], np.nan)
     typical = [np.nanmedian(row) for row in fall if np.isfinite(row).any()]
     if min(typical) >= 0.5:
-        raise FitError("no highlight: the table does not fall to half of its peak value anywhere")
+        raise FitError(
+            "no highlight: the table does not fall to half of its peak value; give a table with a specular lobe"
+        )
     theta_d = merl_grid(sampling_of(brdf)).theta_d
     inside = (theta_d >= normalise[0]) & (theta_d <= normalise[1])
     if not np.isfinite(brdf.values[:, inside]).any(axis=(0, 1, 2)).all():
@@ -371,7 +386,10 @@ def _check_highlight(brdf: xr.DataArray, normalise: tuple[float, float]) -> None
 
 
 def _supported_angle(term: NormalisedFresnel, theta_d: np.ndarray) -> np.ndarray:
-    """Find the last theta_d up to which the standard deviation is below 5 %, outwards from the normalisation."""
+    """Find the largest theta_d, rad, up to which the relative standard deviation of F is below 5 %, (channels,).
+
+    The search starts at the smallest theta_d with such a standard deviation. Without any the result is 0.
+    """
     relative = np.hypot(term.std_noise, term.std_camera) / term.normalised
     fine = relative < SUPPORTED_STD  # False where NaN
     result = np.zeros(len(fine))

@@ -1,4 +1,4 @@
-"""Fresnel term over its mean, with errors and their sources, averaged over the explanations of a table."""
+"""Fresnel term divided by its mean, with uncertainties and their sources, averaged over the explanations of a table."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from matcam.numerics.fit_budget import VariancePart, statement_parts
 
 GAIN = "gains of the images"
 OTHER_LOBES = "other lobes that explain the table"
-NO_CAMERA = "no camera, rather than this one"
+NO_CAMERA = "no camera, instead of this one"
 
 
 class NormalisedFresnel:
-    """Strengths of a fit with their errors, over their mean. Arrays of shape (channels, slices).
+    """Strengths of a fit divided by their mean, with standard deviations. The arrays have shape (channels, slices).
 
-    `parts` are the sources of the variance of the normalised term. Their sum is the variance of `std_noise` and
-    `std_camera`.
+    `parts` are the sources of the variance of the normalised term. Their variances add up to the sum of the squares of
+    `std_noise` and `std_camera`.
     """
 
     def __init__(self, found: MaterialFit, normalise: tuple[float, float]):
@@ -40,7 +40,7 @@ class NormalisedFresnel:
         noise, camera = (c / divisor[:, :, None] / divisor[:, None, :] for c in strengths[1:3])
         self.relative = noise + camera
 
-        # normalising subtracts the change of the mean
+        # normalisation subtracts the relative change of the mean from that of each strength
         share = np.where(used, strength, 0) / (count * mean)
         self._off_mean = np.eye(theta_d.size) - share[:, None, :]
         self.std_noise, self.std_camera = (self._normalised_std(c) for c in (noise, camera))
@@ -59,12 +59,15 @@ class NormalisedFresnel:
         self.absolute_std = np.where(resolved, std, np.nan)
 
     def _normalised_std(self, covariance: np.ndarray) -> np.ndarray:
-        """Compute the standard deviation of the normalised term from the relative covariance (channels, slices, slices)."""
+        """Compute the standard deviation of the normalised term from the covariance of ln F, (channels, slices, slices)."""
         variance = np.einsum("cst,ctu,csu->cs", self._off_mean, covariance, self._off_mean)
         return self.normalised * np.sqrt(np.clip(variance, 0, None))
 
     def with_gain(self, gain: float) -> NormalisedFresnel:
-        """Add the gain of each image to the noise."""
+        """Add the variance of the image gain to the noise.
+
+        gain: relative standard deviation of the image gain.
+        """
         one = gain**2 * np.eye(self.normalised.shape[1])
         own = self._normalised_std(np.broadcast_to(one, self.relative.shape))
         self.std_noise = np.hypot(self.std_noise, own)
@@ -83,9 +86,10 @@ def averaged(
 ) -> NormalisedFresnel:
     """Average F over the explanations of a table.
 
-    terms: F by the most probable lobe through the camera and, if it counts, without a camera. members: other lobes and their
-        probabilities. others: alternatives whose difference is uncertainty, each with its name and factor. weight: probability
-        of no camera. held_back: whether the correction is withheld, so that F is that without a camera.
+    terms: F of the most probable lobe through the camera and, unless its probability is negligible, F of the fit without a
+        camera. members: F of each other lobe, with the probability of this lobe. others: name of each rig parameter that was
+        refitted, F of the refit, and factor of the difference as a standard deviation. weight: probability of the explanation
+        without a camera. held_back: True if the correction is withheld, so that the result is F without a camera.
     """
     camera, *blind = terms
     shift, spread, moved, scatter = (np.zeros_like(camera.normalised) for _ in range(4))
@@ -119,7 +123,7 @@ def averaged(
 
 
 def budget_variables(term: NormalisedFresnel) -> dict[str, tuple[Any, ...]]:
-    """Convert the sources of a term to variables of a Dataset over (source, theta_d, channel)."""
+    """Convert the sources of uncertainty to variables of a Dataset."""
     parts = term.parts
     std = np.sqrt(np.stack([np.maximum(part.variance, 0.0) for part in parts]))
     own = [np.nan if part.uncertainty is None else part.uncertainty for part in parts]
@@ -128,18 +132,20 @@ def budget_variables(term: NormalisedFresnel) -> dict[str, tuple[Any, ...]]:
         "budget_std": (
             ("source", "theta_d", "channel"),
             std.swapaxes(1, 2),
-            {"long_name": "part in corrected_std", "units": "1"},
+            {"long_name": "part of corrected_std due to the source", "units": "1"},
         ),
         "budget_type": ("source", [part.kind for part in parts], {"long_name": "type of evaluation (GUM)"}),
         "budget_value": (
             "source",
             [part.value for part in parts],
-            {"long_name": "value, in the unit named by the source"},
+            {"long_name": "value, in the unit that the name of the source contains"},
         ),
         "budget_uncertainty": (
             "source",
             own,
-            {"long_name": "standard uncertainty of the source, in its unit; NaN: in the unit of the result"},
+            {
+                "long_name": "standard uncertainty of the source, in the unit of its value; NaN: in the unit of the result"
+            },
         ),
         "budget_degrees": (
             "source",
@@ -150,7 +156,7 @@ def budget_variables(term: NormalisedFresnel) -> dict[str, tuple[Any, ...]]:
 
 
 def budget_parts(result: xr.Dataset) -> list[VariancePart]:
-    """Read the sources back from a Dataset with `budget_variables`."""
+    """Rebuild the sources of uncertainty from a Dataset with `budget_variables`."""
     return [
         VariancePart(
             str(one["source"].item()),
@@ -165,7 +171,10 @@ def budget_parts(result: xr.Dataset) -> list[VariancePart]:
 
 
 def nothing_to_normalise_by(normalise: tuple[float, float]) -> FitError:
-    """Build the error for a table without a highlight in the range of theta_d, rad, over which F is normalised."""
+    """Build the error for a range of normalisation without a highlight.
+
+    normalise: range of theta_d, rad.
+    """
     low, high = np.degrees(normalise)
     return FitError(
         f"no theta_d between {low:g} and {high:g} degrees has a highlight in every channel: give other angles to normalise"

@@ -1,4 +1,4 @@
-"""Peaks of a table over theta_d as an estimate of the Fresnel term without fit and camera, and that of a metal."""
+"""Estimate of the Fresnel term from the peaks of a table, without a fit or a camera, and Fresnel term of a metal."""
 
 from __future__ import annotations
 
@@ -10,13 +10,14 @@ from matcam.material.optical_constants import metal
 from matcam.material.reflectance import fresnel_conductor
 
 NORMALISED_OVER = (np.radians(10.0), np.radians(45.0))
-"""Range of theta_d, rad, over which a curve has mean 1."""
+"""Range of theta_d, rad, over which a curve has mean 1. It is the default range of `fresnel`."""
 
 
 def recorded_peak(brdf: xr.DataArray, theta_d: np.ndarray) -> np.ndarray:
-    """Average the cells nearest to the highlight in the slices at theta_d, (channels, slices).
+    """Average the cells nearest to the highlight in each slice, 1/sr.
 
-    The result is NaN where these cells are missing or not positive.
+    The result has shape (channels, slices). It is NaN where these cells are missing or their mean is not positive.
+    theta_d: theta_d of the slices, rad, (slices,).
     """
     ring = brdf.values[merl_grid(sampling_of(brdf)).index(theta_h=0.0, theta_d=theta_d)]
     count = np.isfinite(ring).sum(axis=1)
@@ -25,9 +26,10 @@ def recorded_peak(brdf: xr.DataArray, theta_d: np.ndarray) -> np.ndarray:
 
 
 def peak_curve(table: xr.DataArray) -> xr.DataArray:
-    """Compute the peak times cos^2 theta_d, of mean 1 over 10 to 45 degrees.
+    """Compute the peak times cos^2 theta_d, normalised over theta_d.
 
-    For a lobe of constant shape and without masking this is the Fresnel term (docs/model.md 6).
+    The mean from 10 to 45 degrees is 1. For a lobe of constant shape and without masking the curve is the normalised
+    Fresnel term (docs/model.md 6).
 
     Args:
         table: BRDF on the MERL grid, 1/sr.
@@ -41,28 +43,32 @@ def peak_curve(table: xr.DataArray) -> xr.DataArray:
         _normalised(values, theta_d),
         dims=("theta_d", "channel"),
         coords={"theta_d": table["theta_d"], "channel": table["channel"]},
-        attrs={"units": "1", "long_name": "recorded peak times cos^2, normalised"},
+        attrs={"units": "1", "long_name": "recorded peak times cos^2 theta_d, normalised"},
     )
 
 
 def metal_curve(name: str, theta_d: np.ndarray) -> np.ndarray:
-    """Compute the Fresnel term of a metal from tabulated n and k, normalised as `peak_curve` is, (theta_d, 3).
+    """Compute the Fresnel term of a metal from tabulated n and k.
+
+    The term has shape (n, 3). It is normalised as in `peak_curve`.
 
     Args:
         name: name of the metal, such as "Cr".
-        theta_d: rad, (n,).
+        theta_d: difference angle, rad, (n,).
     """
     n, k, _ = metal(name, CHANNEL_WAVELENGTHS)
     return conductor_curve(n, k, theta_d)
 
 
 def conductor_curve(n: np.ndarray, k: np.ndarray, theta_d: np.ndarray) -> np.ndarray:
-    """Compute the Fresnel term of a conductor, normalised as `peak_curve` is, (theta_d, channel).
+    """Compute the Fresnel term of a conductor.
+
+    The term has shape (angles, channels). It is normalised as in `peak_curve`.
 
     Args:
-        n: refractive index of each channel, no unit.
-        k: absorption of each channel, no unit.
-        theta_d: rad, (n,).
+        n: refractive index of each channel, no unit, (channels,).
+        k: extinction coefficient of each channel, no unit, (channels,).
+        theta_d: difference angle, rad, (angles,).
     """
     values = np.asarray(fresnel_conductor(np.asarray(theta_d)[:, None], n, k))
     return _normalised(values, np.asarray(theta_d))

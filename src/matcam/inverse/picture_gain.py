@@ -1,8 +1,9 @@
-"""Gain of each image, from the roughness of the Fresnel term over the slices beyond its noise.
+"""Standard deviation of the image gain, from the scatter of the Fresnel term between slices that exceeds the noise.
 
-Fourth differences over neighbouring slices remove a smooth F. They are normally distributed, with the covariance of the
-noise and of independent gains. The variance of the gains is averaged over its posterior: ten slices determine it to a
-factor of two, and the most probable variance alone would give standard deviations that are too small.
+Fourth differences of neighbouring slices remove a smooth F. The differences are assumed to be normally distributed. Their
+covariance is the sum of those of the noise and of independent gains. The variance of the gains is averaged over its
+posterior: ten slices determine this variance to a factor of two, and the most probable variance alone would result in
+standard deviations that are too small.
 """
 
 from __future__ import annotations
@@ -12,24 +13,24 @@ import numpy as np
 from matcam.core.remark import Remark
 
 _FOURTH = np.array([1.0, -4.0, 6.0, -4.0, 1.0])
-_STEEP = np.radians(
-    70.0
-)  # theta_d up to which F is smooth enough for its roughness to come from the gains of the images
-_CLEAR = 4.0  # smallest 2 ln likelihood ratio in favour of a gain
-# standard deviations of the gain in units of the noise, over which the posterior is averaged
+_STEEP = np.radians(70.0)  # theta_d, rad, up to which F itself is so smooth that its fourth differences are negligible
+_CLEAR = 4.0  # smallest 2 ln(likelihood ratio) in favour of a gain: two standard deviations
+# standard deviations of the gain, in units of that of the noise, over which the posterior is averaged
 _GRID = np.geomspace(0.03, 300.0, 120)
 
 
 def picture_gain(theta_d: np.ndarray, curves: np.ndarray, covariances: np.ndarray) -> float:
-    """Estimate the relative standard deviation of the gain of an image; 0 if noise explains the roughness.
+    """Estimate the relative standard deviation of the image gain.
+
+    The result is 0 if the noise explains the scatter of F between slices.
 
     Args:
-        theta_d: theta_d of the slices (n,), rad, equally spaced.
-        curves: F of the channels (channels, n), on any scale; NaN where it is unknown.
-        covariances: covariances of the noise of ln F (channels, n, n).
+        theta_d: theta_d of the slices, rad, equally spaced, (n,).
+        curves: F of each channel, with any factor, (channels, n); NaN where F is unknown.
+        covariances: covariances of the noise of ln F, (channels, n, n).
     """
     quiet = int((theta_d < _STEEP).sum())
-    # all channels of an image have one gain, so they are not independent
+    # the channels of an image have the same gain, so their log likelihoods are averaged instead of added
     found = [
         _likelihood(curve[:quiet], covariance[:quiet, :quiet])
         for curve, covariance in zip(curves, covariances, strict=True)
@@ -42,7 +43,7 @@ def picture_gain(theta_d: np.ndarray, curves: np.ndarray, covariances: np.ndarra
     if 2 * (log_likelihood[1:].max() - log_likelihood[0]) < _CLEAR:
         return 0.0
     variance = noise * _GRID**2
-    # almost no prior: flat in the variance below that of the noise, in its logarithm above
+    # weak prior: flat in the variance of the gain below that of the noise, and flat in its logarithm above
     weight = np.exp(log_likelihood[1:] - log_likelihood[1:].max()) * variance / (variance + noise)
     return float(np.sqrt(weight @ variance / weight.sum()))
 
@@ -50,22 +51,26 @@ def picture_gain(theta_d: np.ndarray, curves: np.ndarray, covariances: np.ndarra
 def strengths_gain(
     theta_d: np.ndarray, strengths: np.ndarray, noise_covariance: np.ndarray, rig_covariance: np.ndarray
 ) -> float:
-    """Estimate the gain from the strengths of a fit, (channels, slices), with covariances (channels, slices, slices)."""
+    """Estimate the standard deviation of the image gain from a fit.
+
+    theta_d: theta_d of the slices, rad, (slices,). strengths: strengths of the fit, (channels, slices). noise_covariance,
+        rig_covariance: covariances of the strengths due to pixel noise and to the rig, (channels, slices, slices).
+    """
     divisor = np.where(np.isfinite(strengths), strengths, np.inf)
     covariance = (noise_covariance + rig_covariance) / divisor[:, :, None] / divisor[:, None, :]
     return picture_gain(theta_d, strengths, covariance)
 
 
 def gain_remarks(gain: float) -> tuple[Remark, ...]:
-    """List the remark on a gain, if there is one."""
+    """Build the remark on an image gain above 0."""
     if not gain:
         return ()
-    text = f"F scatters between images by {gain:.1%}: the standard deviation of F includes this gain of each image"
+    text = f"F varies between images by {gain:.1%} in addition to its noise: its standard deviation includes this image gain"
     return (Remark("picture-gain", text),)
 
 
 def _likelihood(curve: np.ndarray, covariance: np.ndarray) -> tuple[float, np.ndarray] | None:
-    """Compute the mean variance of the noise, and ln likelihood without a gain and with each gain of `_GRID`.
+    """Compute the mean variance of the noise, and the log likelihood without a gain and with each gain of `_GRID`.
 
     The result is None if there are too few slices.
     """

@@ -1,4 +1,4 @@
-"""Cramer-Rao bounds on what the images of a rig determine, and correlations between blurs (docs/model.md 8)."""
+"""Cramer-Rao bounds of roughness and Fresnel term for the images of a rig, and correlations of blurs (docs/model.md 8)."""
 
 from __future__ import annotations
 
@@ -25,28 +25,34 @@ from matcam.numerics.linalg import scaled_inverse
 from matcam.rigs import Rig
 
 ROUGHNESSES = (0.0003, 0.0005, 0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2)
-"""Roughnesses that are judged by default."""
+"""Default roughnesses for which bounds are computed, no unit. They range from highlights far below a pixel to broad lobes."""
 
 _STEP = 0.004
-"""Relative standard deviation of the lens for which its axis is made: the bounds need slopes only."""
+"""Relative standard deviation of the lens width for which its axis is built. The bounds require derivatives only, so a
+short axis suffices.
+"""
 _SEEN = 3.0
-"""Standard deviations at which a blur is detected."""
+"""Effect of a blur, in standard deviations, at which the blur is detected. A false detection has a probability
+of 0.3 %.
+"""
 
 BLURS: dict[str, tuple[str, float]] = {
     "lamp (degrees)": (LAMP, float(np.radians(0.15))),
     "jitter (px)": ("jitter", 0.15),
     "defocus (aperture / distance)": ("aperture", 0.004),
 }
-"""Other blurs of a highlight, by name: field of `Rig`, and the size for which the effect is computed."""
+"""Blurs of a highlight other than that of the lens, by name: field of `Rig`, and size for which the effect is computed, in
+the unit of the field.
+"""
 _NAMES = {
     "width_std": "bound of ln roughness, lens exact",
     "width_std_stated": "bound of ln roughness, lens as specified by its profile",
     "width_std_free": "bound of ln roughness, lens free",
     "lens_std_free": "bound of ln sigma_mtf, lens free",
     "fresnel_std": "bound of F, relative",
-    "correlation": "correlation of the change by a blur with that by a wider lens",
+    "correlation": "correlation of the effect of a blur with that of a wider lens",
     "smallest": "size of a blur that is detected at 3 standard deviations [unit in the name of the blur]",
-    "width_bias": "change of ln roughness by an ignored blur",
+    "width_bias": "change of ln roughness that an ignored blur causes",
     "width_std_changed": "bound of ln roughness after a change of the rig",
     "size": "size of the blur [unit in the name of the blur]",
 }
@@ -62,15 +68,16 @@ def limits(
     slice_step: int = 10,
     workspace: Workspace | None = None,
 ) -> xr.Dataset:
-    """Bound the roughness and the angle that a rig can recover.
+    """Compute Cramer-Rao bounds of roughness and Fresnel term for a rig.
 
-    The Cramer-Rao bounds include the blurs that mimic the lens and the effect of changes of the rig. F is free in every
-    slice, and constant within a slice. Masking is Smith's, because there are no data to choose another model.
+    The result also contains the effect of other blurs, which may resemble that of the lens, and of changes of the rig. F
+    is free in every slice, and constant within a slice. Masking is Smith's, because there are no data to choose another
+    model.
 
     Args:
-        rig: the rig: a camera with a Gaussian lens, a sphere, and a lamp; distant or near.
+        rig: camera with a Gaussian lens, a sphere or cylinder, and a lamp; camera and lamp are distant or near.
         ndf: family of the lobe, with roughness as its only parameter. Default: "ggx". "auto" is not available.
-        roughness: roughnesses, no unit (n,). Default: ten from 0.0003 to 0.2.
+        roughness: roughnesses, (n,), no unit, or rad for a Gaussian lobe. Default: ten from 0.0003 to 0.2.
         noise: noise of a pixel and of the image gain. Default: None, 1 % of the value, 1e-4 of the peak and 1 % of gain.
         slice_step: spacing of the slices of theta_d (no unit). Default: 10, unlike `fit`, because few slices suffice to
             compare rigs. Bounds decrease with more slices.
@@ -79,19 +86,20 @@ def limits(
     Returns:
         Dataset over roughness, theta_d (rad), blur and change:
 
-        - `width_std`: bound of ln roughness, camera exact. `width_std_stated`: with the uncertainty of the lens as in
-            its profile, NaN if it has none. `width_std_free`: with the lens free.
-        - `lens_std_free`: bound of ln sigma_mtf with the lens free.
-        - `fresnel_std`: relative bound of F at each theta_d, without the image gain. The lens is as specified by its
-           profile, otherwise exact.
+        - `width_std`: bound of the standard deviation of ln roughness if the lens is exact. `width_std_stated`: the same
+            with the uncertainty of the lens in its profile; NaN if the profile has none. `width_std_free`: the same if the
+            lens is free.
+        - `lens_std_free`: bound of the standard deviation of ln sigma_mtf if the lens is free.
+        - `fresnel_std`: bound of the relative standard deviation of F at each theta_d, without the image gain. The lens
+            has the uncertainty in its profile, or is exact if there is none.
         - `correlation`, (roughness, blur): correlation of the effect of a blur with that of a wider lens, after roughness and
-            F are fitted. 1 is indistinguishable.
-        - `smallest`, (roughness, blur): size at which the blur is detected at 3 standard deviations, lens free.
+            F are fitted. If it is 1, the effects cannot be distinguished.
+        - `smallest`, (roughness, blur): size at which the blur is detected at 3 standard deviations if the lens is free.
         - `width_bias`, (roughness, blur): change of ln roughness if a blur of the size in `size` exists and is ignored.
         - `width_std_changed`, (roughness, change, lens): `width_std` and `width_std_free` after a change of the rig.
 
     Raises:
-        ArgumentError: a fit does not support the rig, its lens is not Gaussian, or a roughness is out of range.
+        ArgumentError: a fit does not support the rig, the lens is not Gaussian, or a roughness is out of range.
 
     Source:
         docs/model.md section 8.
@@ -107,7 +115,9 @@ def limits(
     checks.whole_number("slice_step", slice_step, 1, 30)
     checks.choice("ndf", ndf, tuple(ONE_WIDTH))
     if LENS not in rig.camera.parameters():
-        raise ArgumentError("limits need a camera with a Gaussian lens: this camera has no 'optics.sigma_px'")
+        raise ArgumentError(
+            "limits requires a camera with a Gaussian lens, but this camera has no parameter 'optics.sigma_px'"
+        )
     values = np.asarray(checks.within("roughness", np.asarray(roughness, dtype=object), 1e-5, ONE_WIDTH[ndf].largest))
     if values.ndim != 1 or not values.size:
         raise ArgumentError(f"roughness must be a list of at least one number, got shape {values.shape}")
@@ -158,7 +168,10 @@ def limits(
 
 
 def changed_rigs(rig: Rig) -> dict[str, Rig]:
-    """Return feasible changes of a rig, each of one parameter, by name."""
+    """Build feasible variants of a rig by name.
+
+    They differ in the radius in the image, in the width of the lens, or in both.
+    """
     radius, sigma = float(rig.sample.radius), float(rig.camera.parameters()[LENS])  # type: ignore[attr-defined]
 
     def with_(radius: float, sigma: float) -> Rig:
@@ -174,7 +187,7 @@ def changed_rigs(rig: Rig) -> dict[str, Rig]:
 
 
 class _View(NamedTuple):
-    """Conditions of the bounds besides the roughness.
+    """Conditions, other than the roughness, for which bounds are computed.
 
     Attributes:
         rig: the rig.
@@ -192,7 +205,7 @@ class _View(NamedTuple):
 
 
 class _Information:
-    """Fisher information of ln roughness and ln sigma_mtf in the chosen cells, F free in every slice."""
+    """Fisher information of ln roughness and ln sigma_mtf in the chosen cells, with F free in every slice."""
 
     def __init__(self, view: _View, roughness: float):
         self.view, self.roughness = view, roughness
@@ -217,7 +230,10 @@ class _Information:
         self.columns = self.free(slopes)
 
     def free(self, column: np.ndarray) -> np.ndarray:
-        """Project a change of the record, in standard deviations, orthogonally to free strengths."""
+        """Project a change of the record orthogonally to the free strengths.
+
+        The change is first divided by the noise of the record.
+        """
         u = column * self.root
         return u - self.direction * (u * self.direction).sum(-1, keepdims=True)
 
@@ -229,23 +245,30 @@ class _Information:
         return scaled_inverse(information)
 
     def std(self, prior: float) -> np.ndarray:
-        """Compute bounds of (ln roughness, ln sigma_mtf). prior: standard deviation of ln sigma_mtf, infinite if free."""
+        """Compute bounds of the standard deviations of roughness and lens.
+
+        The bounds are those of ln roughness and ln sigma_mtf, (2,). prior: standard deviation of ln sigma_mtf; infinite:
+        the lens is free.
+        """
         return np.sqrt(np.diag(self._matrix(prior)))
 
     def fresnel_std(self, prior: float) -> np.ndarray:
-        """Compute relative bounds of F of every slice, from the noise of its pixels and from roughness and lens."""
+        """Compute bounds of the relative standard deviation of F, (slices,).
+
+        Pixel noise, roughness and lens contribute. prior: standard deviation of ln sigma_mtf; infinite: the lens is free.
+        """
         by_lobe = ((self.slopes * self.root) * self.direction).sum(-1) / np.where(self.length > 0, self.length, np.inf)
         shared = np.einsum("ps,pq,qs->s", by_lobe, self._matrix(prior), by_lobe)
         return np.sqrt(np.where(self.length > 0, 1 / np.maximum(self.length, 1e-300) ** 2 + shared, np.inf))
 
 
 def _exact_and_free(information: _Information) -> tuple[float, float]:
-    """Compute bounds of ln roughness with the lens exact and with the lens free."""
+    """Compute the bounds of ln roughness for an exact lens and for a free lens."""
     return information.std(0.0)[0], information.std(np.inf)[0]
 
 
 def _signature(own: _Information, field: str, size: float) -> tuple[float, float, float]:
-    """Compute (correlation, smallest, width_bias) of one blur."""
+    """Compute correlation, smallest size and bias of one blur, as in `limits`. size: size of `field` of the rig."""
     blurred = rig_with(own.view.rig, {field: size})
     other = _Information(own.view._replace(rig=blurred), own.roughness)
     change = own.free(other.record - own.record).ravel()

@@ -1,8 +1,8 @@
 """Comparison of two explanations of a table: its camera, or free shadowing.
 
-Both are explanations as in `correct` (`inverse/correction/explanation.py`), with F free in every slice: the most
-probable lobe through the camera, and a lobe of any smooth shape for each channel without a camera and with free masking
-(Bagher, Snyder & Nowrouzezahrai 2016). Both use the same cells and are compared by their evidence.
+Both are explanations as in `correct` (`inverse/correction/explanation.py`), with F free in every slice. The first is the
+most probable lobe through the camera. The second is a lobe of any smooth shape for each channel, without a camera and with
+free masking (Bagher, Snyder & Nowrouzezahrai 2016). Both are fitted to the same cells and compared by their evidence.
 """
 
 from __future__ import annotations
@@ -26,21 +26,21 @@ from matcam.rigs import Rig
 
 
 class Rival(NamedTuple):
-    """One explanation of a table.
+    """Fit of one explanation of a table, with its evidence.
 
     Attributes:
         fit: the fit.
-        log_evidence: logarithm of the marginal likelihood (no unit), see `inverse/correction/evidence.py`.
+        log_evidence: natural logarithm of the marginal likelihood, no unit, see `inverse/correction/evidence.py`.
     """
 
     fit: MaterialFit
     log_evidence: float
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the numbers of the comparison by name.
+        """Return evidence, misfit, degrees of freedom and noise by name.
 
         Returns:
-            Logarithm of the evidence; misfit, degrees of freedom and noise of the fit.
+            Dictionary with the logarithm of the evidence, and misfit, degrees of freedom and noise of the fit.
         """
         return {
             "log_evidence": self.log_evidence,
@@ -51,7 +51,7 @@ class Rival(NamedTuple):
 
 
 class Rivals(NamedTuple):
-    """Both explanations of a table, as from `rivals`.
+    """Comparison of two explanations of a table; result of `rivals`.
 
     Attributes:
         camera: fit through the camera.
@@ -69,7 +69,7 @@ class Rivals(NamedTuple):
 
     @property
     def probability(self) -> float:
-        """Return the probability of the camera (no unit).
+        """Return the probability of the explanation by the camera, no unit.
 
         Both explanations have equal prior probability.
         """
@@ -80,7 +80,7 @@ class Rivals(NamedTuple):
     def verdict(self) -> str:
         """Describe the better explanation, and the noise that each requires."""
         noise = (
-            f"a pixel's noise would be {self.camera.fit.noise.relative:.2%} with the camera, "
+            f"the noise of a pixel would be {self.camera.fit.noise.relative:.2%} with the camera, "
             f"{self.shadowing.fit.noise.relative:.2%} with free shadowing"
         )
         if PROBABLE > self.probability > 1 - PROBABLE:
@@ -90,10 +90,10 @@ class Rivals(NamedTuple):
         return f"{better} explains the data better (the logarithm of the evidence is larger by {apart:.0f}): {noise}"
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the comparison as numbers and texts.
+        """Convert the comparison to a dictionary of numbers and strings.
 
         Returns:
-            A dictionary that `matcam fit --rival --json` prints.
+            The dictionary that `matcam fit --rival --json` prints.
         """
         return {
             "verdict": self.verdict,
@@ -108,12 +108,12 @@ def rivals(
 ) -> Rivals:
     """Compare the explanation of a table by its camera with free shadowing.
 
-    Masking is not an argument: it is Smith's with the camera, and free without.
+    Masking is Smith's with the camera, and free without a camera.
 
     Args:
-        brdf: table as from `read_merl`, 1/sr.
+        brdf: table, 1/sr, for example from `read_merl`.
         rig: rig that recorded the table, with a sphere or a cylinder; camera and lamp are distant or near.
-        ndf: family of the lobe. Default: "auto", the explanations of `correct`.
+        ndf: family of the lobe. Default: "auto", the same explanations as in `correct`.
         slice_step: spacing of the slices of theta_d that are used (no unit). Default: 6, unlike `fit`, because few slices
             suffice.
         workspace: store of results that depend only on the rig. Default: None, that of the process.

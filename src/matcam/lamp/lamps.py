@@ -130,7 +130,7 @@ class NearLamp(Lamp):
 
     @property
     def nearness(self) -> jax.Array:
-        """Return 1 / distance."""
+        """Inverse distance from the centre of the sample, 1/radii."""
         return 1 / self.distance
 
     @property

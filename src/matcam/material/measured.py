@@ -50,8 +50,8 @@ class Tabulated(Material):
       neighbours are omitted, and the weights of the others are normalised.
 
     Args:
-        table: BRDF, 1/sr, dims (theta_h, theta_d, phi_d, channel), shape (90, 90, 180, channels), such as from
-            `read_merl`.
+        table: BRDF, 1/sr, dims (theta_h, theta_d, phi_d, channel), shape (90, 90, 180, channels), such as
+            `read_merl` returns.
 
     Attributes:
         values: the table, 1/sr, shape (90, 90, 180, channels).

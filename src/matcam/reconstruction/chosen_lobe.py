@@ -34,7 +34,7 @@ _CLEARLY, _AT_ONCE = 0.9, 0.5
 rejected.
 """
 _DIFFUSE_PIXELS = 0.2
-"""Share of the pixels with more diffuse light than lobe, above which the shape of the diffuse part is considered."""
+"""Share of pixels with mainly diffuse light, above which the shape of the diffuse part is considered."""
 _SEEN = 3.0  # standard deviations of the noise above which a pixel contains light
 _TURNS = 3  # number of sources that may be wrong
 _ODD = 4.0

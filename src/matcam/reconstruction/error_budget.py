@@ -57,7 +57,7 @@ class Inseparable(NamedTuple):
 
 
 class Ratio(NamedTuple):
-    """F at an angle over its mean from 10 to 45 degrees, with its standard deviation."""
+    """Ratio of F at an angle to the mean of F from 10 to 45 degrees, with its standard deviation."""
 
     theta_d: float
     value: float
@@ -109,7 +109,7 @@ def reflectance_ratio(fit: SphereFit, curve: ReflectanceCurve, covariance: np.nd
 
 
 def _ratio(fit: SphereFit, curve: ReflectanceCurve, theta_d: float) -> tuple[float, np.ndarray]:
-    """Compute F at an angle over its mean from 10 to 45 degrees, and its derivatives with respect to the curve."""
+    """Compute F at an angle over its mean from 10 to 45 degrees, and the derivatives with respect to the coefficients."""
     at = np.append(_normal_angles(fit), theta_d)
     value, slopes = curve.at(at), curve.slopes(at)
     mean = value[:-1].mean()
@@ -278,7 +278,9 @@ def parameter_readings(
 def reflectance_readings(
     fit: SphereFit, curves: Sequence[ReflectanceCurve], units: Sequence[Known], theta_d: float
 ) -> dict[str, FitReading]:
-    """Derive F of each channel at an angle over its mean from 10 to 45 degrees, and that mean if F is absolute.
+    """Derive the ratio of F at an angle to its mean, by channel.
+
+    The mean is that from 10 to 45 degrees. It is also derived if F is absolute.
 
     curves, units: arguments of `parameter_readings`. theta_d: difference angle, rad.
     """

@@ -19,11 +19,11 @@ NODES = 112
 WINDOW = 33
 """Number of pixels along each axis of a window."""
 _ORDER = 8
-_PEAK_STEP = 0.25  # of asinh(angle / the lobe's scale)
-_PIXEL_STEP = 0.5  # px: at the inverse of this distance the MTF of a pixel is 0
-_LIMB_STEP = 0.04  # rad, where the disc ends
-_LIMB = 0.35  # rad from the outline
-_MARGIN = 4.5  # px about the pixels of a window
+_PEAK_STEP = 0.25  # spacing of nodes near the peak, in asinh(angle / scale of the lobe)
+_PIXEL_STEP = 0.5  # spacing of nodes elsewhere, px: at the inverse of this distance the MTF of a pixel is 0
+_LIMB_STEP = 0.04  # spacing of nodes near the outline, rad
+_LIMB = 0.35  # distance from the outline within which this spacing is used, rad
+_MARGIN = 4.5  # margin of the nodes about the pixels of a window, px
 _DISC_POINTS = 36
 _NO_DISC = 0.1  # share of the width of the lobe: a lamp with a smaller disc is a point
 

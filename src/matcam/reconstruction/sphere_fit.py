@@ -36,7 +36,7 @@ from matcam.sample.curved import Sphere
 _WIDTHS = np.geomspace(3e-4, 0.5, 14)
 _POWERS = {"epd": (0.5, 0.8, 1.2), "sgd": (0.3, 0.8)}
 _ROUNDS = 4
-_ROUGHLY, _NEARLY, _ENOUGH = 3.0, 1.0, 0.1  # of the cost
+_ROUGHLY, _NEARLY, _ENOUGH = 3.0, 1.0, 0.1  # decreases of the cost below which the iteration ends
 _SYSTEMATIC = 0.01
 """Unexplained share above which residuals are correlated between neighbouring pixels, so that a change of the cost by
 1 does not correspond to one standard deviation.

@@ -177,7 +177,7 @@ class Curved(Sample):
     def position(
         self, theta_h: AnyArray, theta_d: AnyArray, phi_d: AnyArray, lamp_nearness: ArrayLike | None = None
     ) -> Position:
-        """Compute the position and the lamp for half and difference angles.
+        """Compute the image position and the lamp angle for half and difference angles.
 
         The results are meaningless if light or view is below the horizon.
 
@@ -323,7 +323,7 @@ class Curved(Sample):
 
     @staticmethod
     def _half_vector_turn(theta_d: jax.Array, lamp_nearness: ArrayLike | None) -> tuple[jax.Array, jax.Array]:
-        """Compute the rotation of the half vector by a near lamp, against that of the normal, along and across."""
+        """Compute the rotation of the half vector by a near lamp per rotation of the normal, along and across."""
         if lamp_nearness is None:
             return xp.zeros(()), xp.zeros(())
         w = xp.asarray(lamp_nearness)
@@ -385,7 +385,7 @@ def highlight_between(lamp_angle: jax.Array, camera: ArrayLike, lamp: ArrayLike)
 
 
 def _parallax(aside: jax.Array, nearness: ArrayLike) -> tuple[jax.Array, jax.Array]:
-    """Compute the parallax of a near point between surface and centre, rad, and its derivative.
+    """Compute the parallax of a near point between surface and centre, rad, and its derivative with respect to `aside`.
 
     Args:
         aside: angle of the point from the normal, seen from the centre of the sample, rad.

@@ -121,7 +121,10 @@ def _measured(
         return QuickOutline(stripe.column, math.nan, stripe.radius + hidden, std), [*found, *stripe.remarks]
     column, row, radius = dark_disc(codes)
     if not math.isfinite(radius):
-        text = f"{path}: the frame shows no dark disc inside a bright field: photograph the sphere before a bright background"
+        text = (
+            f"{path}: the frame shows no dark disc inside a bright field: photograph the sphere in front of a bright "
+            "background"
+        )
         return None, [*found, Remark("no-disc", text)]
     mirrored, spread = grazing_reflection(radius, reach)
     std = np.array([_DISC_STD, _DISC_STD, math.hypot(_DISC_STD, spread, hidden)])
@@ -158,7 +161,10 @@ def _missing_sphere() -> Remark:
 
 
 def _missing_cylinder() -> Remark:
-    text = "the cylinder has no outline, which `reconstruct` requires: add a frame of it before a bright field to outline/, "
+    text = (
+        "the cylinder has no outline, which `reconstruct` requires: add a frame of the cylinder in front of a bright "
+        "field to outline/, "
+    )
     return Remark("no-outline", f"{text}or specify sample.outline_radius_px and sample.axis_column_px")
 
 

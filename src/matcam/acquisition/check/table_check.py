@@ -40,9 +40,9 @@ _LEAST_TURN = math.radians(0.5)
 and `reconstruct` fits this rotation.
 """
 _LEAST_GROWTH = 0.01
-"""Relative difference of radii below which there is no report, because `reconstruct` fits it."""
+"""Relative difference of radii below which there is no report, because `reconstruct` fits the radius."""
 _NEARNESS = (0.02, 0.02)
-"""Inverse of an unspecified distance, in radii, with its standard deviation, as in `reconstruct`."""
+"""Inverse of an unspecified distance, 1/radii, with its standard deviation, as in `reconstruct`."""
 
 
 class TableCheck(NamedTuple):

@@ -243,7 +243,8 @@ _WORDS = {
 def explain_lamp_table(lamps: np.ndarray, table: np.ndarray) -> TableVerdict:
     """Find the common mistake that explains a wrong lamp table.
 
-    Each mistake is applied to the lamps from the highlights. The mistake whose result matches the table is named.
+    Each mistake is applied to the lamps from the highlights. The result contains the mistake after which they match the
+    table.
 
     Args:
         lamps: directions from the highlights (n, 3); NaN for a lamp without a highlight.

@@ -15,7 +15,7 @@ _EXPLAINED = np.radians(0.3)
 
 
 class ProbeComparison(NamedTuple):
-    """Comparison of two probes, with possible explanations of their differences.
+    """Comparison of two probes, with possible causes of their differences.
 
     Attributes:
         apart: angle between both probes' directions of each lamp, rad (n,).
@@ -24,7 +24,7 @@ class ProbeComparison(NamedTuple):
             (3,): x right, y up, z to the camera.
         left: rms of the residual angles with one distance for all lamps, rad.
         left_by_turn: rms of the residual angles with a rotation of the axes of one probe instead, rad.
-        remarks: explanation of a disagreement.
+        remarks: cause of a disagreement.
     """
 
     apart: np.ndarray
@@ -47,7 +47,7 @@ def compare_probes(first: np.ndarray, second: np.ndarray) -> ProbeComparison:
         second: directions from the other probe (n, 3).
 
     Returns:
-        The angles before and after each explanation.
+        The angles as given, and after the correction of each possible cause.
 
     Raises:
         ArgumentError: the shapes differ, or there are fewer than four lamps.
@@ -71,7 +71,8 @@ def compare_probes(first: np.ndarray, second: np.ndarray) -> ProbeComparison:
         remarks: tuple[Remark, ...] = ()
     elif left < _EXPLAINED and left < 0.5 * rms:
         text = (
-            f"{begin}: specify the distance of the lamps, because {1 / size:.0f} times that of the probes explains it"
+            f"{begin}: specify the distance of the lamps; a distance of {1 / size:.0f} times that between the probes "
+            "explains the disagreement"
         )
         remarks = (Remark("probes-near-lamps", text),)
     else:

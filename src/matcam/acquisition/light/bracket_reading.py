@@ -125,7 +125,10 @@ class BracketReading:
         for frame in self.capture.of("frames", lamp=lamp):
             path = self.capture.folder / frame.file
             if frame.exposure in found:
-                text = f"{path}: this second frame of lamp {lamp}, exposure {frame.exposure}, was omitted: remove one of them"
+                text = (
+                    f"{path}: this second frame of lamp {lamp}, exposure {frame.exposure}, was omitted: "
+                    "remove one of the two"
+                )
                 remarks.append(Remark("extra-frame", text))
                 continue
             try:

@@ -25,13 +25,13 @@ from matcam.files.picture_header import read_exif
 _MOST = 16
 """Largest number of flat frames that are used, which bounds the time of reading."""
 _DARK = 100.0
-"""Smallest signal of a flat frame above dark, in read noises: read noise is then at most 1 % of the signal."""
+"""Smallest signal of a flat frame above dark, as a multiple of the read noise, which is then at most 1 % of the signal."""
 _CLIPPED = 1e-3
-"""Share of clipped pixels above which a flat frame is left out."""
+"""Share of clipped pixels above which a flat frame is omitted."""
 _SMOOTH = 33
 """Width of the square moving average that is applied twice for the smooth field, px."""
 _LEAST = 0.1
-"""Response below which a pixel is left out, because a correction would amplify its noise more than tenfold."""
+"""Response below which a pixel is omitted, because a correction would amplify its noise more than tenfold."""
 _ROBUST = 1.4826
 """Ratio of the standard deviation of a Gaussian to its median absolute deviation."""
 

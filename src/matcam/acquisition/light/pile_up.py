@@ -29,7 +29,7 @@ _IMPROBABLE = -9.0
 """log10 of the probability below which a pile-up is clipping: one false alarm in 10^9 frames, so that a sigma
 overestimated twofold is still harmless."""
 _SPREAD = 8.0
-"""Width of a pile-up, in read noises: noise that is added after the clipping spreads a thousand pixels over 7 of them."""
+"""Width of a pile-up, as a multiple of the read noise: noise after the clipping spreads a thousand pixels over this width."""
 _FEW = 3
 """Smallest number of pixels with one code in an examined frame: with fewer pixels, no probability bound falls below
 `_IMPROBABLE`.

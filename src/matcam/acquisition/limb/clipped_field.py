@@ -23,7 +23,7 @@ def field_is_clipped(codes: np.ndarray, saturation: float) -> bool:
     dark pixels of the frame show noise. A frame without noise is a render, whose uniform field has a single code.
 
     Args:
-        codes: frame of the sample before a bright field, (height, width).
+        codes: frame of the sample in front of a bright field, (height, width).
         saturation: largest code that the file can hold.
     """
     top = float(codes.max())

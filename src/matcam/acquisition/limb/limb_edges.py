@@ -24,7 +24,7 @@ _STILL = 1e-3  # largest change of a position at convergence, px
 _SINGULAR = 1e-9  # relative diagonal element of R below which the fit of a sector is singular
 _STEEPEST = 10.0
 """Largest coefficient of the radiance in powers of the cosine of the viewing angle, relative to the radiance in the band:
-a glass sphere has 6.
+that of a glass sphere is 6.
 """
 _FAR = 0.5  # px: largest change of a position in one iteration
 
@@ -111,7 +111,7 @@ class BlurredPowers:
 
 @lru_cache(maxsize=16)
 def blurred_powers(sigma: float, exponents: tuple[float, ...], coated: float | None) -> BlurredPowers:
-    """Return `BlurredPowers` from a cache, because a search uses the same ones repeatedly."""
+    """Return `BlurredPowers` from a cache, because a search uses the same table repeatedly."""
     return BlurredPowers(sigma, exponents, coated=coated)
 
 

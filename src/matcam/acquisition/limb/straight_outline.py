@@ -69,7 +69,7 @@ def straight_outline(
     inside = np.flatnonzero(dark)
     if high < _CONTRAST * max(low, 1e-3 * high) or not inside.size or inside.size < inside[-1] - inside[0] + 1 - 4:
         raise FitError(
-            "outline: the frame shows no upright dark stripe before a bright field; specify sample.outline_radius_px"
+            "outline: the frame shows no upright dark stripe in front of a bright field; specify sample.outline_radius_px"
         )
     left, right = inside[0] - 0.5, inside[-1] + 0.5
     if left < _ABOUT or right > width - 1 - _ABOUT or right - left < 4 * _ABOUT:

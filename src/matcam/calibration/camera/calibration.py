@@ -135,7 +135,7 @@ class Calibration(Summarised):
         """Return the result as a JSON object, which `matcam calibrate --json` prints.
 
         Returns:
-            The fit of every channel, images, failures, and the texts of the remarks.
+            The fit of every channel, images, failures, and the text of each remark.
         """
         return plain(
             {

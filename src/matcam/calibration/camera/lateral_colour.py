@@ -92,4 +92,4 @@ def lateral_remark(found: LateralColour, channel: str, reference: str) -> Remark
     text = (
         f"{channel} lies {abs(found.corner):.2f} +- {found.corner_std:.2f} px {where} than {reference} in the corners"
     )
-    return Remark("lateral-colour", f"{text}: lateral colour")
+    return Remark("lateral-colour", f"{text}, because of lateral colour")

@@ -363,7 +363,7 @@ def _per_step(fit: LinearFit, strength: jax.Array, covariance: jax.Array, radius
 
 
 def _rises(fit: LinearFit, log_radii: jax.Array) -> jax.Array:
-    """Compute the increase of 2 ln likelihood by glare of each radius.
+    """Compute the increase of 2 ln(likelihood) that results from adding glare of each radius to the model.
 
     All other parameters are refitted. Negative shares are excluded.
     """

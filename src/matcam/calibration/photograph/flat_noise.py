@@ -174,9 +174,10 @@ def flat_noise(
 
 
 def crushed_share(dark: FloatArray, bright: FloatArray) -> float:
-    """Compute the share of a dark side at its lowest value; 0 if noise explains it.
+    """Compute the fraction of clipped pixels on the dark side of an edge.
 
-    Noisy pixels have equal values only at the end of a range. Without noise, the bright side is equally uniform.
+    Clipped pixels have the lowest value of the side. The fraction is 0 if the next value, or one value on the bright
+    side, is similarly frequent. In a noise-free image both sides are uniform, which does not indicate clipping.
     """
     if dark.size < 2 or bright.size < 2:
         return 0.0

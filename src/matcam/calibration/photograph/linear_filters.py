@@ -150,7 +150,7 @@ def correlations(value: FloatArray, sides: tuple[np.ndarray, np.ndarray]) -> Cor
         if not scale > 0:
             return None
         noise[side], there[side] = np.clip(left / scale, -_LARGEST, _LARGEST), 1.0
-    # Structure at a few positions, as from dirt or the border of a shadow, is not noise.
+    # Structure at a few positions, caused by dirt or the border of a shadow, is not noise.
     weight = np.maximum(ndimage.uniform_filter(there, _PATCH), 1e-3)
     local = np.abs(ndimage.uniform_filter(noise, _PATCH) / weight)
     there *= local < _STRUCTURE * np.median(local[there > 0])

@@ -35,8 +35,8 @@ def refuse_unnamed_mosaic(plane: LinearImage) -> None:
 def alternation(values: FloatArray) -> float:
     """Measure the relative difference of alternating pixels over an image (height, width); 0 if it is not significant.
 
-    Second differences of neighbours are 0 where the values are constant or change linearly. Their medians at every second
-    pixel of every second line measure the periodic part, independently of edges.
+    Second differences of neighbours are 0 where the values are constant or change linearly. Their medians at every
+    second pixel of every second row or column measure the periodic part, independently of edges.
     """
     height, width = values.shape
     top, left = max(height - _LARGEST, 0) // 4 * 2, max(width - _LARGEST, 0) // 4 * 2

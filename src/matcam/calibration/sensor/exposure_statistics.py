@@ -111,7 +111,8 @@ def measure_exposures(
     for number, exposure in enumerate(series.sets):
         if len(exposure.files) < 2:
             text = (
-                f"{exposure.files[0]}: was excluded, because the noise requires two frames of an exposure: add a frame"
+                f"{exposure.files[0]}: this exposure was excluded, because an estimate of its noise requires two frames: "
+                "add one"
             )
             remarks.append(Remark("single-frame", text))
         else:

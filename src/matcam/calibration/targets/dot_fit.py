@@ -114,7 +114,8 @@ class DotFit:
 
     Attributes:
         lattice: initial positions of the dots.
-        parameters: (n, 7) background, its two slopes, content, x, y, sigma^2.
+        parameters: (n, 7) background, its two slopes, content (sum of the deviation of the pixels from the background),
+            x, y, sigma^2.
         std: (n, 7) standard deviations of `parameters`.
         design: (n, pixels, 7) derivatives with respect to `parameters`.
         shared: (n, pixels, 5) derivatives of `SHARED`, times the contents.

@@ -107,8 +107,8 @@ class GaussianSum(Module):
         weights: signed weights, whose sum is 1, shape (n,).
         sigmas: standard deviations, px, shape (n,).
         error: largest difference between the MTF of the sum and that of the lens, over all frequencies.
-        total_error: `error` of an image: after a pixel with a fill factor of 100 %, in the direction with the largest
-            transfer. Errors of fitted components add up.
+        total_error: largest difference after multiplication of both MTFs by that of a pixel with a fill factor of 100 %, in
+            the direction with the largest transfer. Errors of fitted components add up.
     """
 
     weights: jax.Array

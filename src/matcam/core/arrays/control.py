@@ -23,7 +23,7 @@ def first_axis_map(function: Callable[..., Any], arrays: tuple[Any, ...], togeth
     Args:
         function: function of a piece of each array that returns an array of the same length along the first axis.
         arrays: arrays whose first axes have the same length.
-        together: number of elements of a piece.
+        together: number of elements of a piece along the first axis.
     """
     if has_jax(arrays):
         one = lambda piece: function(*(array[None] for array in piece))[0]  # noqa: E731
@@ -89,7 +89,7 @@ def changed(array: Any, where: Any, value: Any) -> Any:
 
 
 def as_index(number: Any) -> Any:
-    """Convert the numbers of an array to indices; NaN becomes 0."""
+    """Convert the elements of an array to indices; NaN becomes 0."""
     return xp.nan_to_num(number).astype(int)
 
 
@@ -102,7 +102,7 @@ def tuple_map(function: Callable[..., Any], tree: T, *others: T) -> T:
 
 
 _STEP = 1e-3
-"""Relative step of differences of the fourth order. Their error is 1e-12 for functions that are smooth on the scale of
+"""Relative step of finite differences of fourth order. Their error is 1e-12 for functions that are smooth on the scale of
 the argument.
 """
 
@@ -167,7 +167,8 @@ def with_derivatives(function: Callable[P, T], *derivatives: Callable[..., Any])
 
     Args:
         function: a function of positional arguments.
-        derivatives: for each argument, a function of the change of this argument, the result and all arguments.
+        derivatives: for each argument, a function that returns the change of the result; it is called with the change
+            of this argument, the result and all arguments.
     """
     known: list[Any] = []
 

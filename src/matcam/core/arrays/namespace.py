@@ -44,7 +44,7 @@ def is_concrete(value: object) -> bool:
 
 
 def constant(value: T) -> T:
-    """Return the same numbers without their derivatives."""
+    """Return the same values without their derivatives."""
     return import_module("jax").lax.stop_gradient(value) if has_jax(value) else value
 
 
@@ -98,7 +98,7 @@ scipy_linalg: Any = _Namespace("scipy.linalg", "jax.scipy.linalg")
 fft: Any = _Namespace("numpy.fft", "jax.numpy.fft")
 
 
-# ------------------------------------------------------------------------------------------------------- when JAX comes
+# ----------------------------------------------------------------------------------------------- when JAX is imported
 
 _PREPARED = "matcam.core.jax"
 """Module whose import prepares JAX."""

@@ -18,7 +18,7 @@ from matcam.core import errors
 from matcam.core.errors import FileFormatError
 
 _KINDS = "biufcSU"
-"""Kinds of NumPy's numbers and text that an answer may contain."""
+"""Kinds of NumPy data types that an answer may contain: numbers and strings."""
 _LONGEST_ANSWER = 64 << 20  # bytes of JSON
 
 
@@ -26,9 +26,9 @@ def packed(value: Any, arrays: list[np.ndarray]) -> Any:
     """Convert an answer to types of JSON; its arrays are appended to `arrays`."""
     if isinstance(value, np.ndarray | np.generic):
         array = np.asarray(value)
-        if array.dtype.kind in "OT":  # texts of variable length
+        if array.dtype.kind in "OT":  # strings of variable length
             texts = [v.decode("utf-8", "replace") if isinstance(v, bytes) else str(v) for v in array.ravel()]
-            # each text gets the length of the longest, so that the memory limit applies here and not in the caller
+            # each string gets the length of the longest, so that the memory limit applies here and not in the caller
             array = np.array(texts, dtype=str).reshape(array.shape)
         if array.dtype.kind not in _KINDS:
             raise TypeError(f"values of type {array.dtype} are not supported")
@@ -65,7 +65,7 @@ def _layout(value: Any) -> list[tuple[np.dtype, tuple[int, ...]]]:
 def read_answer(take: Callable[[int], bytearray], path: Path, memory: int) -> Any:
     """Read an answer piece by piece.
 
-    take: function that returns a number of further bytes. memory: largest size of the arrays, bytes.
+    take: function that returns the given number of further bytes. memory: largest size of the arrays, bytes.
     """
     (length,) = struct.unpack("<Q", take(8))
     if length > _LONGEST_ANSWER:
@@ -77,7 +77,10 @@ def read_answer(take: Callable[[int], bytearray], path: Path, memory: int) -> An
     arrays = []
     layout = _layout(message["answer"])
     if sum(dtype.itemsize * math.prod(shape) for dtype, shape in layout) > memory:
-        raise FileFormatError(f"{path}: its content needs more than {memory / 2**20:.0f} MiB")
+        raise FileFormatError(
+            f"{path}: its content exceeds the available memory of {memory / 2**20:.0f} MiB: free memory, or give a smaller "
+            "file"
+        )
     for dtype, shape in layout:
         if dtype.kind not in _KINDS:
             raise FileFormatError(f"{path}: values of type {dtype} are not supported")

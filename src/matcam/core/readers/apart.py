@@ -10,7 +10,7 @@ time and memory that grow faster than their file. Files are therefore read in a 
 
 The fork server is a small Python process without threads, started once; forking a child takes milliseconds. A child
 must not write files, and its answer is JSON and plain numbers, without pickle. On systems without fork (Windows), each
-file has a new process. Texts of a few kilobytes are parsed in this process, because their size bounds the cost.
+file has a new process. Text files of a few kilobytes are parsed in this process, because their size bounds the cost.
 """
 
 from __future__ import annotations
@@ -114,9 +114,9 @@ def read_apart(
     size: size of the content, bytes, from which the limits are computed. Default: None, the size of the file; required
     if `path` is a folder.
 
-    The answer may consist of None, truth values, numbers, text, lists, dicts with text keys, and NumPy arrays.
-    FileFormatError names the file if it is missing, if it exceeds a limit, or if its decoder crashes or raises a
-    foreign error. Errors of the package are passed on unchanged.
+    The answer may consist of None, truth values, numbers, strings, lists, dicts with string keys, and NumPy arrays.
+    A FileFormatError is raised if the file is missing or exceeds a limit, or if its decoder crashes or raises a foreign
+    error. Errors of the package are passed on unchanged.
     """
     limits = _limits.get()
     module, name = decoder.split(":")
@@ -304,7 +304,10 @@ class _Nursery:
             self._stop()
 
     def send(self, request: dict[str, Any], *sockets: socket.socket) -> subprocess.Popen[bytes]:
-        """Pass on a request, with the sockets for its answer and its end."""
+        """Send a request to the fork server, and return its process.
+
+        sockets: sockets for the answer, and for the exit status of the child.
+        """
         text = json.dumps(request).encode()
         with self.lock:
             for attempt in range(1, _ATTEMPTS + 1):  # the fork server may have ended since the last file
@@ -328,7 +331,7 @@ if hasattr(os, "register_at_fork"):
 
 
 def _request(request: dict[str, Any]) -> tuple[subprocess.Popen[bytes], socket.socket, socket.socket]:
-    """Send a request; return its fork server, and the sockets for the answer and the end of the child."""
+    """Send a request; return the fork server, and the sockets for the answer and the exit status of the child."""
     channel, its_channel = socket.socketpair()
     status, its_status = socket.socketpair()
     with its_channel, its_status:

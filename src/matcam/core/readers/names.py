@@ -24,17 +24,26 @@ def is_there(path: Path) -> bool:
 
 
 def is_file(path: Path) -> bool:
-    """Check whether a path is a file, as `is_there` does."""
+    """Check whether a path is a file.
+
+    A name that the system rejects is not the name of a file.
+    """
     return os.path.isfile(path)  # noqa: PTH113
 
 
 def is_folder(path: Path) -> bool:
-    """Check whether a path is a folder, as `is_there` does."""
+    """Check whether a path is a folder.
+
+    A name that the system rejects is not the name of a folder.
+    """
     return os.path.isdir(path)  # noqa: PTH112
 
 
 def is_link(path: Path) -> bool:
-    """Check whether a path is a link, as `is_there` does."""
+    """Check whether a path is a link.
+
+    A name that the system rejects is not the name of a link.
+    """
     return os.path.islink(path)  # noqa: PTH114
 
 
@@ -73,7 +82,7 @@ def check_name(path: Path) -> None:
 def check_within(path: Path, folder: Path) -> None:
     """Raise FileFormatError if the links of `path` lead out of `folder`.
 
-    The author of a folder must not be able to select other files of the reader.
+    Otherwise the author of a folder could select any file of the user who opens it.
     """
     if is_link(path) and not (target := path.resolve()).is_relative_to(folder.resolve()):
         raise FileFormatError(f"{path}: is a link out of its folder, to {target}: give the target instead")

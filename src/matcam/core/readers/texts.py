@@ -1,4 +1,4 @@
-"""Reading of untrusted texts: JSON, TOML and lines, with limits that are checked before parsing.
+"""Reading of untrusted text files: JSON, TOML and lines, with limits that are checked before parsing.
 
 A parser takes memory and time for each value, key and line: a file of 9 MB may contain millions of each. All three are
 therefore limited in addition to the size. Documents of matcam's own formats have a version.
@@ -23,9 +23,9 @@ if TYPE_CHECKING:
     from pydantic import ValidationError
 
 SMALL_TEXT = 64 << 10
-"""Largest size of a text that is parsed in the process of the caller, bytes.
+"""Largest size of a text file that is parsed in the process of the caller, bytes.
 
-The values of such a text, at most one for every two bytes, take 20 ms and 4 MiB.
+The values of such a file, at most one for every two bytes, take 20 ms and 4 MiB.
 """
 _LARGEST_JSON = 16 << 20  # bytes; a measured curve of 100,000 samples takes 4 MiB
 _MOST_VALUES = 250_000
@@ -35,7 +35,7 @@ A schema may take 5 us to check each value.
 """
 _LARGEST_LINES = 4 << 20  # bytes; 65,536 lines of three numbers take 3 MiB
 _MOST_LINES = 100_000
-"""Largest number of lines of a text: more than the 65,536 codes of a tone curve of 16 bits."""
+"""Largest number of lines of a text file: more than the 65,536 codes of a tone curve of 16 bits."""
 _LONGEST_LINE = 1000
 """Largest number of characters in a line. A TOML key of a thousand dots takes 1 s to parse, quadratic in its length."""
 
@@ -43,7 +43,7 @@ _LONGEST_LINE = 1000
 def read_json(path: str | Path, what: str) -> Any:
     """Read a JSON document.
 
-    what: expected content, such as "a camera profile". FileFormatError names the file if it is not JSON, or has more
+    what: expected content, such as "a camera profile". A FileFormatError is raised if the file is not JSON, or has more
     than 16 MiB or 250,000 values.
     """
     path = Path(path)
@@ -54,8 +54,8 @@ def read_json(path: str | Path, what: str) -> Any:
 def read_toml(path: str | Path, what: str) -> dict[str, Any]:
     """Read settings in TOML.
 
-    what: expected content, such as "a rig". FileFormatError names the file if it is not TOML, has more than 64 KiB, or
-    lines of more than 1000 characters.
+    what: expected content, such as "a rig". A FileFormatError is raised if the file is not TOML, or has more than 64
+    KiB or lines of more than 1000 characters.
     """
     import tomllib
 
@@ -69,10 +69,10 @@ def read_toml(path: str | Path, what: str) -> dict[str, Any]:
 
 
 def read_lines(path: str | Path, what: str) -> list[str]:
-    """Read the lines of a text, without line ends.
+    """Read the lines of a text file, without line ends.
 
-    what: expected content. Bytes that are not text are replaced. FileFormatError names the file if it has more than 4
-    MiB, 100,000 lines, or 1000 characters in a line.
+    what: expected content. Bytes that are not text are replaced. A FileFormatError is raised if the file has more than
+    4 MiB, 100,000 lines, or 1000 characters in a line.
     """
     content = read_apart(f"{__name__}:decode_lines", Path(path), what, small=SMALL_TEXT, title=what)
     text = content.tobytes().decode("utf-8-sig", "replace")
@@ -97,7 +97,7 @@ def decode_json(path: Path, *, title: str) -> np.ndarray:
 
 
 def decode_lines(path: Path, *, title: str) -> np.ndarray:
-    """Read the bytes of a text, and check the limits of lines."""
+    """Read the bytes of a text file, and check the limits of lines."""
     return np.frombuffer(_checked_text(path, title, _LARGEST_LINES), np.uint8)
 
 
@@ -116,7 +116,9 @@ def _checked_text(path: Path, what: str, largest: int) -> bytes:
         raise FileFormatError(f"{path}: {len(lines)} lines are too many for {what}")
     for number, line in enumerate(lines, 1):
         if len(line) > _LONGEST_LINE:
-            raise FileFormatError(f"{path}: line {number} has {len(line)} characters; at most {_LONGEST_LINE} are read")
+            raise FileFormatError(
+                f"{path}: line {number} has {len(line)} characters; at most {_LONGEST_LINE} are allowed"
+            )
     return content
 
 
@@ -125,7 +127,7 @@ def checked_version(document: Any, where: str | Path, what: str, form: str, vers
 
     The document has the form {"format": form, "version": one of `versions`, ...}.
 
-    FileFormatError names its location `where`, the expected content `what`, and the field.
+    The message of a FileFormatError contains the location `where`, the expected content `what`, and the field.
     """
     if not isinstance(document, dict) or document.get("format") != form:
         raise FileFormatError(f'{where}: not {what}: field "format" must be "{form}"')

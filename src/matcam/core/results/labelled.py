@@ -30,7 +30,7 @@ _COORDINATES = {
     "frequency_x": "spatial frequency along the rows [cycles/px]",
     "frequency_y": "spatial frequency across the rows [cycles/px]",
 }
-"""Name in words and unit of the coordinates that results share."""
+"""Long name and unit of the coordinates that results share."""
 
 
 def named(data: D, texts: Mapping[str, str] | None = None) -> D:
@@ -40,7 +40,7 @@ def named(data: D, texts: Mapping[str, str] | None = None) -> D:
 
     Args:
         data: a new result. Its attributes are set in place; an existing `long_name` or `units` is kept.
-        texts: name in words and unit of each variable and coordinate, "BRDF [1/sr]". Without a unit, `units` is
+        texts: long name and unit of each variable and coordinate, such as "BRDF [1/sr]". Without a unit, `units` is
             "1", as in the CF conventions. Default: None, only the coordinates that results share are named.
 
     Returns:

@@ -38,7 +38,7 @@ class Quantity(NamedTuple):
 
     Attributes:
         name: name of the quantity.
-        value: the value, or a text.
+        value: the value, a number or a string.
         std: standard deviation, in the unit of the value. Default: NaN, it is unknown.
         unit: unit. Default: "", the quantity has no unit, or its name includes the unit.
     """
@@ -130,7 +130,7 @@ class Summary(NamedTuple):
 
     @property
     def html(self) -> str:
-        """The summary as HTML without styles, which a notebook draws in its own theme."""
+        """The summary as HTML without styles, which a notebook displays in its own theme."""
         parts = [f"<strong>{escape(self.title)}</strong>"]
         parts += [f"<p>{escape(self.verdict)}</p>"] if self.verdict else []
         for title, quantities in self.sections.items():

@@ -1,14 +1,16 @@
 """Images through a band-limited lens, without an approximation by sums of Gaussians.
 
-A diffraction-limited lens, with or without defocus and aberrations, and a measured MTF that reaches 0 pass no frequency
-above a limit B. Their image is a filtered image through a narrow Gaussian and a point-like pixel:
+The transfer function of a diffraction-limited lens, with or without defocus and aberrations, is 0 above a limit B, and so
+is a measured MTF that reaches 0. The image through such a lens is obtained by filtering picture_g, the image through a
+narrow Gaussian lens and a point-like pixel:
 
     picture = F^-1 [ lens(f) pixel(f) / g(f)  F picture_g ],    g(f) = exp(-2 pi^2 s^2 f^2).
 
-The light of a sphere in front of a distant camera is known directly (`light_grid.py`), and picture_g follows from it.
-Otherwise picture_g is recorded at `per_px` positions per pixel, by the operator for Gaussians. Frequencies above per_px
-- B alias to below B, but the Gaussian suppresses them. s is so small that the filter amplifies little. The filter is
-exact at all frequencies, so lens and pixel are accurate to `error`.
+For a sphere in front of a distant camera, picture_g is computed from the radiance on a grid (`light_grid.py`). Otherwise
+picture_g is computed at `per_px` positions along the side of a pixel, by the operator for Gaussians. Frequencies above
+per_px - B alias to frequencies below B, but the Gaussian attenuates them. The standard deviation s is small, so the
+filter amplifies errors little. The filter is exact at all frequencies; aliasing determines the `error` of the transfer
+function of lens and pixel.
 """
 
 from __future__ import annotations
@@ -28,7 +30,7 @@ from matcam.camera.pixel import PixelResponse
 from matcam.core.jax import is_concrete, jax, jnp, without_derivatives
 
 POINT = 1e-3
-"""Half width, px, of the pixel of a fine record: practically a point."""
+"""Half width of the pixel of a fine record, px. The pixel is practically a point."""
 _MOST_PER_PX = 8
 _AMPLIFIED = 3.0
 """Largest factor by which a filter may amplify a frequency and the errors of the record."""
@@ -39,16 +41,16 @@ _FREQUENCIES = 120
 _ANGLES = np.linspace(0, np.pi / 4, 5)
 _REPLICAS = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j]
 APART = 160
-"""Distance between the scene and its periodic copy, px: an Airy pattern of f/8 has fallen to 1e-7 of its peak."""
+"""Distance between the scene and its periodic copy, px. There, an Airy pattern of f/8 has decreased to 1e-7 of its peak."""
 
 
 class BandLimit(NamedTuple):
     """Sampling and filter of an image through a band-limited lens.
 
     Attributes:
-        per_px: positions along the side of a pixel.
-        sigma: standard deviation of the Gaussian lens through which they are recorded, px.
-        error: largest error of the transfer function of lens and pixel.
+        per_px: number of positions along the side of a pixel.
+        sigma: standard deviation of the Gaussian lens of the fine record, px.
+        error: largest error of the transfer function of lens and pixel, no unit.
     """
 
     per_px: int
@@ -57,9 +59,9 @@ class BandLimit(NamedTuple):
 
 
 def band_limit(camera: Camera, enough: float = EXACT) -> BandLimit | None:
-    """Choose the filter of images of a camera; None if a sum of Gaussians describes its lens at least as well.
+    """Choose the sampling of images of a camera; None if a sum of Gaussians describes its lens at least as well.
 
-    enough: error of a transfer function below which no finer sampling is used.
+    enough: error of a transfer function below which no finer sampling is used, no unit.
     """
     if not concrete(camera):
         return None
@@ -88,7 +90,10 @@ def sampling_of(lenses: Sequence[Optics], pixel: PixelResponse, enough: float = 
 
 
 def _at_most(optics: Optics, frequency: np.ndarray) -> np.ndarray:
-    """Compute an upper bound of the transfer function of a lens in all directions: aberrations only reduce it."""
+    """Compute an upper bound of the modulus of the transfer function of a lens over all directions.
+
+    Aberrations only reduce the modulus. frequency: cycles/px.
+    """
     if optics.isotropic:
         return np.abs(np.asarray(optics.mtf(frequency)))
     parts = [
@@ -103,7 +108,7 @@ def _at_most(optics: Optics, frequency: np.ndarray) -> np.ndarray:
 def _chosen(frequencies: tuple[float, ...], passed: tuple[tuple[float, ...], ...], enough: float) -> BandLimit:
     """Choose the coarsest sampling with a sufficiently small error, otherwise that with the smallest error.
 
-    passed: transfer function of lens and pixel at these frequencies, along `_ANGLES`.
+    passed: modulus of the transfer function of lens and pixel at these frequencies, cycles/px, along `_ANGLES`.
     """
     f, total = np.array(frequencies), np.array(passed)
     fx, fy = (f * part(_ANGLES[:, None]) for part in (np.cos, np.sin))
@@ -137,7 +142,7 @@ class FineLine(NamedTuple):
 
 
 def fine_line(pixels: np.ndarray, low: float, high: float, per_px: int) -> FineLine:
-    """Compute positions that cover the pixels of an image and all light from low to high, px."""
+    """Compute the positions of a fine record, which cover the pixels of an image and the interval from low to high, px."""
     step = 1.0 if pixels.size < 2 else float(np.sign(pixels[1] - pixels[0]))
     ends = (low, high) if step > 0 else (high, low)
     before, after = max(0.0, step * (pixels[0] - ends[0])), max(0.0, step * (ends[1] - pixels[-1]))
@@ -147,12 +152,12 @@ def fine_line(pixels: np.ndarray, low: float, high: float, per_px: int) -> FineL
 
 
 class FineRecord(NamedTuple):
-    """Transform of a fine record.
+    """Fourier transform of a fine record.
 
     Attributes:
-        spectrum: (rows, columns, channels), complex, of real values.
-        fx: frequency of its columns, to the right, cycles/px.
-        fy: frequency of its rows, upwards, cycles/px.
+        spectrum: transform of the real values, (rows, columns of half the plane, channels), complex.
+        fx: frequencies of the columns of the transform, to the right, cycles/px.
+        fy: frequencies of the rows of the transform, upwards, cycles/px.
         padded: rows and columns of the record including the distance to its periodic copy.
         size: rows and columns of the record.
     """
@@ -164,15 +169,15 @@ class FineRecord(NamedTuple):
     size: tuple[int, int]
 
     def values(self) -> jax.Array:
-        """Return the record, (rows, columns, channels)."""
+        """Compute the values of the record, (rows, columns, channels)."""
         return jnp.fft.irfft2(self.spectrum, self.padded, axes=(0, 1))[: self.size[0], : self.size[1]]
 
     def through(self, sigma: float | jax.Array) -> FineRecord:
-        """Filter light by a Gaussian of a standard deviation, px, and a pixel of `POINT`."""
+        """Filter radiance by a Gaussian lens and a pixel of half width `POINT`. sigma: standard deviation of the lens, px."""
         return self._replace(spectrum=self.spectrum * recorded(sigma, self.fx, self.fy[:, None])[..., None])
 
     def derivative(self, along: int, across: int) -> jax.Array:
-        """Return a derivative of the values of given orders in x and y, 1/px."""
+        """Compute the derivative of the values of order `along` with respect to x and `across` with respect to y, px."""
         factor = (2j * np.pi * self.fx) ** along * (2j * np.pi * self.fy[:, None]) ** across
         return self._replace(spectrum=self.spectrum * factor[..., None]).values()
 
@@ -181,18 +186,18 @@ class FineRecord(NamedTuple):
         return self._replace(spectrum=self.spectrum[..., channels])
 
     def of(self, values: jax.Array) -> FineRecord:
-        """Return the transform of other values at the same positions."""
+        """Compute the transform of other values at the same positions."""
         return self._replace(spectrum=jnp.fft.rfft2(values, self.padded, axes=(0, 1)))
 
 
 def transformed(values: jax.Array, across: FineLine, along: FineLine, per_px: int, periodic: bool) -> FineRecord:
-    """Transform a fine record.
+    """Compute the Fourier transform of a fine record.
 
     Args:
         values: the record, (rows, columns, channels).
-        across: its columns.
-        along: its rows.
-        per_px: positions along the side of a pixel.
+        across: positions of the columns.
+        along: positions of the rows.
+        per_px: number of positions along the side of a pixel.
         periodic: True if the record is constant along y, as for a cylinder.
     """
     height, width = values.shape[:2]
@@ -207,7 +212,7 @@ def filtered(record: FineRecord, optics: Optics, pixel: PixelResponse, limit: Ba
     """Filter a fine record by lens and pixel.
 
     Args:
-        record: the record's transform.
+        record: transform of the record.
         optics: the lens.
         pixel: the pixel.
         limit: sampling of the record.
@@ -227,7 +232,10 @@ def filtered(record: FineRecord, optics: Optics, pixel: PixelResponse, limit: Ba
 
 
 def recorded(sigma: float | jax.Array, fx: np.ndarray, fy: np.ndarray) -> jax.Array:
-    """Return the transfer function of a fine record: a Gaussian lens, px, and a pixel of `POINT`."""
+    """Compute the transfer function of a fine record: that of a Gaussian lens and a pixel of half width `POINT`.
+
+    sigma: standard deviation of the lens, px. fx, fy: frequencies, cycles/px.
+    """
     return jnp.exp(-2 * (jnp.pi * sigma) ** 2 * (fx**2 + fy**2)) * np.sinc(2 * POINT * fx) * np.sinc(2 * POINT * fy)
 
 

@@ -1,4 +1,4 @@
-"""Light around a highlight on a grid, from nodes in longitude and latitude that are denser towards the half vector."""
+"""Radiance around a highlight on a grid, from nodes in longitude and latitude that are denser towards the half vector."""
 
 from __future__ import annotations
 
@@ -14,12 +14,13 @@ from matcam.numerics.approximation import nodes_in_panels
 _GRADED = 3.0 ** -np.arange(5, 0, -1.0)
 """Borders within the panel next to the half vector, as shares of the panel."""
 _PANELS = 5
-"""Number of panels in the plane of incidence, on either side."""
+"""Number of panels in the plane of incidence, on either side of the half vector."""
 _TALL = (8, 20, 48)
-"""Numbers of panels across the plane of incidence. There are few values, because each requires a program."""
+"""Available numbers of panels across the plane of incidence. There are few values, because each requires a program."""
 _WIDEST_PANEL = 2.9
-"""Width of the widest panel, in standard deviations of a border."""
+"""Width of the widest panel, in standard deviations of the transition of a weight."""
 _NODES = 8
+"""Number of Gauss-Legendre nodes in a panel, along each axis."""
 
 
 class PatchSize(NamedTuple):
@@ -45,16 +46,16 @@ def patch_size(
         widths: widths of the regions.
         squeezed: cosine of the viewing angle at the highlight.
         step: step of the grid, px.
-        taps: weights of a point of light at the points of the grid.
-        symmetric: True if only the upper half is computed, for symmetric light.
-        turned: True if the sensor is turned relative to the scene.
+        taps: weights that distribute a node over neighbouring points of the grid.
+        symmetric: True if the radiance is symmetric, and only the upper half is computed.
+        turned: True if the axes of the sensor are rotated relative to those of the scene.
     """
     squeezed = max(squeezed, STEEPEST)
     widest = _WIDEST_PANEL * widths.sigma
     panels = next(n for n in _TALL if n * widest * squeezed >= widths.around or n == _TALL[-1])
     most = min(panels * widest, widths.around / STEEPEST)
     wide = 2 * widths.around
-    # if turned, each latitude is placed separately
+    # if the axes are rotated, each latitude is added separately
     high = wide if turned else most if symmetric else 2 * most
     return PatchSize(panels, *(int(np.ceil(side / step)) + 2 * taps.reach + 2 for side in (wide, high)))
 
@@ -62,16 +63,16 @@ def patch_size(
 def lay_highlight(
     grid: jax.Array, regions: Regions, size: PatchSize, x: jax.Array, y: jax.Array, taps: Taps, symmetric: bool
 ) -> jax.Array:
-    """Add the light around a highlight to a grid.
+    """Add the radiance around a highlight to a grid.
 
     Args:
-        grid: (rows, columns, channels).
-        regions: regions of the light.
+        grid: radiance on the grid, 1/sr, (rows, columns, channels).
+        regions: regions of the radiance.
         size: size of the patch.
-        x: positions of the grid's columns, px.
-        y: positions of its rows, px.
-        taps: weights of light on the grid.
-        symmetric: True if only the upper half is computed, for symmetric light.
+        x: positions of the columns of the grid, px.
+        y: positions of the rows of the grid, px.
+        taps: weights that distribute a node over neighbouring points of the grid.
+        symmetric: True if the radiance is symmetric, and only the upper half is computed.
     """
     scene, around = regions.scene, regions.widths.around
     counts = min(size.columns, x.size), min(size.rows, y.size)
@@ -83,9 +84,9 @@ def lay_highlight(
     radius = scene.sample.radius
     tall = np.concatenate([[0.0], _GRADED, np.arange(1, size.panels + 1)]) / size.panels
     latitude = jnp.arcsin(jnp.clip(around / regions.squeezed * tall / radius, 0, 1 - 1e-12))
-    # all light first: inside the loop it would be computed repeatedly
+    # the radiance of all nodes is computed first, because it would be computed repeatedly inside the loop
     nodes = jax.lax.map(lambda node: _light(regions, *node), nodes_in_panels(latitude, _NODES))
-    if scene.turn is None:  # one latitude has one height
+    if scene.turn is None:  # all nodes of one latitude have the same y
         at_x, at_y, sent = nodes
         left = _start(x, regions.peak, counts[0])
         low = jnp.zeros((), int) if symmetric else _start(y, jnp.zeros(()), counts[1])
@@ -118,7 +119,10 @@ def _start(line: jax.Array, middle: jax.Array, count: int) -> jax.Array:
 
 
 def _light(regions: Regions, v: jax.Array, width: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Compute the nodes of one latitude in the scene, x and y, px, and the light of each, (nodes, channels), px^2/sr."""
+    """Compute the nodes of one latitude in the scene, x and y, px, and radiance times weight, px^2/sr, (nodes, channels).
+
+    v: latitude, rad. width: weight of the latitude, rad.
+    """
     scene, around, peak = regions.scene, regions.widths.around, regions.peak
     radius = scene.sample.radius
     cuts = np.concatenate([[0.0], _GRADED, np.arange(1, _PANELS + 1)]) / _PANELS

@@ -1,13 +1,15 @@
-"""Light of a sphere on a regular grid whose transform is accurate within the band of a lens.
+"""Radiance of a sphere on a regular grid whose Fourier transform is accurate within the band of a lens.
 
-A sum over regular points is exact except for aliased frequencies: those beyond one over the step less the cutoff of the
-lens. Light has such frequencies only in three regions, which have their own quadratures:
+A sum over the points of a regular grid is exact except for frequencies that alias into the band of the lens: those above
+the sampling frequency minus the cutoff of the lens. The radiance has such frequencies only in three regions, each of which
+has its own quadrature:
 
-- the limb, where light ends (`limb_lines.py`);
+- the limb, where the radiance ends (`limb_lines.py`);
 - the highlight, whose lobe may be narrower than a step (`highlight_patch.py`);
-- the terminator, where the slope of light is discontinuous (`terminator.py`).
+- the terminator, where the slope of the radiance is discontinuous (`terminator.py`).
 
-`regions.py` divides the light among them. Each piece of light is evaluated once, and the lens is its transfer function.
+`regions.py` divides the radiance among the quadratures. The radiance is evaluated once at each node, and the lens is
+represented by its transfer function.
 """
 
 from __future__ import annotations
@@ -28,7 +30,7 @@ from matcam.sample.curved import Sphere
 from matcam.sample.shape import Curved
 
 _FINE_ENOUGH = 2.4
-"""Grid points per pixel, over the cutoff of the lens in cycles/px."""
+"""Smallest number of grid points per pixel, divided by the cutoff of the lens in cycles/px."""
 _TILE = 32, 64
 """Rows and columns of a tile of the grid."""
 _ACROSS = 30.0
@@ -36,14 +38,14 @@ _ACROSS = 30.0
 _SMALLEST = 2.5
 """Smallest radius of a sphere, px."""
 _HIGHEST = 3.3
-"""Highest supported cutoff of a lens, cycles/px: 8 points per pixel."""
+"""Highest supported cutoff of a lens, cycles/px, which requires 8 grid points per pixel."""
 
 
 class Laying(NamedTuple):
-    """Arrangement of the light outside the regular points of a grid. Each kind requires a program.
+    """Sizes of the quadratures of limb and highlight. Each combination of sizes requires a program.
 
     Attributes:
-        lines: lines of the limb.
+        lines: rows or columns for each side of the limb.
         patch: size of the patch about the highlight.
     """
 
@@ -52,14 +54,14 @@ class Laying(NamedTuple):
 
 
 class LightGrid(NamedTuple):
-    """Regular grid on which light is placed.
+    """Regular grid for the radiance of a sphere.
 
     Attributes:
         x: positions of the columns, at a constant step, px.
-        y: positions of the rows, px; if the light is symmetric, starting half a step above the axis.
+        y: positions of the rows, px; if the radiance is symmetric, starting half a step above the axis.
         widths: widths of the regions.
-        taps: weights of single points of light.
-        symmetric: True if only the upper half is computed, for symmetric light.
+        taps: weights that distribute a node over neighbouring points of the grid.
+        symmetric: True if the radiance is symmetric about the x axis, and only the upper half is computed.
     """
 
     x: np.ndarray
@@ -70,12 +72,12 @@ class LightGrid(NamedTuple):
 
     @classmethod
     def of(cls, x: np.ndarray, y: np.ndarray, highest: float, *, symmetric: bool = False) -> LightGrid:
-        """Build the grid for a band up to `highest`, cycles/px."""
+        """Build the grid for the cutoff of a lens, `highest`, cycles/px."""
         per_px = 1 / abs(x[1] - x[0])
         return cls(x, y, RegionWidths.above(per_px - highest), Taps.below(highest / per_px), symmetric)
 
     def laying(self, scene: Scene) -> Laying:
-        """Choose the arrangement of the light of a scene; its parameters must be concrete, apart from their derivatives."""
+        """Choose the sizes of the quadratures of a scene, whose parameters must be concrete, apart from derivatives."""
         known = without_derivatives(scene)
         radius = float(known.sample.radius)
         cosine = np.sqrt(1 - (float(highlight_x(known.sample, known.lamp_angle, known.lamp_nearness)) / radius) ** 2)
@@ -89,8 +91,9 @@ class LightGrid(NamedTuple):
         return Laying(lines, patch_size(self.widths, cosine, step, self.taps, self.symmetric, turned))
 
     def laid(self, scene: Scene, laying: Laying | None = None) -> jax.Array:
-        """Compute the light of a scene on the grid, 1/sr, (rows, columns, channels). laying: for parameters that are
-        not concrete.
+        """Compute the radiance of a scene on the grid, 1/sr, (rows, columns, channels).
+
+        laying: sizes of the quadratures. Default: None, they are chosen, which requires concrete parameters.
         """
         return _laid(scene, self.x, self.y, (self.widths, self.taps, self.symmetric), laying or self.laying(scene))
 
@@ -99,7 +102,7 @@ def per_px_for(highest: float, radius: float) -> int:
     """Compute the number of grid points per pixel.
 
     Args:
-        highest: frequency up to which the light is used, cycles/px.
+        highest: frequency up to which the radiance is used, cycles/px.
         radius: radius of the sphere, px.
     """
     return max(2, int(np.ceil(_FINE_ENOUGH * highest)), int(np.ceil(highest + _ACROSS / radius)))
@@ -111,7 +114,9 @@ def margin_of(per_px: int, highest: float) -> float:
 
 
 def serves(sample: Curved, elongation: float, highest: float) -> bool:
-    """Check whether grids apply: a sphere in front of a distant camera, with round lobes.
+    """Check whether the radiance of a sample can be computed on a grid.
+
+    This requires a sphere in front of a distant camera, and a round lobe.
 
     Args:
         sample: the sample.
@@ -144,7 +149,10 @@ def _laid(
 
 
 def _smooth_part(regions: Regions, x: jax.Array, y: jax.Array) -> jax.Array:
-    """Compute the light of the regular points, tile by tile, because most of an image is dark."""
+    """Compute the radiance that the points of the grid contribute outside limb and highlight, 1/sr.
+
+    The grid is divided into tiles, because most of an image is dark.
+    """
     channels = regions.scene.channels()
     down, across = (-(-line.size // side) for line, side in zip((y, x), _TILE, strict=True))
 

@@ -1,9 +1,9 @@
-"""Light at the limb on a grid, from nodes along its rows and columns.
+"""Radiance at the limb on a grid, from nodes along rows and columns of the grid.
 
-Within a few px of the limb, light varies as the square root of the distance and ends at the limb. Along a line it is a
-smooth function of the angle up to the limb, or up to the terminator if that is closer. Lines that meet the limb at less
-than 45 degrees would alias, so rows are used at the left and right limb and columns at the top and bottom, with a
-smooth transition.
+Within a few px of the limb, the radiance varies as the square root of the distance from the limb, and ends there. Along a
+row or column, the radiance is a smooth function of the angle (`lines.py`) up to the limb, or up to the terminator if that
+is closer. A row or column that meets the limb at less than 45 degrees would cause aliasing. Therefore rows are used at
+the left and right limb and columns at the top and bottom, with a smooth transition.
 """
 
 from __future__ import annotations
@@ -20,23 +20,24 @@ from matcam.numerics.approximation import nodes_between
 from matcam.sample.curved import Sphere
 
 _NODES = 32
+"""Number of nodes along a row or column."""
 _BETWEEN = 0.045
 """Standard deviation of the transition between rows and columns, rad."""
 _STEEPEST_LINE = np.pi / 4 + 4.9 * _BETWEEN
-"""Largest angle at the centre of the sphere between the limb and the direction of its lines, rad."""
+"""Largest angle, at the centre of the sphere, between the direction of a row or column and its end at the limb, rad."""
 _AT_ONCE = 16
-"""Number of lines that are computed at a time: their arrays fit into the cache of a processor."""
+"""Number of rows or columns that are computed at a time. Their arrays fit into the cache of a processor."""
 
 
 class LimbLines(NamedTuple):
-    """Lines of a grid for one side of a limb.
+    """Rows or columns (lines) of a grid for one side of the limb.
 
     Attributes:
         upright: True for columns, False for rows.
         side: 1 if the lines end at the right or top, -1 at the left or bottom.
         first: index of the first line.
         last: index after the last line.
-        length: number of grid points that receive the light of one line.
+        length: number of grid points over which the nodes of one line are distributed.
     """
 
     upright: bool
@@ -47,13 +48,13 @@ class LimbLines(NamedTuple):
 
 
 def limb_lines(fixed: np.ndarray, radius: float, widest: float, taps: Taps, upright: bool, side: int) -> LimbLines:
-    """Select the lines for a side of a limb.
+    """Select the rows or columns (lines) for one side of the limb.
 
     Args:
         fixed: positions of all lines across their direction, at a constant step, px.
         radius: radius of the limb, px.
-        widest: depth of the region of the limb, px.
-        taps: weights of light on the grid.
+        widest: largest depth of the region of the limb, px.
+        taps: weights that distribute a node over neighbouring points of the grid.
         upright: see `LimbLines`.
         side: see `LimbLines`.
     """
@@ -66,15 +67,15 @@ def limb_lines(fixed: np.ndarray, radius: float, widest: float, taps: Taps, upri
 def lay_limb(
     grid: jax.Array, regions: Regions, served: LimbLines, across: jax.Array, along: jax.Array, taps: Taps
 ) -> jax.Array:
-    """Add the light of one side of a limb to a grid.
+    """Add the radiance of one side of the limb to a grid.
 
     Args:
-        grid: (rows, columns, channels).
-        regions: regions of the light.
+        grid: radiance on the grid, 1/sr, (rows, columns, channels).
+        regions: regions of the radiance.
         served: lines of that side.
         across: positions of all lines of the same direction, px.
         along: positions of the grid points on one line, px.
-        taps: weights of light on the grid.
+        taps: weights that distribute a node over neighbouring points of the grid.
     """
     first, step = along[0], along[1] - along[0]
     count = served.last - served.first
@@ -102,7 +103,7 @@ def lay_limb(
         nothing = jnp.zeros((*start.shape, served.length, sent.shape[-1]))
         return start, jax.lax.cond(jnp.any(sent != 0), laid, lambda: nothing)
 
-    # all light first: inside the loop it would be computed repeatedly
+    # the radiance of all nodes is computed first, because it would be computed repeatedly inside the loop
     nodes = jax.lax.map(light, across[number].reshape(-1, _AT_ONCE))
     starts, values = jax.lax.map(lay, nodes)
     values = values.reshape(padded, served.length, -1)[:count]
@@ -114,7 +115,7 @@ def _ends(lines: Lines, regions: Regions, side: int) -> tuple[jax.Array, jax.Arr
     """Compute the ends of the region of the limb on each line, as angles towards `side`, rad."""
     middle, half = lines.lit()
     middle = side * middle
-    middle = jnp.where(middle < -np.pi / 2, middle + 2 * np.pi, middle)  # the turn closest to the limb
+    middle = jnp.where(middle < -np.pi / 2, middle + 2 * np.pi, middle)  # the equivalent angle closest to the limb
     radius = regions.scene.sample.radius
     within = jnp.sqrt(jnp.maximum((radius - regions.depth) ** 2 - lines.fixed**2, 1e-12)) / lines.radius
     low = jnp.maximum(jnp.arcsin(jnp.clip(within, 0, 1 - 1e-12)), middle - half)
@@ -123,7 +124,7 @@ def _ends(lines: Lines, regions: Regions, side: int) -> tuple[jax.Array, jax.Arr
 
 
 def _light(lines: Lines, regions: Regions, side: int, low: jax.Array, high: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Compute nodes along each line, px, (lines, nodes), and the light of each, (lines, nodes, channels), px/sr."""
+    """Compute nodes on each line, px, (lines, nodes), and radiance times weight, px/sr, (lines, nodes, channels)."""
     scene, sphere = regions.scene, regions.scene.sample
     assert isinstance(sphere, Sphere)
     radius = sphere.radius
@@ -133,6 +134,6 @@ def _light(lines: Lines, regions: Regions, side: int, low: jax.Array, high: jax.
     x, y = radius * normal[0], radius * normal[1]
     share = regions.limb(x, y) * (1 - regions.highlight(x, y))
     share *= falling(jnp.arctan2(jnp.abs(lines.fixed[:, None]), jnp.abs(along)) - np.pi / 4, _BETWEEN)
-    # along a line dx cos_o = cos_o^2 radius d(angle): the light of a surface element is radius^2 per solid angle
+    # along a line dx = cos_o radius d(angle), and `sent` is rho cos_i cos_o radius^2: radiance dx = sent / radius d(angle)
     sent = scene.sent(sphere.facing(normal))
     return along, sent * (share * width / radius)[..., None]

@@ -1,4 +1,4 @@
-"""Rows and columns of the sensor: half circles on a sphere in front of a distant camera, each with one lit arc."""
+"""Rows and columns of the sensor. They show half circles on a sphere in front of a distant camera, with one lit arc each."""
 
 from __future__ import annotations
 
@@ -11,13 +11,14 @@ from matcam.forward.frequencies.regions import horizon
 from matcam.forward.integral.scene import Scene
 
 _LEAST = 1e-12
+"""Smallest value of quantities that must not be 0, relative to 1."""
 
 
 class Lines(NamedTuple):
-    """Lines of the sensor.
+    """Rows or columns (lines) of the sensor.
 
-    A position on a line is an angle from the optical axis about the axis of the line, rad: 0 is the middle and pi / 2
-    the right or upper end of the line.
+    Each line shows half a circle on the sphere. A position on a line is the angle on this circle, rad: 0 in the middle of
+    the line, and pi / 2 at its right or upper end.
 
     Attributes:
         scene: the scene.
@@ -36,7 +37,7 @@ class Lines(NamedTuple):
         return jnp.sqrt(jnp.maximum(sphere**2 - self.fixed**2, _LEAST * sphere**2))
 
     def normal(self, angle: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-        """Compute the normals at positions, (lines, positions) each, in the axes of the scene."""
+        """Compute x, y and z of the normals at angles, rad, in the axes of the scene, (lines, positions) each."""
         sphere = self.scene.sample.radius
         share, across = self.radius[:, None] / sphere, self.fixed[:, None] / sphere
         along, across = share * jnp.sin(angle), jnp.broadcast_to(across, angle.shape)
@@ -44,22 +45,22 @@ class Lines(NamedTuple):
         return x, y, share * jnp.cos(angle)
 
     def ordered(self, along: jax.Array, across: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Return x and y of vectors along the lines and across them."""
+        """Return x and y from the components along and across the lines."""
         return (across, along) if self.upright else (along, across)
 
     def lamp(self) -> tuple[jax.Array, jax.Array, jax.Array]:
-        """Return the direction to the lamp: along the lines, across them, and along the optical axis."""
+        """Compute the components of the direction to the lamp: along the lines, across the lines, along the optical axis."""
         angle = self.scene.lamp_angle
         x, y = self.scene.on_sensor(jnp.sin(angle), jnp.zeros(()))
         return *self.ordered(x, y), jnp.cos(angle)
 
     def lit(self) -> tuple[jax.Array, jax.Array]:
-        """Compute middle, in [-pi, pi], and half length of the lit arc of each line's whole circle, rad, (lines,)."""
+        """Compute middle, in [-pi, pi], and half length of the lit arc on the whole circle of each line, rad, (lines,)."""
         along, across, axis = self.lamp()
         sphere = self.scene.sample.radius
         needed = (horizon(self.scene) - across * self.fixed / sphere) * sphere / self.radius
         reach = jnp.maximum(jnp.hypot(along, axis), _LEAST)
-        # where the lamp is perpendicular to all lines, its direction along them has no derivative
+        # arctan2(0, 0), for a lamp in the direction across the lines, has no derivative
         middle = jnp.arctan2(along, jnp.where((along == 0) & (axis == 0), _LEAST, axis))
         cosine = jnp.clip(needed / reach, -1, 1)
         ends = jnp.abs(cosine) < 1

@@ -1,9 +1,10 @@
-"""Transfer function of a lens for images that are symmetric above and below: only the upper half is transformed.
+"""Filter for images that are symmetric about the x axis, of which only the upper half is transformed.
 
-The transform of half an image with its mirror image below is a cosine transform. Apart from a phase this is the
-transform of the half with its even rows first, followed by its odd rows in reverse order (Makhoul 1980, A fast cosine
-transform in one and two dimensions). The phases of both transforms are included in the transfer function, which mixes
-every frequency of the half with its mirror image.
+The Fourier transform of a symmetric image is a cosine transform of its upper half. Apart from a phase, the cosine
+transform is the Fourier transform of the upper half after its rows are reordered: the even rows first, followed by the
+odd rows in reverse order (Makhoul 1980, A fast cosine transform in one and two dimensions). The transfer function
+includes the phases of both transforms. Each frequency of the filtered half is therefore a combination of the same
+frequency of the original half and of its mirror image.
 """
 
 from __future__ import annotations
@@ -16,11 +17,11 @@ from matcam.core.jax import jax, jnp
 
 
 class MirroredTransfer(NamedTuple):
-    """Transfer of a lens for half an image.
+    """Transfer function of a symmetric lens for the upper half of an image.
 
     Attributes:
         own: factor of each frequency, (rows, columns of half the plane), no unit.
-        other: factor of the frequency mirrored along the columns, same shape, complex.
+        other: factor of the mirror image of each frequency along the columns, of the same shape, complex, no unit.
     """
 
     own: jax.Array
@@ -28,10 +29,10 @@ class MirroredTransfer(NamedTuple):
 
     @classmethod
     def of(cls, transfer: jax.Array) -> MirroredTransfer:
-        """Build the transfer of a symmetric lens.
+        """Build the transfer function for the upper half from that of a symmetric lens.
 
-        transfer: transfer function of the lens at frequencies 0, 1, 2... cycles per two halves along y, an even number
-            of rows.
+        transfer: transfer function of the lens, with an even number of rows, at the frequencies 0, 1, 2, ... cycles per
+            height of the whole image.
         """
         rows = transfer.shape[0]
         mirrored = jnp.concatenate([jnp.zeros_like(transfer[:1]), transfer[:0:-1]])
@@ -39,10 +40,10 @@ class MirroredTransfer(NamedTuple):
         return cls((transfer + mirrored) / 2, (transfer - mirrored) * phase / 2)
 
     def seen(self, light: jax.Array, width: int) -> jax.Array:
-        """Filter an upper half by the lens, from half a step above the axis: (rows, columns, channels).
+        """Filter the upper half of an image by the lens, 1/sr, (rows, columns, channels).
 
         Args:
-            light: light of the half, (rows, columns, channels), 1/sr.
+            light: radiance of the upper half, (rows, columns, channels), 1/sr. The first row is half a step above the axis.
             width: number of columns of the periodic image.
         """
         rows = self.own.shape[0]

@@ -1,8 +1,9 @@
 """Filter of an image: one lens, one lens per colour, or several lenses between which the kernel is interpolated.
 
-A lens that varies over the field is sampled at some positions (`position_shares.py`). The light is divided into as many
-shares by smooth weights of the position of its source. Each share is filtered by its own lens, and the shares are
-added. Each surface element is thus blurred by the kernel at its own position.
+A lens that varies over the field is sampled at some positions (`position_shares.py`). The radiance is divided into one
+share for each of these positions, by smooth weights that depend on the position of the surface element. Each share is
+filtered by the lens at its position, and the filtered shares are added. Each surface element is thus blurred by the kernel
+at its own position.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from matcam.forward.frequencies.band_limited import EXACT, BandLimit, band_limit
 from matcam.forward.frequencies.position_shares import PositionShares
 
 _DEGREES = (3, 6, 9, 12, 16)
-"""Degrees of the weights as polynomials of the position; the lowest sufficient one is used."""
+"""Available degrees of the weights as polynomials of the position. The lowest sufficient degree is used."""
 _ENOUGH = 1e-4
 """Error of an interpolated transfer function below which no higher degree is used."""
 _LEFT_OUT = 1e-3
@@ -32,17 +33,18 @@ _LEFT_OUT = 1e-3
 _TOLERABLE = 3e-4
 """Largest acceptable error of a transfer function of an image."""
 _RINGS, _ROUND = (0.35, 0.65, 0.85, 1.0), 7
+"""Distances from the centre, in radii, and number of directions, of the positions at which the error is determined."""
 _FITTED = (0.05, 0.15, 0.27, 0.39, 0.51, 0.63, 0.75, 0.87), 31
 """Frequencies, as shares of the cutoff, and number of directions by which positions are chosen."""
 _CHECKED = (0.1, 0.33, 0.57, 0.81), 13
-"""Frequencies and number of directions at which the error is determined."""
+"""Frequencies, as shares of the cutoff, and number of directions for which the error is determined."""
 
 
 class ColourLens(NamedTuple):
     """Filter of one colour.
 
     Attributes:
-        lenses: one for each share of the light.
+        lenses: one lens for each share of the radiance.
         shift: shift of the image of this colour, (right, up), px.
     """
 
@@ -56,9 +58,9 @@ class PictureLens(NamedTuple):
     Attributes:
         pixel: response of a pixel.
         limit: sampling of the record.
-        colours: filter for all channels, or one for each.
-        shares: weights by position; None: the light is not divided.
-        error: largest error of a transfer function.
+        colours: one filter for all channels, or one filter for each channel.
+        shares: weights of the shares of the radiance; None: the radiance is not divided.
+        error: largest error of a transfer function, no unit.
     """
 
     pixel: PixelResponse
@@ -75,7 +77,9 @@ class PictureLens(NamedTuple):
     def channels(self, material: int) -> int:
         """Return the number of channels of the image of a material; ArgumentError if they do not match the lens."""
         if len(self.colours) > 1 and material not in (1, len(self.colours)):
-            raise ArgumentError(f"the lens has 3 colours, and the material {material} channels: give it 1 or 3")
+            raise ArgumentError(
+                f"the lens has 3 colours, but the material has {material} channels: give a material with 1 or 3 channels"
+            )
         return max(material, len(self.colours))
 
 
@@ -84,19 +88,21 @@ def picture_lens(camera: Camera, radius: float, error: float | None = None) -> P
 
     Args:
         camera: the camera.
-        radius: radius of the limb of the sample, px; beyond it there is no light.
+        radius: radius of the limb of the sample, px.
         error: target for the largest error of a transfer function. Default: None, `EXACT`.
 
     Raises:
-        ArgumentError: a lens that is not isotropic passes frequencies that are too high, varies too much over the
-            sample, or its parameters are traced.
+        ArgumentError: the lens is not isotropic, and passes frequencies that are too high, varies too much over the sample
+            or has traced parameters.
     """
     optics = camera.optics
     if optics.isotropic:
         limit = band_limit(camera, error or EXACT)
         return None if limit is None else PictureLens(camera.pixel, limit, (_colour(optics, None),), None, limit.error)
     if not concrete(camera):
-        raise ArgumentError(f"an image through {type(optics).__name__} cannot be taken inside jax.jit or vmap")
+        raise ArgumentError(
+            f"{type(optics).__name__} must have concrete parameters: call this function outside jax.jit and jax.vmap"
+        )
     if isinstance(optics, ColourOptics):
         parts: tuple[Optics, ...] = optics.lenses
         shifts: tuple[jax.Array, ...] = optics.shifts
@@ -115,7 +121,8 @@ def picture_lens(camera: Camera, radius: float, error: float | None = None) -> P
         between += shares.left_over(limit.sigma, _sampled(varying, shares.positions, _CHECKED))
         if between > _TOLERABLE:
             raise ArgumentError(
-                f"the lens varies too much within a few pixels of a sample of {radius:g} px: give a larger unit"
+                f"the lens varies too much within a few pixels of a sample of {radius:g} px: give a larger unit or smaller "
+                "coefficients"
             )
     return PictureLens(camera.pixel, limit, colours, shares, limit.error + between)
 

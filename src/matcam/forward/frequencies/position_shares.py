@@ -1,11 +1,12 @@
-"""Light divided into shares by the position of its source, each of which is filtered by its own lens.
+"""Division of the radiance into shares by the position of the surface element, for filters that depend on the position.
 
-A kernel that varies smoothly with the position is a weighted sum of few kernels at chosen positions. The weights are
-polynomials in x and y. Pivoted QR selects the positions. Kernels over the disc of the light are polynomials of the
-position, whose coefficients are combinations of the chosen kernels, found by least squares.
+A kernel that varies smoothly with the position is approximated by a weighted sum of the kernels at few selected
+positions. The weights are polynomials in x and y. Pivoted QR selects the positions. The kernels on the disc of the sample
+are approximated by polynomials of the position, whose coefficients are linear combinations of the selected kernels, found
+by least squares.
 
-The light is known as a record R through a Gaussian of standard deviation s. The record of light weighted by w follows
-from R, because the Gaussian turns multiplication by x into x + s^2 d/dx:
+The radiance is given by its record R through a Gaussian of standard deviation s. The record of the radiance multiplied by
+a weight w follows from R, because multiplication by x before the blur corresponds to x + s^2 d/dx after the blur:
 
     sum over a, b of  s^(2a + 2b) / (a! b!)  d^(a+b)/dx^a dy^b [exp(s^2 Laplace / 2) w]  d^(a+b) R / dx^a dy^b.
 """
@@ -23,17 +24,17 @@ from scipy.linalg import qr
 from matcam.core.jax import jax, jnp
 
 ORDER = 3
-"""Highest derivative of a weight that is used."""
+"""Highest order of the derivatives of a weight that are used."""
 _STEEPEST = 3.0
-"""Largest fourth derivative of a Gaussian over its peak, in its standard deviation."""
+"""Largest fourth derivative of a Gaussian with peak 1 and standard deviation 1."""
 
 
 class PositionShares(NamedTuple):
-    """Weights of positions on the sensor.
+    """Weights of the shares of the radiance, as functions of the position on the sensor.
 
     Attributes:
         side: radius of the disc about the optical axis in which the weights are valid, px.
-        positions: the chosen positions, (shares, 2), px.
+        positions: positions of the selected kernels, (shares, 2), px.
         coefficients: coefficients of Chebyshev's T_a(x / side) T_b(y / side) with a + b <= degree, (degree + 1, degree
             + 1, shares).
     """
@@ -46,13 +47,13 @@ class PositionShares(NamedTuple):
     def of(
         cls, degree: int, side: float, values: Callable[[np.ndarray], np.ndarray], left_out: float
     ) -> PositionShares:
-        """Choose positions and weights.
+        """Select positions, and compute the weights.
 
         Args:
             degree: degree of the polynomials.
             side: radius of the disc, px.
-            values: values of the kernels at positions (n, 2), px: (n, numbers), complex.
-            left_out: norm of the neglected part of the values of a kernel.
+            values: function that returns values of the kernels at positions (n, 2), px: (n, values), complex.
+            left_out: largest norm of the neglected part of the values of a kernel.
         """
         unit = _in_disc(degree + 3)
         every = values(side * unit)
@@ -72,11 +73,11 @@ class PositionShares(NamedTuple):
         return _evaluated(self.coefficients, positions / self.side)
 
     def left_over(self, sigma: float, values: np.ndarray) -> float:
-        """Bound the contribution of derivatives beyond `ORDER` to a record, as a share of its peak.
+        """Compute an upper bound of the contribution of derivatives beyond `ORDER` to a record, as a share of its peak.
 
         Args:
             sigma: standard deviation of the Gaussian of the record, px.
-            values: values of the kernels at the chosen positions, (shares, numbers).
+            values: values of the kernels at the selected positions, (shares, values).
         """
         positions = _in_disc(self.coefficients.shape[0])
         more = [
@@ -89,11 +90,11 @@ class PositionShares(NamedTuple):
     def divided(
         self, record: Callable[[int, int], jax.Array], x: np.ndarray, y: np.ndarray, sigma: float
     ) -> list[jax.Array]:
-        """Compute the record of each share of the light.
+        """Compute the record of each share of the radiance.
 
         Args:
-            record: function of two orders that returns a derivative of the total record in x and y: (rows, columns,
-                channels).
+            record: function of two orders that returns the derivative of the total record with respect to x and y, (rows,
+                columns, channels).
             x: positions of the columns, px.
             y: positions of the rows, px.
             sigma: standard deviation of the Gaussian of the record, px.
@@ -110,13 +111,13 @@ class PositionShares(NamedTuple):
         return shares
 
     def _spread(self, sigma: float) -> PositionShares:
-        """Blur the weights by a Gaussian: exp(sigma^2 Laplace / 2) w, to sigma^4."""
+        """Blur the weights by a Gaussian: exp(sigma^2 Laplace / 2) w, up to the order sigma^4. sigma: px."""
         one = self._replace(coefficients=self._derived(2, 0) + self._derived(0, 2))
         two = one._derived(2, 0) + one._derived(0, 2)
         return self._replace(coefficients=self.coefficients + sigma**2 / 2 * one.coefficients + sigma**4 / 8 * two)
 
     def _derived(self, along: int, across: int) -> np.ndarray:
-        """Compute the coefficients of a derivative with respect to px, in the shape of those of the weights."""
+        """Compute the coefficients of the derivatives of the weights of given orders in x and y, px, in the same shape."""
         found = self.coefficients
         for axis, times in ((0, along), (1, across)):
             if times:

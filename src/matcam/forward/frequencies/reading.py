@@ -1,7 +1,7 @@
 """Interpolation of an image between the points of the grid on which its transform is known.
 
-A value is a sum over neighbouring points, weighted by a narrow window. The transform of the image is divided by that of
-the window first.
+A value is the sum over neighbouring points, weighted by a narrow window. Before the interpolation, the transform of the
+image is divided by the transform of the window.
 """
 
 from __future__ import annotations
@@ -15,11 +15,13 @@ from matcam.core.jax import jax, jnp
 _REACH = 5
 """Support radius of the window, steps."""
 _STEEPNESS = 0.97
-"""Steepness of the logarithm of the window, relative to that for which its transform ends at aliased frequencies."""
+"""Steepness of the logarithm of the window, relative to the steepness for which the transform of the window ends at the
+lowest aliased frequency.
+"""
 
 
 class Reading(NamedTuple):
-    """Window that interpolates on a grid.
+    """Window function for the interpolation on a grid.
 
     Attributes:
         steepness: steepness of the window's logarithm, no unit.
@@ -48,8 +50,8 @@ class Reading(NamedTuple):
 
         Args:
             grid: periodic grid, (rows, columns, channels).
-            row: positions, in steps from the first row.
-            column: positions, in steps from the first column.
+            row: positions in steps from the first row, (positions,).
+            column: positions in steps from the first column, (positions,).
             mirrored: True if the grid is continued by its mirror image beyond its first and last rows. Default: False.
 
         Returns:

@@ -1,10 +1,10 @@
-"""Division of the light of a sphere among quadratures: smooth weights of the position, which add up to 1.
+"""Division of the radiance of a sphere among quadratures, by smooth weights that depend on the position and add up to 1.
 
-    light = (1 - limb) (1 - highlight) light      by the grid's own points       (`light_grid.py`)
-          + limb (1 - highlight) light            along lines that end at the limb   (`limb_lines.py`)
-          + highlight light                       around the half vector         (`highlight_patch.py`)
+    radiance = (1 - limb) (1 - highlight) radiance     at the points of the grid             (`light_grid.py`)
+             + limb (1 - highlight) radiance           along rows and columns to the limb    (`limb_lines.py`)
+             + highlight radiance                      around the half vector                (`highlight_patch.py`)
 
-The border of a weight is as steep as possible: its aliased frequencies are below 1e-6.
+The transition of a weight at a border is as narrow as possible: the amplitude of its aliased frequencies is below 1e-6.
 """
 
 from __future__ import annotations
@@ -20,14 +20,19 @@ from matcam.numerics.elementary import plane_length
 STEEPEST = 0.1
 """Smallest cosine of the viewing angle by which a patch around a highlight is stretched."""
 _SMOOTH = 0.84
-"""Standard deviation of a border, times the lowest aliased frequency."""
+"""Standard deviation of the transition of a weight, px, times the lowest aliased frequency, cycles/px."""
 _ENDS = 4.9
-"""Number of standard deviations from the middle of a border to a weight of 0 or 1 within 1e-6."""
+"""Distance from the middle of a transition to a weight of 0 or 1 within 1e-6, in standard deviations of the transition."""
 _NEAR = 6.65
-"""Number of standard deviations from a highlight to the middle of its border. Narrower lobes are smooth beyond it."""
+"""Distance from a highlight to the middle of its transition, in standard deviations of the transition. Lobes that are
+narrower than this distance are smooth beyond it.
+"""
 _MORE = 4.4
-"""Number of standard deviations by which a crescent within the region of the limb may exceed it."""
+"""Length by which a lit crescent that belongs entirely to the region of the limb may exceed the depth of this region, in
+standard deviations of the transition.
+"""
 _NO_BORDER = 1e9
+"""Depth of a border outside any sphere, px."""
 
 
 class RegionWidths(NamedTuple):
@@ -41,7 +46,7 @@ class RegionWidths(NamedTuple):
 
     @classmethod
     def above(cls, frequency: float) -> RegionWidths:
-        """Choose regions whose borders have negligible content above a frequency, cycles/px."""
+        """Choose the widths of regions whose transitions have negligible content above a frequency, cycles/px."""
         return cls(_SMOOTH / frequency)
 
     @property
@@ -56,19 +61,19 @@ class RegionWidths(NamedTuple):
 
     @property
     def widest_line(self) -> float:
-        """Return the largest length, px, of a line inside the region of the limb."""
+        """Return the largest depth of the region of the limb, px, including that of a crescent."""
         return self.depth + _MORE * self.sigma
 
 
 class Regions(NamedTuple):
-    """Regions of the light of a scene.
+    """Regions of the radiance of a scene.
 
     Attributes:
         scene: a sphere in front of a distant camera, under one lamp.
         widths: widths of the regions.
         peak: position of the highlight on the scene's x axis, px.
         squeezed: cosine of the viewing angle at the highlight, at least `STEEPEST`.
-        all_limb: True if the light is a thin crescent that belongs entirely to the region of the limb.
+        all_limb: True if the lit part is a thin crescent that belongs entirely to the region of the limb.
         depth: depth of the region of the limb, px.
     """
 
@@ -97,21 +102,21 @@ class Regions(NamedTuple):
         )
 
     def limb(self, x: jax.Array, y: jax.Array) -> jax.Array:
-        """Evaluate the weight of the limb at a position in the scene, px, without a highlight."""
+        """Evaluate the weight `limb` at a position in the scene, px, without the factor (1 - highlight)."""
         middle = jnp.where(self.all_limb, _NO_BORDER, _ENDS * self.widths.sigma)
         radius = self.scene.sample.radius
         return self.fall(radius - plane_length(x, y) - middle)
 
     def highlight(self, x: jax.Array, y: jax.Array) -> jax.Array:
-        """Evaluate the weight of the highlight at a position in the scene, px."""
+        """Evaluate the weight `highlight` at a position in the scene, px."""
         return self.fall(plane_length(x - self.peak, self.squeezed * y) - _NEAR * self.widths.sigma)
 
     def fall(self, at: jax.Array) -> jax.Array:
-        """Evaluate a weight that falls from 1 to 0 about 0, px."""
+        """Evaluate a weight that decreases from 1 to 0 at a border. at: signed distance from the border, px."""
         return falling(at, self.widths.sigma)
 
     def inside(self, x: jax.Array, y: jax.Array) -> jax.Array:
-        """Evaluate the weight of the regular points at a position on the sensor, px."""
+        """Evaluate the weight of the points of the grid at a position on the sensor, px."""
         at = self.scene.from_sensor(x, y)
         return (1 - self.limb(*at)) * (1 - self.highlight(*at))
 
@@ -124,16 +129,16 @@ class Regions(NamedTuple):
         return (depth2 > 0) & (cosine > horizon(self.scene))
 
     def sent(self, x: jax.Array, y: jax.Array) -> jax.Array:
-        """Compute the radiance at positions on the sensor, px: 1/sr, channels last; 0 where there is no light."""
+        """Compute the radiance at positions on the sensor, px: 1/sr, channels last; 0 where no lit surface is visible."""
         element, lit = self.scene.shown(x, y)
         return jnp.where(lit[..., None], self.scene.sent(element), 0.0)
 
 
 def falling(at: jax.Array, sigma: float) -> jax.Array:
-    """Evaluate a weight that falls from 1 to 0 about 0, as the integral of a Gaussian of that standard deviation."""
+    """Evaluate a weight that decreases from 1 to 0 about 0, the integral of a Gaussian of standard deviation `sigma`."""
     return jax.scipy.special.erfc(at / (np.sqrt(2) * sigma)) / 2
 
 
 def horizon(scene: Scene) -> jax.Array:
-    """Compute the cosine between normal and lamp, seen from the centre of the sample, at which light ends."""
+    """Compute the cosine of the angle between normal and lamp, seen from the centre of the sample, at the terminator."""
     return jnp.zeros(()) if scene.lamp_nearness is None else scene.lamp_nearness

@@ -1,9 +1,9 @@
 """Records of images of a sphere at the positions of the cells of a table, through a band-limited lens.
 
-One image of the sphere is one theta_d slice of a table. Its light is computed on a grid (`light_grid.py`), the
-transform of the grid is multiplied by that of lens and pixel, and the result is interpolated at the cells. The lens is
-described by its transfer function, with all aberrations. Camera and point lamp must be distant, so that
-all cells of a slice lie in one image.
+One image of the sphere contains one theta_d slice of a table. The radiance of the image is computed on a grid
+(`light_grid.py`), the Fourier transform of the grid is multiplied by the transfer function of lens and pixel, and the
+filtered image is interpolated at the cells. The transfer function includes all aberrations of the lens. Camera and point
+lamp must be distant, so that all cells of a slice are in one image.
 """
 
 from __future__ import annotations
@@ -35,12 +35,12 @@ class _Frame(NamedTuple):
     """Grid and frequencies of an image, and the transfer function of a lens at each frequency.
 
     Attributes:
-        grid: grid of the light; for symmetric light, the lower half is the mirror image.
-        transfer: transfer function of lens, pixel and the reading, (rows, columns of half the plane), no unit; of half
-            an image, if the lens is symmetric too.
+        grid: grid of the radiance; if the radiance is symmetric, the grid covers the upper half only.
+        transfer: transfer function of lens and pixel divided by that of the interpolation, (rows, columns of half the
+            plane), no unit; for the upper half of an image if both radiance and lens are symmetric.
         sides: rows and columns of the periodic image.
-        per_px: points of the grid per pixel.
-        reading: interpolation of values.
+        per_px: number of points of the grid along the side of a pixel.
+        reading: interpolation of the filtered image.
     """
 
     grid: LightGrid
@@ -51,11 +51,11 @@ class _Frame(NamedTuple):
 
 
 def served_by_frequencies(rig: Rig, material: Material) -> bool:
-    """Check whether a table is recorded by frequencies.
+    """Check whether a table is computed by filtering images.
 
-    This requires a lens that is not a sum of Gaussians, a distant camera and a distant lamp. The lamp must be a point,
-    because under a disc each slice would require as many images as the disc has points. A lens may be differentiated,
-    but its parameters must be concrete.
+    This requires a sphere, a lens that is not a sum of Gaussians, a distant camera and a distant lamp. The lamp must be a
+    point, because under a disc each slice would require as many images as the disc has points. Parameters must be
+    concrete, apart from derivatives.
     """
     optics = rig.camera.optics
     known = without_derivatives((rig, material))
@@ -72,12 +72,12 @@ def served_by_frequencies(rig: Rig, material: Material) -> bool:
 def record_by_frequencies(
     material: Material, rig: Rig, lamps: np.ndarray, azimuth: float, positions: RecordPositions
 ) -> jax.Array:
-    """Record a material at positions in the images of a sphere.
+    """Compute the record of a material at positions in the images of a sphere.
 
     Args:
         material: the material.
         rig: camera and sphere; see `served_by_frequencies`.
-        lamps: angle between the lamp of each image and the optical axis, rad.
+        lamps: angle between lamp and optical axis in each image, rad.
         azimuth: azimuth of all lamps, rad.
         positions: positions in ascending order of their images.
 
@@ -100,15 +100,13 @@ def record_by_frequencies(
         most = int(counts[pictures].max())
         known = all(map(is_concrete, jax.tree.leaves((material, sample, frame.transfer))))
         for k in pictures:
-            # one program for all images: equal numbers of positions
+            # all images share a program, because they have equal numbers of positions
             index = np.minimum(np.arange(ends[k] - counts[k], ends[k] - counts[k] + most), ends[k] - 1)
             at = placed(positions.x[index]), placed(positions.y[index])
             scene = Scene(material, sample, placed(lamps[k]), None, turn)
             recorded: Callable[..., jax.Array] = partial(_recorded, frame.grid, frame.grid.laying(scene), at)
             if not known:
-                recorded = eqx.filter_checkpoint(
-                    recorded
-                )  # the intermediate results for derivatives are computed again
+                recorded = eqx.filter_checkpoint(recorded)  # for derivatives, intermediate results are computed again
             records[k] = recorded(scene, frame)[: counts[k]]
     return jnp.concatenate([record for record, count in zip(records, counts, strict=True) if count])
 
@@ -121,7 +119,7 @@ def _recorded(
 
 
 def _frame(rig: Rig, sample: Sphere, *, right_half: bool, symmetric: bool) -> _Frame:
-    """Build the common grid of all images of half a sphere or a full one, and the transfer function on it."""
+    """Build the common grid of all images of a whole sphere or of its right half, and the transfer function."""
     optics, pixel = rig.camera.optics, rig.camera.pixel
     highest, radius = optics_band(optics), float(jax.lax.stop_gradient(sample.radius))
     per_px = per_px_for(highest, radius)

@@ -1,7 +1,7 @@
 """Distribution of points of light over a regular grid, accurate below a frequency limit.
 
-Each point is distributed by a windowed sinc, whose transform is 1 below the limit and 0 at frequencies that alias below
-it.
+Each point is distributed by a windowed sinc, whose transform is 1 below the limit and 0 at frequencies that alias to
+frequencies below the limit.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ _LOST = 14.0
 """Logarithm of the inverse error of the distribution, for an error of 1e-6."""
 _DEGREE = 12
 """Degree of the polynomial in the squared distance that approximates the window to 3e-7."""
-_ON_A_POINT = 1e-9  # steps
+_ON_A_POINT = 1e-9  # distance below which light is at a grid point, steps
 
 
 class Taps(NamedTuple):
@@ -47,7 +47,7 @@ class Taps(NamedTuple):
         whole = (jnp.asarray(start)[..., None] - nearest)[..., None, :] + np.arange(count)[:, None]
         away = whole - off
         on_it = jnp.abs(away) < _ON_A_POINT
-        # sin(pi away) equals that of the remainder of a step up to its sign: one sine serves all points
+        # up to its sign, sin(pi away) equals sin(pi off), so one sine suffices for all grid points
         sign = 4 * jnp.abs(whole / 2 - jnp.floor(whole / 2)) - 1
         sinc = jnp.where(on_it, 1.0, sign * jnp.sin(jnp.pi * off) / (jnp.pi * jnp.where(on_it, 1.0, away)))
         window = _polynomial(_window(), (away / self.reach) ** 2)
@@ -55,7 +55,7 @@ class Taps(NamedTuple):
 
 
 def _window() -> np.ndarray:
-    """Compute coefficients, highest first, of a polynomial in the squared distance over the support radius."""
+    """Compute the window as a polynomial in (distance / support radius)^2: its coefficients, highest power first."""
     at = (1 + np.cos(np.pi * (np.arange(400) + 0.5) / 400)) / 2
     fitted = np.polynomial.Chebyshev.fit(at, np.exp(_LOST * (np.sqrt(1 - at) - 1)), _DEGREE, domain=[0, 1])
     return fitted.convert(kind=np.polynomial.Polynomial).coef[::-1]

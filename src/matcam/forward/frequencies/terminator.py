@@ -1,9 +1,10 @@
-"""Correction of a sum over grid points at the terminator, where the slope of light is discontinuous.
+"""Correction of a sum over grid points at the terminator, where the slope of the radiance is discontinuous.
 
-A sum over points at step h, of a function that starts at 0 with slope s, is its integral less h^2 s B_2(d) / 2, where d
-is the distance of the first point from the start in steps (Euler and Maclaurin; B_2 is the second Bernoulli
-polynomial). This term is added to the two points about the start. It is computed along rows and along columns, and the
-results are weighted by the squared slopes of the cosine of the angle of incidence along them.
+Let f be a function that is 0 up to a position, and increases from there with slope s. The sum of f over points at step h,
+multiplied by h, equals the integral of f minus h^2 s B_2(d) / 2, where d is the distance of the next point from that
+position in steps (Euler and Maclaurin; B_2 is the second Bernoulli polynomial). This term is added to the two points about
+the position. The term is computed along rows and along columns, and the results are weighted by the squared slopes of the
+cosine of the angle of incidence along rows and columns.
 """
 
 from __future__ import annotations
@@ -19,14 +20,14 @@ _STEP = 0.25
 
 
 def remove_kink(grid: jax.Array, regions: Regions, upright: bool, across: jax.Array, along: jax.Array) -> jax.Array:
-    """Add the correction of the sum of each row, or column, at the terminator to a grid.
+    """Add the corrections at the terminator along all rows, or along all columns, to a grid.
 
     Args:
-        grid: (rows, columns, channels).
-        regions: regions of the light.
+        grid: radiance on the grid, 1/sr, (rows, columns, channels).
+        regions: regions of the radiance.
         upright: True for columns, False for rows.
-        across: positions of the lines, px.
-        along: positions of the grid's points on one of them, px.
+        across: positions of the columns or rows, px.
+        along: positions of the grid points on one column or row, px.
     """
     radius = regions.scene.sample.radius
     first, step = along[0], along[1] - along[0]
@@ -42,7 +43,7 @@ def remove_kink(grid: jax.Array, regions: Regions, upright: bool, across: jax.Ar
         there = ends & (jnp.abs(angle) < np.pi / 2)
         at = lines.radius * jnp.sin(angle)
         depth = lines.radius * jnp.where(there, jnp.cos(angle), 1.0)
-        # slopes of the cosine of the light along the line and across it
+        # slopes of the cosine of the angle of incidence along and across the line
         grows, beyond = towards - axis * at / depth, beside - axis * across / depth
         share = grows**2 / jnp.where(there, grows**2 + beyond**2, 1.0)
         share = jnp.where(there, share * regions.inside(*lines.ordered(at, lines.fixed)), 0.0)
@@ -51,7 +52,7 @@ def remove_kink(grid: jax.Array, regions: Regions, upright: bool, across: jax.Ar
         position = (at - first) / step
         below = jnp.floor(jax.lax.stop_gradient(position))
         rest = position - below
-        off = jnp.where(side * step < 0, 1 - rest, rest)  # light lies on the other side of the end
+        off = jnp.where(side * step < 0, 1 - rest, rest)  # the lit part is on the other side
         added = jnp.abs(step) / 2 * (off**2 - off + 1 / 6) * share
         for point, part in ((below, 1 - rest), (below + 1, rest)):
             where = jnp.where((point >= 0) & (point < along.size), point, along.size).astype(int)

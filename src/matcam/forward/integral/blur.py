@@ -1,11 +1,12 @@
 """Blur of a rig: a sum of Gaussians, with the pixel in closed form.
 
-- The lens is a sum of Gaussians (`camera/optics/gaussian.py`) and their residual (`kernel_residual.py`). Registration
-  jitter adds its variance to each.
+- The lens is a sum of Gaussians (`camera/optics/gaussian.py`) and a residual (`kernel_residual.py`). Registration jitter
+  adds its variance to each Gaussian.
 - A lens out of focus spreads light over a disc. A source disc spreads the half vector over an ellipse (docs/model.md
-  3). Both vary over the image. Records of pixels and cells integrate the first over chords of the disc, each a product
-  in x and y. They integrate over the source disc, too: a record is the mean over its points, and the operator of a fit
-  has `lamp_lines`. Elsewhere both are Gaussians with the standard deviation of the disc, a quarter of its diameter.
+  3). Both effects vary over the image. In records of pixels and cells, defocus is integrated over chords of the disc,
+  each of which is a product of functions of x and y, and a record is the mean over the points of the source disc. The
+  operator of a fit represents the source disc by `lamp_lines`. Elsewhere, each disc is replaced by a Gaussian with the
+  same standard deviation, a quarter of the diameter of the disc.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ Line = Callable[[jax.Array], jax.Array]
 
 
 class Spread(NamedTuple):
-    """Contribution of focus and lamp to a blur at a surface element.
+    """Contribution of defocus and source disc to a blur at a surface element.
 
     Attributes:
         along: variance along x, px^2.
@@ -53,7 +54,7 @@ class Spread(NamedTuple):
 
 
 class Blur(eqx.Module):
-    """Blur of the light of a surface element on the sensor by lens, pixel, registration, focus and lamp.
+    """Blur of a surface element on the sensor by lens, pixel, registration jitter, defocus and source disc.
 
     Attributes:
         pixel: response of a pixel, included in the terms.
@@ -61,10 +62,11 @@ class Blur(eqx.Module):
         stds: standard deviations of the Gaussians, (Gaussians,), px.
         lamp_radius: angular radius of the source disc, rad.
         aperture: diameter of the entrance pupil over its distance, no unit.
-        focus: angle of the normals in focus from the optical axis, rad.
-        varies: True where lamp or focus add to the terms; the kernel then depends on the position.
-        chords: number of chords of the disc of a lens out of focus, one of `disc_chords.COUNTS`; 0: it is a Gaussian.
-        residual: residual of the Gaussians, the last term; None: no residual.
+        focus: angle between the optical axis and the normals of the surface elements in focus, rad.
+        varies: True if source disc or defocus contributes to the terms; the kernel then depends on the position.
+        chords: number of chords of the disc of a lens out of focus, one of `disc_chords.COUNTS`; 0: the disc is a
+            Gaussian.
+        residual: residual of the lens beyond its Gaussians, the last term; None: no residual.
     """
 
     pixel: PixelResponse
@@ -84,12 +86,12 @@ class Blur(eqx.Module):
 
     @property
     def std_of_half(self) -> float:
-        """Return the common width of its Gaussians, px: see `std_of_half`."""
+        """Return the standard deviation of one Gaussian that represents all, px; see the function `std_of_half`."""
         return std_of_half(np.asarray(self.weights), np.asarray(self.stds))
 
     @property
     def even(self) -> bool:
-        """Check whether the kernel is symmetric above and below."""
+        """Check whether the kernel is symmetric about the x axis."""
         return self.residual is None or self.residual.even
 
     def is_residual(self, term: int) -> bool:
@@ -101,7 +103,7 @@ class Blur(eqx.Module):
         return jnp.ones(()) if self.is_residual(term) else self.weights[term]
 
     def only(self, terms: tuple[int, ...]) -> Blur:
-        """Restrict the blur to some of the terms. A program depends on the number of Gaussians, not on their widths."""
+        """Restrict the blur to some of the terms. Results with the same number of Gaussians share a program."""
         index = np.array([term for term in terms if not self.is_residual(term)], dtype=int)
         residual = self.residual if any(map(self.is_residual, terms)) else None
         return dataclasses.replace(self, weights=self.weights[index], stds=self.stds[index], residual=residual)
@@ -109,7 +111,14 @@ class Blur(eqx.Module):
     def spread(
         self, sample: Curved, normal_z: jax.Array, lamp_angle: jax.Array, lamp_nearness: jax.Array | None = None
     ) -> Spread:
-        """Compute the contribution of focus and lamp at a z component of the normal."""
+        """Compute the contribution of defocus and source disc at a surface element.
+
+        Args:
+            sample: the sample.
+            normal_z: z component of the normal of the element.
+            lamp_angle: angle between lamp and optical axis, rad.
+            lamp_nearness: inverse of the lamp's distance, 1/radii. Default: None, a distant lamp.
+        """
         if not self.varies:
             return Spread(jnp.zeros(()), jnp.zeros(()), jnp.zeros(()))
         disc = jnp.abs(self.defocus(sample.radius, normal_z))
@@ -124,9 +133,9 @@ class Blur(eqx.Module):
         return Spread(disc**2 / 4 + along**2, disc**2 / 4 + across**2, jnp.zeros(()))
 
     def defocus(self, radius: ArrayLike, normal_z: ArrayLike) -> jax.Array:
-        """Compute the radius of the disc of a lens out of focus at z of a normal, px; negative behind the focus.
+        """Compute the radius of the disc of a lens out of focus, px; negative behind the plane in focus.
 
-        radius: radius of the sample, px.
+        radius: radius of the sample, px. normal_z: z component of the normal of the surface element.
         """
         return jnp.asarray(radius) * self.aperture * (jnp.asarray(normal_z) - jnp.cos(self.focus)) / 2
 
@@ -141,12 +150,12 @@ class Blur(eqx.Module):
         return self.through_disc(term, spread, lambda along, _: along(x))
 
     def through_disc(self, term: int, spread: Spread, of: Callable[[Line, Line], jax.Array]) -> jax.Array:
-        """Sum a function over the products of lines that make up one term of the kernel.
+        """Sum a function over the separable kernels that make up one term of the kernel.
 
         Args:
             term: index of the term.
-            spread: contribution of focus and lamp.
-            of: function of the kernel along x and along y.
+            spread: contribution of defocus and source disc.
+            of: function of two one-dimensional kernels, the one along x and the one along y.
         """
         if self.is_residual(term):
             return self._through_residual(spread, of)
@@ -174,7 +183,7 @@ class Blur(eqx.Module):
         return jax.lax.scan(lambda total, chord: (total + of_chord(chord), None), first, others)[0]
 
     def _through_residual(self, spread: Spread, of: Callable[[Line, Line], jax.Array]) -> jax.Array:
-        """Sum a function over the products of the residual. It is small, so discs are replaced by Gaussians."""
+        """Sum a function over the separable kernels of the residual, which is small, so discs are replaced by Gaussians."""
         residual, (along, across) = self.residual, self._residual_variances(spread) or (None, None)
         assert residual is not None
 
@@ -206,17 +215,17 @@ class Blur(eqx.Module):
         turn: tuple[jax.Array, jax.Array],
         nodes: int,
     ) -> jax.Array:
-        """Evaluate one term, 1/px^2, for a pixel that is turned relative to the axes of x and y.
+        """Evaluate one term, 1/px^2, for a pixel that is rotated relative to the axes of x and y.
 
-        The contribution of a lamp along x and y is correlated along the axes of the pixel. The pixel is integrated
-        numerically along the wider one; across it the conditional Gaussian has a closed form. A disc out of focus is
-        the same on all axes.
+        The variances that a source disc adds along x and y result in a covariance along the axes of the pixel. The
+        integral over the pixel is computed numerically along the axis with the larger variance. Along the other axis,
+        the conditional Gaussian has a closed form. The disc of a lens out of focus is the same on all axes.
 
         Args:
-            x: offset from the pixel's centre, px, along the first axis of the variances.
-            y: the same along the second.
+            x: offset from the pixel's centre along the first axis of the variances, px.
+            y: offset from the pixel's centre along the second axis of the variances, px.
             term: index of the term.
-            spread: contribution of focus and lamp; no disc beside variances.
+            spread: contribution of defocus and source disc; a disc and variances must not occur together.
             turn: cosine and sine of the angle between the x axis and the rows of pixels.
             nodes: number of Gauss-Legendre nodes over the pixel.
         """
@@ -241,7 +250,7 @@ class Blur(eqx.Module):
         return jnp.asarray(total)
 
     def plane_rule(self, term: int, spread: Spread) -> tuple[jax.Array, jax.Array, jax.Array]:
-        """Compute offsets along x and y (px) and weights that integrate smooth light through a term, (..., nodes)."""
+        """Compute offsets along x and y, px, and weights that integrate smooth radiance times a term, (..., nodes)."""
         if self.residual is not None and self.is_residual(term):
             return self.residual.nodes()
         (dx, x_weight), (dy, y_weight) = (self.rule(term, added) for added in (spread.along, spread.across))
@@ -250,10 +259,11 @@ class Blur(eqx.Module):
         return dx, dy, (y_weight[..., :, None] * x_weight[..., None, :]).reshape(shape)
 
     def rule(self, term: int, variance: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Return the five-node Gauss rule of a term along one axis.
+        """Compute the five-node Gauss rule of a term along one axis.
 
-        Its weight function is the term's kernel. It is exact for polynomials of degree 9, and thus accurate for light
-        that is smooth on the scale of the kernel. Offsets (px) and weights have a trailing axis.
+        The weight function of the rule is the kernel of the term. The rule is exact for polynomials of degree 9, and
+        therefore accurate for radiance that is smooth on the scale of the kernel. The results are offsets, px, and
+        weights, (..., 5). variance: additional variance, px^2.
         """
         m2, m4, m6, m8 = self._moments(self._std(term, variance))
         a = (m2 * m8 - m4 * m6) / (m2 * m6 - m4**2)
@@ -270,7 +280,7 @@ class Blur(eqx.Module):
         return jnp.sqrt(self.stds[term] ** 2 + variance) if self.varies else self.stds[term]
 
     def _moments(self, std: jax.Array) -> tuple[jax.Array, ...]:
-        """Return the second to eighth moment of Gaussian and pixel together."""
+        """Compute the moments of orders 2, 4, 6 and 8 of the convolution of Gaussian and pixel, px^order."""
         nodes, weights = (jnp.asarray(a) for a in np.polynomial.legendre.leggauss(32))
         at = nodes * self.pixel.half_width
         share = weights * self.pixel.half_width * self.pixel.response(at)
@@ -284,7 +294,7 @@ class Blur(eqx.Module):
         )
 
     def of_point(self) -> Blur:
-        """Return the blur under a point source."""
+        """Return the blur without the source disc."""
         varies = self.chords > 0 or not (is_concrete(self.aperture) and float(self.aperture) == 0)
         return dataclasses.replace(self, lamp_radius=jnp.zeros(()), varies=varies)
 
@@ -319,9 +329,10 @@ def blur_of(rig: Rig, *, in_discs: bool = False, whole: bool = False, residual: 
 
     Args:
         rig: the rig.
-        in_discs: True if a lens out of focus is described by discs, False for Gaussians.
-        whole: True to include the residual of the Gaussians as a term. The lens then need not be isotropic.
-        residual: residual to use, for a lens that differs little. Default: None, that of the lens.
+        in_discs: True if defocus is described by discs. Default: False, by Gaussians.
+        whole: True to include the residual of the Gaussians as a term. The lens then need not be isotropic. Default: False.
+        residual: residual of a lens with slightly different parameters, to be used instead. Default: None, the residual of
+            the lens of the rig.
     """
     optics = rig.camera.optics
     lens = _with_residual(optics) if whole else gaussian_sum(optics)
@@ -340,13 +351,16 @@ def blur_of(rig: Rig, *, in_discs: bool = False, whole: bool = False, residual: 
 
 
 def _with_residual(optics: Optics) -> GaussianSum:
-    """Return the Gaussians of a lens with a residual. There are more for derivatives, which neglect the residual."""
+    """Return the Gaussians of a lens whose blur includes their residual.
+
+    For derivatives, which neglect the residual, there are more Gaussians.
+    """
     known = all(map(is_concrete, jax.tree.leaves(optics)))
     return few_gaussians(optics) if known else round_gaussians(optics)
 
 
 def _chords(rig: Rig, lens: GaussianSum) -> int:
-    """Choose the number of chords of the discs out of focus of a rig; 0: no discs, or traced parameters."""
+    """Choose the number of chords of the discs out of focus of a rig; 0 for no discs, or for traced parameters."""
     sample: Any = rig.sample
     own = rig.aperture, rig.focus, sample.radius, lens.sigmas, rig.jitter, rig.camera.pixel.half_width
     numbers = [jax.lax.stop_gradient(a) for a in own]
@@ -359,7 +373,7 @@ def _chords(rig: Rig, lens: GaussianSum) -> int:
 
 
 def kernel_error(rig: Rig) -> float:
-    """Return the largest error of the transfer function of a record; 0 for Gaussian lenses."""
+    """Compute the largest error of the transfer function of a record, no unit; 0 for Gaussian lenses."""
     if not isinstance(rig.sample, Sphere):
         return float(gaussian_sum(rig.camera.optics).total_error)
     residual = blur_of(rig, whole=True).residual
@@ -383,12 +397,13 @@ class Imaging(NamedTuple):
 def imaging_of(rig: Rig, gaussian_disc: bool = False) -> Imaging:
     """Build the imaging of a rig whose sample is curved.
 
-    The source disc is not included, because the record is the mean over `lamp_points`. `gaussian_disc`: include the
-    source disc, and the disc of a lens out of focus, as Gaussians in the blur.
+    By default, the blur does not include the source disc, because the record is the mean over `lamp_points`.
+
+    gaussian_disc: True to include the source disc, and the disc of a lens out of focus, as Gaussians in the blur.
     """
     if not isinstance(rig.sample, Curved):
         raise ArgumentError(
-            f"a record needs a curved sample, a Sphere or a Cylinder, not a {type(rig.sample).__name__}"
+            f"a record needs a curved sample, a Sphere or a Cylinder, got a {type(rig.sample).__name__}"
         )
     blur = blur_of(rig, in_discs=not gaussian_disc, whole=not gaussian_disc and isinstance(rig.sample, Sphere))
     if not gaussian_disc:

@@ -1,4 +1,4 @@
-"""Lengths on the sensor that a blur defines. Terms of similar width share their integral."""
+"""Groups of terms of a blur that share quadrature nodes because their widths are similar, and lengths of each group."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from matcam.sample.shape import Curved
 _ONE_WIDTH = 1.4
 """Largest ratio of the standard deviations in a group."""
 _ONE_WIDTH_OF_TAILS = 1.8
-"""Largest ratio beyond the core of a non-Gaussian lens, where shares and thus errors are small."""
+"""Largest ratio in the wider groups of a non-Gaussian lens, whose weights and therefore errors are small."""
 _FOLLOWED = 5.2
 """Support radius of a Gaussian, in standard deviations."""
 _REST_NEAR = 1.3
 """Half side of the square around a highlight, in support radii of the residual."""
 _WIDTHS, _PERIODS = 6.2, 1.8
-"""Support radius of a kernel of fineness 1, in standard deviations of its narrowest Gaussian, and in periods of the cutoff
-of a residual.
+"""Support radius of a kernel with the fineness 1: in standard deviations of its narrowest Gaussian, and for a residual in
+periods of its highest frequency.
 """
 
 
@@ -31,11 +31,12 @@ class BlurScale(NamedTuple):
     """Lengths on the sensor, px, of terms of similar width.
 
     Attributes:
-        near: half the side of the square around the highlight in which the nodes are centred on the half vector.
-        margin: distance from the ends of the light beyond which the surroundings of a pixel are smooth.
+        near: half the side of the square around the highlight. For pixels in this square, the nodes are arranged about the
+            half vector.
+        margin: distance from limb and terminator beyond which the radiance around a pixel is smooth.
         reach: support radius of the kernel.
-        fineness: number of nodes across the support of the kernel that resolve it, relative to a Gaussian of 0.5 px with a
-            pixel of 1 px; at least 1.
+        fineness: required number of nodes across the support of the kernel, relative to that for a Gaussian of 0.5 px with a
+            pixel of 1 px, no unit; at least 1.
     """
 
     near: float
@@ -45,17 +46,20 @@ class BlurScale(NamedTuple):
 
 
 class BlurGroup(NamedTuple):
-    """Terms of a blur of similar width, by index, and their lengths."""
+    """Indices of terms of a blur with similar widths, and their lengths."""
 
     terms: tuple[int, ...]
     scale: BlurScale
 
 
 def groups_of(blur: Blur, sample: Curved) -> tuple[BlurGroup, ...]:
-    """Group the terms of a blur by width. Values must be concrete: ArgumentError inside jit."""
+    """Group the terms of a blur by width; ArgumentError inside jax.jit."""
     lengths = [jax.lax.stop_gradient(a) for a in (blur.stds, blur.pixel.half_width, sample.radius, blur.lamp_radius)]
     if not all(is_concrete(a) for a in lengths):
-        raise ArgumentError("the rig's parameters select the integration nodes: call this outside of jax.jit and vmap")
+        raise ArgumentError(
+            "the rig must have concrete parameters, because they determine the integration nodes: call this function "
+            "outside jax.jit and jax.vmap"
+        )
     stds, half = np.asarray(lengths[0]), float(lengths[1])
     disc, added = _widest_spread(blur, sample)
     widened = np.maximum(np.sqrt(stds**2 + added), np.sqrt(stds**2 + added - disc**2 / 4) + disc / _FOLLOWED)
@@ -77,7 +81,7 @@ def groups_of(blur: Blur, sample: Curved) -> tuple[BlurGroup, ...]:
 
 
 def _residual_scale(residual: KernelResidual, added: float) -> BlurScale:
-    """Compute the lengths of the residual of the Gaussians. added: variance that focus and lamp add to it, px^2."""
+    """Compute the lengths of a residual. added: variance that defocus and source disc add to the residual, px^2."""
     reach = float(residual.reach_through(added))
     fineness = max(reach / float(residual.period) / _PERIODS, 1.0)
     return BlurScale(near=_REST_NEAR * reach, margin=reach, reach=reach, fineness=fineness)
@@ -90,7 +94,7 @@ def _scale(half: float, stds: np.ndarray, widened: np.ndarray) -> BlurScale:
 
 
 def _widest_spread(blur: Blur, sample: Curved) -> tuple[float, float]:
-    """Compute the radius of the largest disc out of focus, px, and the largest variance that it and the lamp add, px^2."""
+    """Compute the largest radius of a disc out of focus, px, and the largest variance of defocus and source disc, px^2."""
     if not blur.varies:
         return 0.0, 0.0
     aperture, focus, lamp, radius = (

@@ -1,7 +1,7 @@
-"""Source disc in a record: number and positions of the points that represent it (docs/model.md 3).
+"""Size of the image of a source disc, which determines the number of points that represent the disc (docs/model.md 3).
 
-On a sphere the record under a disc is the mean of the records under its points. The distance of two points may move the
-highlight by a fraction of its blur by kernel and lobe.
+The record under a source disc is the mean of the records under its points. From one point to the next, the highlight may
+move only by a fraction of its blur by kernel and lobe.
 """
 
 from __future__ import annotations
@@ -17,7 +17,9 @@ from matcam.rigs import Rig
 from matcam.sample.curved import Cylinder
 
 _LOBE = 0.5
-"""Share of the scale of a lobe that is used as its blur. The singularities of a GGX lobe lie at its scale."""
+"""Standard deviation by which a lobe is assumed to blur a disc, as a share of the scale of the lobe. The complex
+singularities of a GGX lobe, which limit the convergence of a quadrature, are at a distance of its scale.
+"""
 _WIDEST = 2.0
 """Largest radius of the image of a disc, in radii of the sample."""
 
@@ -29,14 +31,14 @@ def disc_fineness(
     material: Material | None = None,
     azimuth: np.ndarray | float = 0.0,
 ) -> np.ndarray:
-    """Compute the radius of the image of a lamp over the standard deviation of its blur, no unit.
+    """Compute the ratio of the radius of the image of a source disc to the standard deviation of its blur, no unit.
 
     Args:
         rig: the rig.
         imaging: imaging of the rig.
         lamp_angle: angle between lamp and optical axis, rad, any shape.
         material: the material. Default: None, a mirror.
-        azimuth: azimuth of the lamp, rad; it matters only on a cylinder. Default: 0.
+        azimuth: azimuth of the lamp, rad, which is used only for a cylinder. Default: 0.
     """
     disc = disc_of(rig.lamp)
     if disc == 0:
@@ -48,12 +50,12 @@ def disc_fineness(
     theta_d = imaging.sample.theta_d(jnp.asarray(lamps), rig.lamp.nearness)
     std = float(np.min(np.asarray(imaging.blur.stds)))
     along, across = (np.asarray(a)[which] for a in rig.px_per_rad(theta_d))
-    # from the highlight, a near disc has a larger angle than from the centre of the sample
+    # seen from the highlight, a near disc has a larger angular radius than from the centre of the sample
     larger = 1.0 if rig.lamp.nearness is None else 1 / (1 - float(rig.lamp.nearness))
     theta = np.asarray(theta_d)[which]
     cosine, radius, half = np.maximum(np.cos(theta), disc), float(imaging.sample.radius), disc * larger / 2
     if isinstance(imaging.sample, Cylinder):
-        # across the cylinder, lens and lobe blur the image of the disc; along a distant one, only the lobe does
+        # across the cylinder, lens and lobe blur the image of the disc; along a distant cylinder, only the lobe does
         turn, lobe = (np.cos(azimuth), np.sin(azimuth)), _LOBE * finest
         scale = radius * np.cos(np.arctan2(np.sin(theta) * turn[0], np.cos(theta)))
         sizes = np.hypot(turn[0], turn[1] / cosine), np.hypot(turn[1], turn[0] / cosine)
@@ -68,7 +70,7 @@ def disc_fineness(
 
 
 def nearer(imaging: Imaging, distance: float) -> Imaging:
-    """Return the imaging of a lamp at a multiple of the distance."""
+    """Return the imaging with the lamp at a multiple of its distance. distance: the factor, no unit."""
     return (
         imaging if imaging.lamp_nearness is None else imaging._replace(lamp_nearness=imaging.lamp_nearness / distance)
     )

@@ -1,13 +1,13 @@
 """Residual of the kernel of a lens beyond a sum of Gaussians: its rings, and its dependence on direction.
 
-On a grid, the kernel of lens and pixel is computed exactly as the transform of a band-limited transfer function. Its
-difference from the Gaussians vanishes a few rings from the centre. A singular value decomposition of the grid gives a
-few products
+The kernel of lens and pixel is computed exactly on a grid, as the Fourier transform of a band-limited transfer function.
+The residual is its difference from the Gaussians, which vanishes a few rings from the centre. A singular value
+decomposition of the residual on the grid yields a sum of few products
 
-    rest(x, y) = sum over r of  u_r(x) v_r(y),
+    residual(x, y) = sum over r of  u_r(x) v_r(y),
 
-which the operator for Gaussians can use, because Gaussians are also such products. The functions u and v are
-polynomials between knots. Single positions are interpolated from the grid.
+to which the operator for Gaussians applies, because Gaussians are such products, too. The functions u_r and v_r are
+polynomials between knots. Values at single positions are interpolated from the grid.
 """
 
 from __future__ import annotations
@@ -29,38 +29,38 @@ _REACH, _REACH_OF_ABERRATIONS = 9, 16
 _TAPERED = 0.6
 """Share of the support radius beyond which the residual is tapered to 0."""
 _KNOTS = 21
-"""Number of intervals of the knots per period of the highest resolved frequency."""
+"""Number of intervals between knots per period of the highest resolved frequency."""
 _APART = 128
-"""Half period of the transform, in periods of the highest resolved frequency. Its copies have 2e-5 of the light within the
-support.
+"""Distance between the kernel and its periodic copies in the discrete transform, in periods of the highest resolved
+frequency. The copies contribute 2e-5 of the light within the support.
 """
 _STENCIL = np.arange(-2, 4)
-"""Number of knots for the polynomial of an interval."""
+"""Knots through which the polynomial of an interval passes, relative to the knot at the start of the interval."""
 MARGIN = 3
-"""Number of zeros around the grid."""
+"""Width of the border of zeros around the grid, in knots."""
 _LEFT_OUT = 1e-5
 """Largest value of the neglected products, as a share of the peak of the kernel."""
 _FEWEST = 4
-"""Numbers of products are multiples of this value, because each requires a program."""
+"""The number of products is a multiple of this value, because each number requires a program."""
 RESIDUAL_RULE = _REACH, _REACH_OF_ABERRATIONS, _TAPERED, _KNOTS, _LEFT_OUT
-"""Parameters of the residual of a lens. A stored rule is valid only for the same values."""
+"""Parameters of the residual of a lens. A stored quadrature rule is valid only for the same values."""
 _SMOOTH = np.polynomial.legendre.leggauss(9)
-"""Number of Gauss-Legendre nodes along each axis for light that is smooth on the scale of the residual."""
+"""Gauss-Legendre rule along each axis for radiance that is smooth on the scale of the residual."""
 _HERMITE = (-np.sqrt(3), 1 / 6), (0.0, 2 / 3), (np.sqrt(3), 1 / 6)
-"""Offsets, in standard deviations, and shares that represent the blur of the residual by additional Gaussians."""
+"""Gauss-Hermite nodes, in standard deviations, and weights by which the residual is blurred by an additional Gaussian."""
 
 
 class KernelResidual(eqx.Module):
-    """Kernel of compact support, as a sum of products in x and y.
+    """Residual with compact support, as a sum of products of functions of x and of y.
 
     Attributes:
         lines: coefficients of the polynomials along x and y, (products, 2, intervals, degree + 1), 1/px.
         grid: values at the knots along x and y, padded with zeros, 1/px^2.
-        smooth: weights of the nodes in smooth light, (nodes along x, nodes along y), no unit.
+        smooth: weights of the nodes for smooth radiance, (nodes along x, nodes along y), no unit.
         reach: half side of the square support, px.
         period: period of the highest frequency that the lens resolves, px.
         error: largest remaining error of the transfer function, no unit.
-        even: True if the kernel is symmetric above and below.
+        even: True if the kernel is symmetric about the x axis.
     """
 
     lines: jax.Array
@@ -72,7 +72,10 @@ class KernelResidual(eqx.Module):
     even: bool = eqx.field(static=True)
 
     def at(self, x: jax.Array, y: jax.Array, variances: tuple[jax.Array, jax.Array] | None) -> jax.Array:
-        """Evaluate the residual at offsets along x and y, px. variances: variances of additional blur, px^2."""
+        """Evaluate the residual, 1/px^2, at offsets along x and y, px.
+
+        variances: variances of an additional Gaussian blur along x and y, px^2; None: no additional blur.
+        """
         if variances is None:
             return self._read(x, y)
         along, across = (jnp.sqrt(variance) for variance in variances)
@@ -80,7 +83,7 @@ class KernelResidual(eqx.Module):
         return sum((a[1] * b[1] * self._read(x + a[0] * along, y + b[0] * across) for a, b in both), jnp.zeros(()))
 
     def _read(self, x: jax.Array, y: jax.Array) -> jax.Array:
-        """Interpolate by the cubic through the knots about each position."""
+        """Interpolate the residual, 1/px^2, by cubics through the four nearest knots along each axis."""
         side = self.grid.shape[0]
         half = (side - 1) / 2
         flat = self.grid.ravel()
@@ -126,7 +129,7 @@ class KernelResidual(eqx.Module):
         return float(self.reach) + _HERMITE[-1][0] * np.sqrt(variance)
 
     def nodes(self) -> tuple[jax.Array, jax.Array, jax.Array]:
-        """Compute offsets along x and y, px, and weights of a rule for smooth light within the support, (nodes,)."""
+        """Compute offsets along x and y, px, and weights of a rule for smooth radiance within the support, (nodes,)."""
         x, y = (self.reach * a.ravel() for a in np.meshgrid(_SMOOTH[0], _SMOOTH[0], indexing="ij"))
         return x, y, self.smooth.ravel()
 
@@ -137,8 +140,8 @@ def kernel_residual(optics: Optics, pixel: PixelResponse, gaussians: GaussianSum
     Args:
         optics: the lens, constant over the field.
         pixel: the pixel.
-        gaussians: the sum.
-        jitter: standard deviation that registration adds to the lens, px.
+        gaussians: sum of Gaussians that approximates the lens.
+        jitter: standard deviation of the registration jitter, px.
     """
     known = without_derivatives((optics, pixel, gaussians, jnp.asarray(jitter)))
     leaves, tree = jax.tree.flatten(known)
@@ -190,13 +193,13 @@ def _made(optics: Optics, pixel: PixelResponse, gaussians: GaussianSum, jitter: 
 
 
 def _taper(share: np.ndarray) -> np.ndarray:
-    """Evaluate the taper: 1 up to its start, and 0 at the support radius; smooth to the third derivative."""
+    """Evaluate the taper: 1 up to `_TAPERED`, and 0 at the support radius, with three continuous derivatives."""
     t = np.clip((share - _TAPERED) / (1 - _TAPERED), 0, 1)
     return 1 - t**4 * (35 - 84 * t + 70 * t**2 - 20 * t**3)
 
 
 def _enough(u: np.ndarray, size: np.ndarray, v: np.ndarray, most: float, residual: np.ndarray) -> int:
-    """Compute the number of products beyond which the remainder is below `most` everywhere."""
+    """Choose the number of products such that the remainder is below `most`, 1/px^2, everywhere."""
     for count in range(_FEWEST, size.size, _FEWEST):
         if np.abs((u[:, :count] * size[:count]) @ v[:count] - residual).max() < most:
             return count
@@ -204,7 +207,7 @@ def _enough(u: np.ndarray, size: np.ndarray, v: np.ndarray, most: float, residua
 
 
 def _polynomials(values: np.ndarray) -> np.ndarray:
-    """Compute the coefficients of the polynomials between knots by powers of position, (..., intervals, degree + 1)."""
+    """Compute the coefficients of the polynomials between knots, lowest power first, (..., intervals, degree + 1)."""
     padded = np.pad(values, [(0, 0)] * (values.ndim - 1) + [(2, 2)])  # the residual is 0 beyond its support
     count = values.shape[-1] - 1
     through = np.linalg.inv(np.vander(_STENCIL.astype(float), increasing=True))
@@ -213,6 +216,9 @@ def _polynomials(values: np.ndarray) -> np.ndarray:
 
 
 def _smooth_weights(residual: np.ndarray, knots: np.ndarray, step: float) -> np.ndarray:
-    """Compute weights at Legendre nodes that integrate polynomials as the residual does; knots: in support radii."""
+    """Compute weights at Gauss-Legendre nodes that integrate polynomials times the residual.
+
+    residual: values at the knots, 1/px^2. knots: positions of the knots, in support radii. step: their distance, px.
+    """
     basis = np.stack(lagrange_basis(_SMOOTH[0], knots))
     return step**2 * basis @ residual @ basis.T

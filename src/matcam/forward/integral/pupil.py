@@ -1,7 +1,8 @@
-"""Light through a lens out of focus where it is smooth: the mean over points of the lens's pupil.
+"""Defocused record of smooth radiance: the mean over points of the pupil of the lens.
 
-Light of a surface element at s on the sensor arrives at s + c(s) p through the point p of the pupil; c is the radius of
-its disc out of focus. s is found by iteration. The density of the light is divided by the derivative of s + c p.
+The light of a surface element with its sharp image at s on the sensor arrives at s + c(s) p through the point p of the
+pupil, where c is the radius of the disc out of focus. s is found by iteration. The radiance is divided by the Jacobian
+determinant of s + c(s) p with respect to s.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ import numpy as np
 from matcam.core.jax import jax, jnp
 
 _STEPS = 3
-"""Number of iterations for s. Each multiplies the error by the derivative of c."""
+"""Number of iterations for s. Each multiplies the error by the derivative of c with respect to s."""
 
 
 def _points() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -35,13 +36,13 @@ def mean_over_pupil(
     x: jax.Array,
     y: jax.Array,
 ) -> jax.Array:
-    """Compute the light that arrives at positions of the sensor, channels last.
+    """Compute the defocused radiance at positions on the sensor, 1/sr, channels last.
 
     Args:
-        sent: function that returns the light of a sharp image at positions, channels last.
+        sent: function that returns the radiance of the sharp image at positions, 1/sr, channels last.
         disc: function that returns the radius of the disc out of focus at positions, px.
-        x: positions, px.
-        y: positions across, px.
+        x: positions along the rows of the sensor, px.
+        y: positions along the columns of the sensor, px.
     """
 
     def of_point(point: tuple[jax.Array, ...]) -> jax.Array:

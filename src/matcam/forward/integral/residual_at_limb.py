@@ -1,10 +1,10 @@
-"""Residual of a lens at the limb: few nodes in the light, whose weights include the rings of the kernel.
+"""Quadrature of the residual of a lens at the limb: few nodes, whose weights include the rings of the kernel.
 
-The light ends at the limb, and the rings of the residual have the period of the cutoff, so a window about a pixel would
-require thousands of nodes. However, the light is smooth up to the limb: a polynomial through few nodes in c = sqrt(1 -
-(distance from the axis / limb)^2) and in the azimuth about the axis approximates it. The weights of the nodes are
-integrals of the residual times each basis polynomial. They depend only on the residual, on the depth within the limb
-and on the azimuth, and are computed once, on a lattice.
+The radiance ends at the limb, and the rings of the residual have the period of the cutoff frequency, so a general rule
+would require thousands of nodes per pixel. However, the radiance is smooth up to the limb as a function of c = sqrt(1 -
+(distance from the axis / radius of the limb)^2) and of the azimuth about the axis, so a polynomial through few nodes
+approximates the radiance. The weights of the nodes are integrals of the residual times each basis polynomial. The weights
+depend only on the residual, on the depth within the limb and on the azimuth, and are computed once, on a lattice.
 
 The residual carries at most 0.2 % of the light, so 1 % relative accuracy suffices.
 """
@@ -24,24 +24,26 @@ from matcam.forward.integral.scene import Scene
 from matcam.numerics.approximation import four_about, lagrange_basis
 
 _ACROSS = np.polynomial.legendre.leggauss(8)[0]
-"""Number of Gauss-Legendre nodes in c."""
+"""Gauss-Legendre nodes in c, in [-1, 1]."""
 _ALONG = np.polynomial.legendre.leggauss(4)[0]
-"""Number of Gauss-Legendre nodes in the azimuth."""
+"""Gauss-Legendre nodes in the azimuth, in [-1, 1]."""
 _FINE_ACROSS, _FINE_ALONG = (np.polynomial.legendre.leggauss(n) for n in (100, 50))
-"""Nodes in c and in the azimuth that integrate the entries of a lattice: several per period everywhere."""
+"""Nodes and weights in c and in the azimuth for the integrals of the lattice. There are several nodes per period of the
+cutoff frequency everywhere.
+"""
 _DEPTHS = 7
-"""Entries of the lattice per period of the cutoff."""
+"""Number of depths of the lattice per period of the cutoff frequency."""
 _AZIMUTHS = 18
-"""Entries per quarter of a turn, the period of a round lens with a square pixel."""
+"""Number of azimuths of the lattice per quarter turn, the period for an isotropic lens with a square pixel."""
 _BEYOND = 3
-"""Entries beyond either end of the lattice."""
+"""Number of entries beyond either end of the lattice, for cubic interpolation."""
 
 
 class LimbRule(eqx.Module):
-    """Weights of nodes about positions at the limb.
+    """Quadrature rule for the residual of a lens at the limb, tabulated over depth and azimuth.
 
     Attributes:
-        weights: (depths, azimuths, nodes), px^2 times the kernel's 1/px^2.
+        weights: weights of the nodes, (depths, azimuths, nodes), no unit.
         reach: support radius of the residual, px.
         quarter: True if the period of the weights is a quarter turn, False for a full turn.
     """
@@ -51,12 +53,12 @@ class LimbRule(eqx.Module):
     quarter: bool = eqx.field(static=True)
 
     def record(self, scene: Scene, x: jax.Array, y: jax.Array) -> jax.Array:
-        """Compute radiance per unit irradiance, (pixels, channels), through the residual.
+        """Compute the contribution of the residual to the record, 1/sr, (pixels, channels).
 
         Args:
-            scene: the light, under one lamp or one per pixel.
-            x: columns of the pixels, (pixels,), px.
-            y: rows of the pixels, (pixels,), px.
+            scene: the scene, under one lamp or one lamp per pixel.
+            x: positions of the pixels to the right of the optical axis, (pixels,), px.
+            y: positions of the pixels above the optical axis, (pixels,), px.
         """
         limb, reach = scene.sample.radius, self.reach
         off, azimuth = jnp.hypot(x, y), jnp.arctan2(y, x)
@@ -82,13 +84,19 @@ class LimbRule(eqx.Module):
 
 
 def _window(limb: Any, reach: Any, off: Any) -> tuple[Any, Any]:
-    """Compute the largest c in the window of a position, and the half range of the azimuth, rad. off: px from the axis."""
+    """Compute the largest c in the window of a position, and half the range of the azimuth, rad.
+
+    Args:
+        limb: radius of the limb, px.
+        reach: support radius of the residual, px.
+        off: distance of the position from the axis, px.
+    """
     nearest = jnp.maximum(off - reach, 0.0) / limb
     return jnp.sqrt(jnp.maximum(1 - nearest**2, 0.0)), reach / (limb - reach)
 
 
 def limb_rule(residual: KernelResidual, limb: float) -> LimbRule | None:
-    """Build the rule for a sphere with a limb of this radius, px; None if the support is too large for the sphere."""
+    """Build the rule for a sphere; None if the support of the residual is too large. limb: radius of the limb, px."""
     if 4 * float(residual.reach) > limb:
         return None
     key = np.asarray(residual.grid).tobytes(), float(residual.reach), limb

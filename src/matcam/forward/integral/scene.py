@@ -1,4 +1,4 @@
-"""Light of a scene: a material on a curved sample, under a lamp (docs/model.md 3)."""
+"""Radiance of a scene: a material on a curved sample, under a lamp (docs/model.md 3)."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from matcam.sample.shape import Curved, Element
 
 
 class Turn(NamedTuple):
-    """Cosine and sine of the azimuth of the lamp: angle from the x axis of the sensor to that of the scene."""
+    """Cosine and sine of the azimuth of the lamp, the angle from the x axis of the sensor to that of the scene."""
 
     cosine: jax.Array
     sine: jax.Array
@@ -27,18 +27,18 @@ class Turn(NamedTuple):
 class Scene(eqx.Module):
     """Material on a curved sample under a lamp; radiance is in 1/sr.
 
-    The lamp's irradiance is 1 at the sample's centre. The x axis of the scene points towards the lamp. If the lamp has
-    an azimuth, positions in the scene differ from positions on the sensor. A cylinder keeps the axes of the sensor, and
-    the lamp is turned instead.
+    The irradiance is 1 at the sample's centre, on a surface that faces the lamp. For a sphere, the x axis of the scene
+    points towards the lamp, so positions in the scene differ from positions on the sensor if the lamp has an azimuth. For
+    a cylinder, the axes of the scene are those of the sensor, and the direction of the lamp is rotated instead.
 
     Attributes:
         material: the material.
         sample: the sample.
-        lamp_angle: angle between lamp and optical axis, towards +x, rad; it broadcasts with the requested elements.
+        lamp_angle: angle between lamp and optical axis, towards +x, rad; it broadcasts with the surface elements.
         lamp_nearness: inverse of the lamp's distance, 1/radii; None: a distant lamp.
-        turn: the lamp's azimuth, of lamp_angle's shape; None: 0.
-        towards_lamp: sine and cosine of lamp_angle, of its shape; None: they are computed. XLA computes them again for every
-            node, which takes as long as the light.
+        turn: azimuth of the lamp, of the shape of `lamp_angle`; None: 0.
+        towards_lamp: sine and cosine of `lamp_angle`, of the same shape; None: they are computed. In a loop over nodes, XLA
+            would compute them again for every node, which takes as long as the radiance.
     """
 
     material: Material
@@ -49,13 +49,13 @@ class Scene(eqx.Module):
     towards_lamp: tuple[jax.Array, jax.Array] | None = None
 
     def beside_nodes(self, axes: int) -> Scene:
-        """Return the scene of one lamp per pixel for arrays with `axes` further axes of nodes."""
+        """Reshape a scene with one lamp per pixel to broadcast against `axes` further axes of nodes."""
         turn = None if self.turn is None else self.turn.beside_nodes(axes)
         return Scene(self.material, self.sample, beside_nodes(self.lamp_angle, axes), self.lamp_nearness, turn)
 
     @property
     def uniform_rows(self) -> bool:
-        """Check whether the light is constant along y."""
+        """Check whether the radiance is constant along y."""
         return isinstance(self.sample, Cylinder) and self.sample.distant and self.lamp_nearness is None
 
     @property
@@ -64,19 +64,19 @@ class Scene(eqx.Module):
         return self.turn is not None and not isinstance(self.sample, Cylinder)
 
     def from_sensor(self, x: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Transform a position on the sensor to one in the scene, px."""
+        """Transform a position on the sensor to a position in the scene, px."""
         if self.turn is None or not self._pixels_turn:
             return x, y
         return x * self.turn.cosine + y * self.turn.sine, y * self.turn.cosine - x * self.turn.sine
 
     def on_sensor(self, x: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Transform a position in the scene to one on the sensor, px."""
+        """Transform a position in the scene to a position on the sensor, px."""
         if self.turn is None or not self._pixels_turn:
             return x, y
         return x * self.turn.cosine - y * self.turn.sine, y * self.turn.cosine + x * self.turn.sine
 
     def shown(self, x: jax.Array, y: jax.Array) -> tuple[Element, jax.Array]:
-        """Return the surface elements at positions of the sensor, px, and whether they are lit."""
+        """Compute the surface elements at positions on the sensor, px, and a mask, True for visible and lit elements."""
         element, visible = self.sample.at(*self.from_sensor(x, y))
         return element, visible & (self.seen(element).cos_i > 0)
 
@@ -86,7 +86,10 @@ class Scene(eqx.Module):
         return shading(element.normal, self._tangent(element), light, element.view)
 
     def _light(self, element: Element) -> tuple[Vector, jax.Array | None]:
-        """Compute the direction to the lamp, and the irradiance there over that at the centre; None: 1 everywhere."""
+        """Compute the direction to the lamp, and the relative irradiance of a surface that faces the lamp.
+
+        The irradiance is relative to that at the centre of the sample; None: 1 everywhere.
+        """
         sine, cosine = self.towards_lamp or (jnp.sin(self.lamp_angle), jnp.cos(self.lamp_angle))
         light = sine, jnp.zeros(()), cosine
         if self.turn is not None and not self._pixels_turn:
@@ -108,9 +111,10 @@ class Scene(eqx.Module):
         return cosine * z / length, -sine * z / length, (sine * y - cosine * x) / length
 
     def sent(self, element: Element) -> jax.Array:
-        """Compute rho cos_i cos_o area under the irradiance of the lamp, channels last.
+        """Compute rho cos_i cos_o area times the irradiance of the lamp, channels last.
 
-        This is the light of a surface element per unit of its coordinates.
+        For an element at (x, y) on the sensor, this is the radiance, 1/sr. For an element at (u, v), it is the integral of
+        the radiance over the sensor per du dv, px^2/sr.
         """
         direction, strength = self._light(element)
         seen = shading(element.normal, self._tangent(element), direction, element.view)
@@ -121,7 +125,7 @@ class Scene(eqx.Module):
         return light * (area[..., None] if jnp.ndim(area) else area)
 
     def channels(self) -> int:
-        """Number of channels of the material."""
+        """Return the number of channels of the material."""
         return jax.eval_shape(_sent_at_centre, self.material, self.sample, self.lamp_nearness).shape[-1]
 
 
@@ -138,8 +142,8 @@ def highlight_x(sample: Curved, lamp_angle: jax.Array, lamp_nearness: jax.Array 
 
 
 def beside_nodes(lamp_angle: jax.Array, axes: int) -> jax.Array:
-    """Reshape lamps to broadcast against `axes` further axes of nodes.
+    """Reshape lamp angles to broadcast against `axes` further axes of nodes.
 
-    A single lamp is unchanged.
+    A single angle is unchanged.
     """
     return lamp_angle.reshape(*lamp_angle.shape, *([1] * axes)) if jnp.ndim(lamp_angle) else lamp_angle

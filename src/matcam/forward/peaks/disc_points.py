@@ -1,8 +1,9 @@
 """Discs of lamp and lens in the tangent plane, as points over which the record of a highlight is averaged.
 
-A source disc moves a highlight over an ellipse; a lens out of focus spreads it over a disc (docs/model.md 3). In the
-tangent plane both are constant over the lobe. The record is therefore the mean of records in focus under a point lamp,
-shifted by the points of both discs: Gauss-Legendre in the squared radius times equal steps around the disc.
+A source disc spreads a highlight over an ellipse, and a lens out of focus spreads it over a disc (docs/model.md 3). In
+the tangent plane, ellipse and disc are constant over the lobe. The record is therefore the mean of records in focus under
+a point lamp, shifted by the points of both discs. The points are Gauss-Legendre nodes in the squared radius, at equal
+steps of the azimuth.
 """
 
 from __future__ import annotations
@@ -23,19 +24,21 @@ if TYPE_CHECKING:
     from matcam.rigs import Rig
 
 _LOBE = 0.5
-"""Share of the roughness of a lobe that is used as its blur. The singularities of a GGX lobe lie at its scale."""
+"""Standard deviation by which a lobe is assumed to blur a disc, as a share of the roughness of the lobe. The complex
+singularities of a GGX lobe, which limit the convergence of a quadrature, are at a distance of its roughness.
+"""
 _UNKNOWN_FINENESS = 6.0
 """Ratio of the radius of a disc to the standard deviation of its blur that is assumed inside jit."""
 
 
 class DiscPoints(NamedTuple):
-    """Points about some highlights.
+    """Points of the discs about some highlights.
 
     Attributes:
         x: offsets towards the limb, px, (slices, points).
-        y: offsets across, px, (slices, points).
+        y: offsets perpendicular to this direction, px, (slices, points).
         share: shares of the points, (points,); their sum is 1.
-        aside: angle by which a point turns the half vector across, rad, (slices, points).
+        aside: angle by which a point rotates the half vector out of the plane of camera and lamp, rad, (slices, points).
     """
 
     x: jax.Array
@@ -49,9 +52,9 @@ class Discs(NamedTuple):
 
     Attributes:
         lamp_x: half axis of the ellipse of the source disc towards the limb, px.
-        lamp_y: half axis of this ellipse across, px.
+        lamp_y: half axis of this ellipse perpendicular to this direction, px.
         lens: radius of the disc of a lens out of focus, px.
-        turned: largest angle by which the source disc turns the half vector across, rad.
+        turned: largest angle by which the source disc rotates the half vector out of the plane of camera and lamp, rad.
     """
 
     lamp_x: jax.Array
@@ -61,7 +64,7 @@ class Discs(NamedTuple):
 
 
 def disc_sizes(rig: Rig, theta: jax.Array) -> Discs | None:
-    """Compute the sizes of the discs of a rig at viewing angles, rad, (slices,); None if it has none."""
+    """Compute the sizes of the discs of a rig at viewing angles, rad, (slices,); None if there are none."""
     sample, nearness = rig.sample, rig.lamp.nearness
     if not has_discs(rig) or not isinstance(sample, Curved):
         return None
@@ -87,8 +90,9 @@ def mean_over_discs(
     Args:
         rig: a rig with discs.
         theta: viewing angles of the highlights, rad, (slices,).
-        record: function of indices of the angles that returns the mean over their points, slices first.
-        roughness: roughness of the lobe if the record depends on `aside`. Default: None, it does not.
+        record: function of indices of `theta` and of the points at these angles, which returns the mean record over the
+            points, slices first.
+        roughness: roughness of the lobe if the record depends on `aside`. Default: None, it is independent of `aside`.
     """
     discs = disc_sizes(rig, theta)
     assert discs is not None
@@ -105,7 +109,8 @@ def mean_over_discs(
         )
     )
     found: list[tuple[np.ndarray, jax.Array]] = []
-    for level in np.unique(np.stack([of_lamp, of_lens]), axis=1).T:  # equal numbers of points in one program
+    # slices with equal numbers of points share a program
+    for level in np.unique(np.stack([of_lamp, of_lens]), axis=1).T:
         slices = np.flatnonzero((of_lamp == level[0]) & (of_lens == level[1]))
         lamps, lens = (_unit_points(float(fineness)) for fineness in level)
         x, y = (
@@ -120,12 +125,12 @@ def mean_over_discs(
 
 
 def has_discs(rig: Rig) -> bool:
-    """Check whether the lamp or the lens of a rig causes discs."""
+    """Check whether a rig with a curved sample has a source disc or a lens out of focus."""
     return isinstance(rig.sample, Curved) and not (_is_zero(rig.lamp_radius) and _is_zero(rig.aperture))
 
 
 def _levels(fineness: jax.Array) -> np.ndarray:
-    """Round radii over the standard deviation of their blur up to powers of 2; 0 remains 0."""
+    """Round ratios of radii to the standard deviation of their blur up to powers of 2; 0 remains 0."""
     fineness = constant(fineness)
     if not is_concrete(fineness):
         return np.full(fineness.shape, _UNKNOWN_FINENESS)
@@ -134,7 +139,7 @@ def _levels(fineness: jax.Array) -> np.ndarray:
 
 
 def _unit_points(fineness: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Compute x, y and shares of points of the unit disc. fineness: radius over the standard deviation of the blur."""
+    """Compute x, y and shares of points of the unit disc. fineness: radius of the disc divided by the width of its blur."""
     if fineness == 0:
         return np.zeros(1), np.zeros(1), np.ones(1)
     rings, spokes = rings_and_spokes(fineness)

@@ -18,15 +18,21 @@ from matcam.sample.shape import Curved, Flat
 
 
 def exact_response(rig: Rig, ndf: SlopeDistribution, theta: AnyArray, masking: Masking) -> jax.Array:
-    """Compute recorded over true peak on the curved sample; theta: (n,). ArgumentError inside jax.jit."""
+    """Compute the recorded peak divided by the true peak on the curved sample, (n,); ArgumentError inside jax.jit.
+
+    theta: viewing angles of the highlight, rad, (n,).
+    """
     if isinstance(rig.sample, Flat):
         return jnp.ones_like(jnp.asarray(theta))
     if not isinstance(rig.sample, Curved):
         raise ArgumentError(
-            f"an exact peak needs a Sphere, a Cylinder or a Flat sample, not a {type(rig.sample).__name__}"
+            f"an exact peak needs a Sphere, a Cylinder or a Flat sample, got a {type(rig.sample).__name__}"
         )
     if not is_concrete(theta):
-        raise ArgumentError("the angles select the integration nodes: call this outside of jax.jit and vmap")
+        raise ArgumentError(
+            "theta must have concrete values, because it determines the integration nodes: call this function outside "
+            "jax.jit and jax.vmap"
+        )
     sample, near, material = rig.sample, rig.lamp.nearness, Microfacet(ndf, 1.0, masking=masking)
     lamps = np.asarray(jax.lax.stop_gradient(sample.lamp_angle(jnp.asarray(theta), near)))
     x = np.asarray(jax.lax.stop_gradient(highlight_x(sample, jnp.asarray(lamps), near)))

@@ -2,9 +2,9 @@
 
     record = integral of transfer(f) spectrum(f) discs(f) exp(2 pi i f x) df
 
-The nodes are polar: panels that become denser towards f = 0, where the spectra of broad lobes are, times azimuths that
-become denser towards the short axis of the lobe. The discs of lamp and lens are factors, the transforms of even
-ellipses.
+The nodes are polar: frequencies in panels that become narrower towards f = 0, where the spectra of broad lobes are
+concentrated, times azimuths that become denser towards the short axis of the lobe. The discs of lamp and lens are
+represented by factors, the Fourier transforms of uniform ellipses.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ if TYPE_CHECKING:
     from matcam.rigs import Rig
 
 _VALUES = 1 << 19
-"""Number of values of an integrand that are stored at a time."""
+"""Largest number of values of an integrand that are stored at a time, which take 4 MiB."""
 _GRADE = 2.0
-"""Ratio of neighbouring panels of frequencies. The spectrum of a flat-topped lobe oscillates twice in one."""
+"""Ratio of the frequencies at the ends of a panel. The spectrum of a flat-topped lobe has two oscillations in a panel."""
 _MOST_PANELS = 28
 """Number of panels towards 0 if the size of the lobe is traced inside `jax.jit`. It suffices for lobes up to 1e5 px."""
 _FLATTEST = 1e-3
@@ -36,18 +36,20 @@ _FLATTEST = 1e-3
 _AZIMUTHS = 28
 """Number of nodes in a quarter turn. The error is 1e-9 for lobes that are 600 times as long as wide."""
 _SHORTEST = 1.7e-3
-"""Ratio of the axes of a lobe that is assumed inside `jax.jit`. A sphere has it at 89.9 degrees."""
+"""Ratio of the axes of a lobe that is assumed inside `jax.jit`: on a sphere, that at a viewing angle of 89.9 degrees."""
 _UNKNOWN_REACH = 8.0
 """Distance of a position from the peak that is assumed inside `jax.jit`, px."""
 _CHEBYSHEV = 64
-"""Number of slices for interpolation if only the length of the lobe varies. The error is 1e-9."""
+"""Number of lengths of the lobe between which records are interpolated, if only the length varies between slices. The error
+is 1e-9.
+"""
 
 Positions = tuple["jax.Array", "jax.Array"]
-"""Offsets from the peak towards the limb and across, px, (slices, points) each."""
+"""Offsets from the peak, px, (slices, points) each: towards the limb, and perpendicular to this direction."""
 
 
 def plane_record(rig: Rig, ndf: NDF, theta: jax.Array, positions: Positions | None) -> jax.Array:
-    """Compute the record of a lobe over the true peak, (slices, points).
+    """Compute the record of a lobe divided by the true peak, (slices, points).
 
     Args:
         rig: the rig.
@@ -69,14 +71,14 @@ def plane_record(rig: Rig, ndf: NDF, theta: jax.Array, positions: Positions | No
 
 
 def line_record(rig: Rig, ndf: NDF, theta: jax.Array, one_plane: bool) -> jax.Array:
-    """Compute the record at the peak in one dimension, (slices,).
+    """Compute the one-dimensional record at the peak divided by the true peak, (slices,).
 
     Args:
         rig: the rig.
         ndf: the lobe.
         theta: viewing angles of the peak, rad, (slices,).
-        one_plane: True if the normals lie in one plane, as on a cylinder. A source disc turns the half vector out of
-            it.
+        one_plane: True if the normals lie in one plane, as on a cylinder. A source disc then rotates the half vector out of
+            this plane.
     """
     discs = disc_sizes(rig, theta)
     if discs is None or not one_plane:
@@ -89,7 +91,7 @@ def line_record(rig: Rig, ndf: NDF, theta: jax.Array, one_plane: bool) -> jax.Ar
 
 
 def _line(rig: Rig, ndf: NDF, theta: jax.Array, discs: Discs | None, points: DiscPoints | None) -> jax.Array:
-    """Compute the record in one dimension, (slices, points), at the peak or at points of discs about it."""
+    """Compute the record in one dimension, (slices, points), at the peak or at the points of discs about the peak."""
     scale = rig.px_per_rad(theta)[0]
     uniform = xp.isinf(scale)
     scale = xp.where(uniform, 1.0, scale)
@@ -122,12 +124,12 @@ class _PolarNodes(NamedTuple):
 
     Attributes:
         spectrum: spectrum of the lobe.
-        frequency: cycles/px, (n, 1).
+        frequency: frequencies, cycles/px, (n, 1).
         cos: cosines of the azimuths, (azimuths,).
         sin: sines of the azimuths, (azimuths,).
         amplitude: transfer function times the weights of all four quarters, (n, azimuths).
-        discs: True if records have discs.
-        largest: largest frequency times the radius of the largest disc.
+        discs: True if lamp or lens has a disc.
+        largest: largest argument of `jinc`: 2 pi times the cutoff of the lens, cycles/px, times the largest radius, px.
         together: number of slices that are summed at a time.
     """
 
@@ -141,7 +143,13 @@ class _PolarNodes(NamedTuple):
     together: int
 
     def at(self, scale_x: jax.Array, scale_y: jax.Array, *more: jax.Array) -> jax.Array:
-        """Compute the record of slices, (slices, points). more: half axes of the discs, if any, and positions."""
+        """Compute the record of slices, (slices, points).
+
+        Args:
+            scale_x: length of the lobe towards the limb, px per unit of its coordinate, (slices,).
+            scale_y: length perpendicular to this direction, px per unit of its coordinate, (slices,).
+            more: half axes of the discs, if any, px, and positions of the record, if any, px.
+        """
         stretch = (scale_x[:, None] * self.cos) ** 2 + (scale_y[:, None] * self.sin) ** 2
         ln_k = xp.log(2 * np.pi * self.frequency) + xp.log(stretch)[:, None] / 2
         spectra = self.spectrum.at(ln_k) * self.amplitude * (scale_x * scale_y)[:, None, None]
@@ -167,7 +175,7 @@ def _polar_nodes(
     rule = _frequencies(rig, ndf, xp.maximum(*scales), reach)
     ratio = constant(xp.min(scales[0] / scales[1]))
     short = float(np.clip(ratio, 1e-6, 1)) if is_concrete(ratio) else _SHORTEST
-    # phi = short sinh v: a spectrum changes over `short` near phi = 0, and over 1 elsewhere
+    # phi = short sinh v: a spectrum varies on the scale `short` near phi = 0, and on the scale 1 elsewhere
     band = rig.camera.optics.band()
     v, weight = nodes_between(np.zeros(()), np.arcsinh(np.pi / 2 / short), _AZIMUTHS + int(4 * reach * band))
     phi = short * np.sinh(v)
@@ -194,25 +202,25 @@ def _frequencies(rig: Rig, ndf: NDF, scale: jax.Array, reach: float) -> Rule:
 
 
 def _of_jitter(rig: Rig, frequency: AnyArray) -> jax.Array:
-    """Return the transfer function of the registration jitter."""
+    """Compute the transfer function of the registration jitter. frequency: cycles/px."""
     return xp.exp(-2 * (np.pi * frequency * rig.jitter) ** 2)
 
 
 def _largest(*lengths: jax.Array) -> float:
-    """Return the largest of lengths, px."""
+    """Return the largest absolute value of lengths, px; `_UNKNOWN_REACH` stands for traced lengths."""
     known = [constant(length) for length in lengths]
     return max((float(xp.max(xp.abs(a))) if is_concrete(a) else _UNKNOWN_REACH for a in known), default=0.0)
 
 
 def _only_length_varies(scale_x: jax.Array, scale_y: jax.Array) -> bool:
-    """Check whether there are many slices that differ in one concrete parameter, as on a distant sphere."""
+    """Check whether there are many slices that differ only in a concrete `scale_x`, as on a distant sphere."""
     if scale_x.size <= _CHEBYSHEV or not all(isinstance(scale, np.ndarray) for scale in (scale_x, scale_y)):
         return False
     return bool(np.all(scale_y == scale_y[0]) and np.ptp(scale_x) > 0)
 
 
 def _interpolated(nodes: _PolarNodes, scale_x: np.ndarray, scale_y: np.ndarray) -> np.ndarray:
-    """Interpolate the record at many peaks, (slices, 1), from Chebyshev nodes of ln of the length of the lobe."""
+    """Interpolate the records at many peaks, (slices, 1), from Chebyshev nodes in the logarithm of the length of the lobe."""
     domain = np.log([scale_x.min(), scale_x.max()])
     unit = np.polynomial.chebyshev.chebpts1(_CHEBYSHEV)
     length = np.exp(domain.mean() + np.ptp(domain) / 2 * unit)

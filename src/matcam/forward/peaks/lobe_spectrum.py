@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from matcam.material.ndf.distribution import NDF
 
 _POINTS = 8192
-_STEP = 1 / 128  # of ln r and of ln k
+_STEP = 1 / 128  # step of ln r and of ln k
 _FIRST = -_STEP * _POINTS / 2
 
 
@@ -30,7 +30,7 @@ class LobeSpectrum(NamedTuple):
     """Fourier transform of a lobe of unit peak, tabulated over ln k.
 
     Attributes:
-        values: k^2 or sqrt(k) times the transform, k in units of 1 / scale, on the last axis.
+        values: k (plane) or sqrt(k) (line) times the transform, k in units of 1 / scale, on the last axis.
         scale: unit of the coordinate r, rad or a slope.
         dims: 2 for the plane, 1 for a line.
     """
@@ -59,7 +59,8 @@ def lobe_spectrum(ndf: NDF, dims: int, aside: jax.Array | None = None) -> LobeSp
     Args:
         ndf: the lobe.
         dims: 2 for the plane, 1 for a line.
-        aside: distance of the line from the peak, in the lobe's coordinate, any shape. Default: None, through the peak.
+        aside: distance of the line from the peak, in the lobe's coordinate, any shape. Default: None, the line contains the
+            peak.
     """
     scale = constant(ndf.roughness)
     r = scale * np.exp(_FIRST + _STEP * np.arange(_POINTS))
@@ -67,14 +68,17 @@ def lobe_spectrum(ndf: NDF, dims: int, aside: jax.Array | None = None) -> LobeSp
     power = 1.0 if dims == 2 else 0.5
     spectrum = fft.rfft(shape * (r / scale) ** power) * _transform(dims)
     turned = fft.irfft(spectrum, _POINTS)
-    # the sum over wave numbers has the opposite sign of an inverse FFT
+    # the exponents of this sum over wave numbers have the opposite sign of those of an inverse FFT
     values = xp.concatenate([turned[..., :1], turned[..., :0:-1]], axis=-1)
     return LobeSpectrum(values * (2 * np.pi if dims == 2 else 2.0), scale, dims)
 
 
 @cache
 def _transform(dims: int) -> np.ndarray:
-    """Compute the factor of exp(-i w ln k) k^-power in the transform of each wave in ln r, exp(i w ln r) r^-power."""
+    """Compute the factors of FFTLog, one for each frequency w in ln r.
+
+    The transform of exp(i w ln r) r^-power is the factor times exp(-i w ln k) k^-power.
+    """
     from scipy.special import loggamma
 
     w = 2 * np.pi * np.arange(_POINTS // 2 + 1) / (_POINTS * _STEP)

@@ -31,12 +31,13 @@ def peak_response(
     exact: bool = False,
     masking: Masking = "smith",
 ) -> jax.Array:
-    """Compute the recorded peak over the true peak of a highlight.
+    """Compute the recorded peak divided by the true peak of a highlight.
 
-    In the tangent plane the response lies in (0, 1]. On a sphere, lobes much narrower than the kernel lose at most
-    cos(theta) relative to theta = 0. The integral over the lobe is accurate to 1e-6 for every lobe and every isotropic
-    lens. The exact response may exceed 1 close to the limb, where the BRDF increases. Its relative error is below
-    1e-6 for Gaussian lenses; other lenses are sums of Gaussians.
+    In the tangent plane the response lies in (0, 1]. On a sphere, the response of a lobe much narrower than the kernel
+    decreases at most by the factor cos(theta) relative to theta = 0. The integral over the lobe is accurate to 1e-6 for
+    every lobe and every isotropic lens. The exact response may exceed 1 close to the limb, where the BRDF increases. The
+    relative error of the exact response is below 1e-6 for Gaussian lenses; other lenses are approximated by sums of
+    Gaussians.
 
     Args:
         rig: camera, sample and lamp.

@@ -1,14 +1,14 @@
-"""Record of a specular lobe in the tangent plane, around its peak (docs/model.md 4).
+"""Record of a specular lobe around its peak, in the tangent plane (docs/model.md 4).
 
 A curved sample is replaced by theta = theta_o + t / (r_s cos theta_o) (paper (7)), so that the lobe on the sensor is
 stretched by `px_per_rad` of the sample. Its record is an integral over frequencies for every lobe and every isotropic
-lens (`lobe_quadrature.py`). If both the lens and the lobe are sums of Gaussians, the integral has a closed form, the
-product in both directions of
+lens (`lobe_quadrature.py`). If both the lens and the lobe are sums of Gaussians, the integral has a closed form: the product
+over both directions of
 
     b(u; s) = sqrt(2 pi) s pixel.of_gaussian(u, sqrt(s^2 + sigma^2)).
 
-The closed form takes a thirtieth of the time, which matters because the record of a table evaluates it at a million
-positions around the peak.
+The closed form takes a thirtieth of the time, which matters because a table requires the record at a million positions
+around the peak.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ if TYPE_CHECKING:
     from matcam.rigs import Rig
 
 _VALUES = 1 << 20
-"""Number of values of the Gaussians of a lobe that are stored at a time."""
+"""Largest number of values of the Gaussians of a lobe that are stored at a time, which take 8 MiB."""
 
 Gaussians = list[tuple["jax.Array", "jax.Array"]]
 """Weights and standard deviations, px, of a lens that is a sum of Gaussians."""
 
 
 def response_at_peak(rig: Rig, ndf: SlopeDistribution, theta: jax.Array, dims: int) -> jax.Array:
-    """Compute the record at the peak over the true peak, (n,).
+    """Compute the record at the peak divided by the true peak, (n,).
 
     Args:
         rig: the rig.
@@ -52,7 +52,7 @@ def response_at_peak(rig: Rig, ndf: SlopeDistribution, theta: jax.Array, dims: i
     if not isinstance(ndf, NDF):
         raise ArgumentError(f"the tangent plane needs an isotropic lobe, not {type(ndf).__name__}: use exact=True")
     sample = rig.sample
-    # all lines across the axis of a cylinder are equal
+    # in a distant rig, all rows across the axis of a cylinder are equal
     one_plane = dims == 2 and isinstance(sample, Cylinder) and sample.distant and rig.lamp.nearness is None
     lens = _gaussians_of(rig)
     if lens is not None and isinstance(ndf, MixtureNDF):
@@ -73,7 +73,7 @@ def lobe_record(rig: Rig, ndf: NDF, theta_o: AnyArray, x: AnyArray, y: AnyArray)
         ndf: the lobe.
         theta_o: viewing angle of the peak, rad, (slices,).
         x: offsets towards the limb, px, (slices, points).
-        y: offsets across, px, (slices, points).
+        y: offsets perpendicular to this direction, px, (slices, points).
 
     Returns:
         Relative record, (slices, points), no unit. At offset (0, 0) it is the response at the peak.
@@ -86,7 +86,7 @@ def lobe_record(rig: Rig, ndf: NDF, theta_o: AnyArray, x: AnyArray, y: AnyArray)
 
 
 def _gaussians_of(rig: Rig) -> Gaussians | None:
-    """Return the Gaussians of a lens, widened by the jitter; None if it is not a sum of Gaussians."""
+    """Return the Gaussians of a lens, widened by the jitter; None if the lens is not a sum of Gaussians."""
     parts = checked_isotropic(rig.camera.optics, "a prediction").components()
     if not all(isinstance(part, GaussianOptics) for _, part in parts):
         return None
@@ -96,7 +96,7 @@ def _gaussians_of(rig: Rig) -> Gaussians | None:
 def _closed_record(
     rig: Rig, ndf: MixtureNDF, lens: Gaussians, theta: jax.Array, positions: tuple[jax.Array, jax.Array]
 ) -> jax.Array:
-    """Compute the record of a lobe at positions (x, y), (slices, points)."""
+    """Compute the record of a lobe divided by the true peak at positions (x, y), px; (slices, points)."""
     if not has_discs(rig):
         return _closed_in_focus(rig, ndf, lens, theta, positions)
 
@@ -114,7 +114,7 @@ def _closed_record(
 def _closed_in_focus(
     rig: Rig, ndf: MixtureNDF, lens: Gaussians, theta: jax.Array, positions: tuple[jax.Array, jax.Array]
 ) -> jax.Array:
-    """Compute the record of a lobe under a point lamp, through a lens in focus."""
+    """Compute the results of `_closed_record` under a point lamp, through a lens in focus."""
     weights, widths = ndf.mixture()
 
     def record(scale_x: jax.Array, scale_y: jax.Array, x: jax.Array, y: jax.Array) -> jax.Array:
@@ -130,7 +130,7 @@ def _closed_in_focus(
 
 
 def _closed_line(rig: Rig, ndf: MixtureNDF, lens: Gaussians, theta: jax.Array, one_plane: bool) -> jax.Array:
-    """Compute the response at the peak in one dimension, (slices,): towards the limb, as in the paper.
+    """Compute the response at the peak in one dimension, (slices,), towards the limb as in the paper.
 
     one_plane: see `line_record`.
     """
@@ -152,7 +152,10 @@ def _closed_line(rig: Rig, ndf: MixtureNDF, lens: Gaussians, theta: jax.Array, o
 
 
 def _line(rig: Rig, u: jax.Array, std: jax.Array, lens: jax.Array) -> jax.Array:
-    """Evaluate b(u; s), the record of a line with a Gaussian profile of unit peak; 1 for infinite s."""
+    """Evaluate b(u; s), the one-dimensional record of a Gaussian whose peak is 1; 1 for infinite s.
+
+    u: offset from the peak, px. std: s, px. lens: standard deviation of the lens, px.
+    """
     uniform = xp.isinf(std)
     std = xp.where(uniform, 1.0, std)
     record = np.sqrt(2 * np.pi) * std * rig.camera.pixel.of_gaussian(u, xp.sqrt(std**2 + lens**2))

@@ -17,9 +17,10 @@ _SHORTEST = 1e-14
 CHUNK = 1024
 """Largest number of windows of one call."""
 _TINY = 1e-300
+"""Smallest divisor, which avoids a division by 0."""
 _TURN = 2 * np.pi
 _WHOLE = np.pi - 1e-9
-"""Half length of an excluded interval, rad, that covers a whole circle."""
+"""Half length of an excluded interval, rad, above which the interval covers a whole circle."""
 
 
 class Frame(NamedTuple):
@@ -31,11 +32,11 @@ class Frame(NamedTuple):
 
 
 class Clips(NamedTuple):
-    """Half-spaces in the frame of the circles, arrays of shape (windows, half-spaces).
+    """Half-spaces a . n <= b in the frame of the circles, arrays of shape (windows, half-spaces).
 
     Attributes:
         axial: component of a along the axis.
-        radial: length of the component across the axis.
+        radial: length of the component of a perpendicular to the axis.
         azimuth: azimuth of that component, rad.
         offset: b.
     """
@@ -63,9 +64,9 @@ def _gaps(
 
     Args:
         axial: see `Clips`, (..., half-spaces).
-        radial: the same.
-        azimuth: the same.
-        offset: the same.
+        radial: see `Clips`, (..., half-spaces).
+        azimuth: see `Clips`, (..., half-spaces), rad.
+        offset: see `Clips`, (..., half-spaces).
         circle: angle of the circle from its axis, (...,), rad.
     """
     excess = offset - jnp.cos(circle)[..., None] * axial
@@ -78,7 +79,7 @@ def _gaps(
         own = excludes[..., other, None]
         since = end - begin[..., other, None]
         since -= _TURN * jnp.floor(since / _TURN)
-        # the start of the interval itself is a turn less its length away
+        # the distance from the end to the start of the same interval is a full turn minus its length
         covered = own & (since < 2 * half[..., other, None]) & (np.arange(half.shape[-1]) != other)
         length = jnp.where(own, jnp.minimum(length, _TURN - since), length)
         length = jnp.where(covered | (own & (half[..., other, None] > _WHOLE)), 0.0, length)
@@ -111,8 +112,8 @@ class Arcs(NamedTuple):
 
     Attributes:
         circle: index of the circle.
-        middle: azimuth of the middle, rad.
-        half: half length, rad.
+        middle: azimuth of the middle of the arc, rad.
+        half: half length of the arc, rad.
     """
 
     circle: np.ndarray

@@ -1,8 +1,8 @@
-"""Rings of cells around a highlight: their records are interpolated between fewer positions.
+"""Rings of cells around a highlight, whose records are interpolated between fewer positions.
 
-A record is a smooth function of the position on the sensor, with the highest frequency of the kernel, also across limb and
-terminator. The cells of one theta_h lie on a ring about the highlight. Close to the highlight the ring has many more
-cells than the kernel resolves, so that a trigonometric polynomial through few positions yields them all.
+A record is a smooth function of the position on the sensor, also across limb and terminator, because the kernel limits its
+frequencies. The cells of one theta_h lie on a ring about the highlight. A ring close to the highlight has many more cells
+than the kernel resolves, so a trigonometric polynomial through few positions yields the values of all cells.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from matcam.core.jax import AnyArray
 _LEAST = 10
 """Smallest number of positions on half a ring."""
 _HIGHEST = 0.65
-"""Highest frequency of a record, in periods per standard deviation of the lens. It passes 2e-4, and less with the pixel; a
-record has little of it.
+"""Highest frequency of an interpolated record, in periods per standard deviation of the lens. A Gaussian lens attenuates this
+frequency to 2e-4, and the pixel attenuates it further.
 """
 _SAVED = 0.75
 """Largest ratio of positions to cells for which a ring is interpolated."""
 _COUNTS = (12, 16, 20, 24, 28, 32, 40, 48, 56, 64, 80, 96, 112, 128)
-"""Numbers of positions on half a ring."""
+"""Available numbers of positions on half a ring."""
 
 
 class Rings(NamedTuple):
@@ -30,8 +30,8 @@ class Rings(NamedTuple):
 
     Attributes:
         cells: indices of the cells on all rings in the flattened arrays of a table.
-        first: index of the first position.
-        matrix: values of the cells from those of the positions, (cells of one ring, positions).
+        first: index of the first position of these rings among the positions of all rings.
+        matrix: weights of the positions of a ring in the values of its cells, (cells of one ring, positions).
     """
 
     cells: np.ndarray
@@ -39,7 +39,7 @@ class Rings(NamedTuple):
     matrix: np.ndarray
 
     def interpolated(self, radiance: AnyArray) -> AnyArray:
-        """Compute the values of the cells, (cells, channels). radiance: at the positions of all rings."""
+        """Compute the radiance at the cells, (cells, channels). radiance: radiance at the positions of all rings."""
         rings = self.cells.size // self.matrix.shape[0]
         count = self.matrix.shape[1]
         own = radiance[self.first : self.first + rings * count].reshape(rings, count, -1)
@@ -55,9 +55,9 @@ def rings_of(
         theta_h: half angles of the points of all cells, (theta_d, theta_h, phi_d, point, point), rad.
         theta_d: difference angles, of the same shape, rad.
         phi_d: their azimuths, of the same shape, rad.
-        seen: whether a point has a position on the sensor, of the same shape.
-        per_radian: shift of the image per rotation of the normal, in standard deviations of the lens; 0: unknown.
-        mirrored: whether phi_d covers half a turn, and a record is even in it.
+        seen: True for points with a position on the sensor, of the same shape.
+        per_radian: shift of the image per rotation of the normal, in standard deviations of the lens per rad; 0: unknown.
+        mirrored: True if phi_d covers half a turn, and a record is an even function of phi_d.
 
     Returns:
         The rings; and theta_h, theta_d and phi_d of their positions, rad.

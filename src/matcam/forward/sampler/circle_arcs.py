@@ -19,7 +19,7 @@ class CircleArcs(NamedTuple):
     Attributes:
         frame: axis of the circle, and the directions of azimuth 0 and pi/2, three arrays each.
         angle: angle of the circle from its axis, rad.
-        weight: weight of the integral over normals, with the length of the arc.
+        weight: weight in the integral over normals, including half the length of the arc, no unit.
         middle: azimuth of the middle of the arc, rad.
         half: half the length of the arc, rad.
     """
@@ -31,14 +31,14 @@ class CircleArcs(NamedTuple):
     half: AnyArray
 
     def directions(self) -> tuple[_Direction, _Direction]:
-        """Compute sine and cosine of the middle and of the angle from the axis."""
+        """Compute sine and cosine of the azimuth of the middle, and of the angle from the axis."""
         middle, angle = ((jnp.sin(a), jnp.cos(a)) for a in (self.middle, self.angle))
         return middle, angle
 
     def element(
         self, sample: Sphere, node: jax.Array, directions: tuple[_Direction, _Direction]
     ) -> tuple[Element, AnyArray]:
-        """Compute the surface at a node in [-1, 1] of each arc, and the weight of its light."""
+        """Compute the surface element at a node in [-1, 1] on each arc, and the weight of its radiance."""
         (sine_m, cosine_m), (radius, up) = directions
         off = jnp.asarray(self.half) * node
         sine_off, versine = sine(off), 2 * sine(off / 2) ** 2

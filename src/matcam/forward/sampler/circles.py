@@ -1,16 +1,16 @@
 """Circles of normals along which the record of a window is integrated (docs/forward.md, Quadrature).
 
-The light of a lobe depends mainly on the angle from the normal of the highlight, so circles about this normal, which are denser
-towards it, resolve a highlight of any width. Far from the highlight the shape of the window matters more: towards the limb
-it is a narrow strip on the sphere. There, the axis of the circles is perpendicular to the strip and to the optical axis, so
-that they run along the strip and cross limb and terminator at large angles.
+The radiance of a lobe depends mainly on the angle from the normal of the highlight, so circles about this normal, which are
+denser towards it, resolve a highlight of any width. Far from the highlight the shape of the window on the sphere matters
+more: near the limb the window is a narrow strip. The axis of its circles is then perpendicular to the strip and to the
+optical axis, so the circles run along the strip and cross limb and terminator at large angles.
 
-Along the angle theta from the axis, nodes are those of Gauss and Legendre in
+The angles theta of the circles from the axis are Gauss-Legendre nodes in
 
     t(theta) = 3 asinh(theta / scale) + theta / pitch.
 
-Where a circle touches limb or terminator, the length of its arc has a singularity of the square root. There, another
-substitution removes it.
+At a circle that touches limb or terminator, the length of the arcs has a square-root singularity in theta. Another
+substitution removes the singularity.
 """
 
 from __future__ import annotations
@@ -31,25 +31,31 @@ _GRADED = 3.0
 _ACROSS = 14.0
 """Number of nodes across a window whose kernel has the fineness 1."""
 _MORE, _MORE_AT_TOUCH = 6, 4
-"""Additional nodes of every span, and of a span near a touching circle."""
+"""Number of additional nodes of every span, and of a span near a circle that touches limb or terminator."""
 COARSEST = 0.2
 """Largest scale of the grading towards the highlight, px at the centre of the sphere."""
 _UNGRADED = 1e3
-"""Scale that yields even nodes, rad."""
+"""Scale of nodes that are not graded, rad."""
 _FAR = 1 / 8
-"""Distance from the highlight, in lengths of the window on the sphere, beyond which the light is smooth along the window."""
+"""Distance from the highlight, in lengths of the window on the sphere, beyond which the radiance is smooth along the window."""
 _STRIP = 2.0
 """Ratio of length to width of a window on the sphere above which it is a strip."""
 _FORESHORTENED = 1.5
-"""Ratio of the largest angle from the highlight to the largest one across the strip above which they have their own nodes."""
+"""Ratio of the largest angle from the highlight to the angle up to which circles touch the sides of a strip. Above this ratio,
+both ranges of angles have their own nodes.
+"""
 _NEAR_TOUCH = 0.5
-"""Distance of a touching circle from a span, in lengths of the span, below which it affects the nodes."""
+"""Distance of a touching circle from a span, in lengths of the span, below which the circle affects the nodes."""
 _SLACK, _SLACK_AT_END = 0.02, 0.25
-"""Shares by which the range of angles on the border of a window is widened; at an end of the light it is then narrowed."""
+"""Shares by which the range of angles on the border of a window is widened, without and with limb or terminator in the
+window. In the second case, the range is then narrowed to the circles with arcs.
+"""
 _PROBES = (1 - np.cos(np.pi * np.arange(25) / 24)) / 2
 """Positions in a range of angles at which circles with arcs are searched, denser towards the ends."""
 _AT_END = 1e-3
-"""Cosine of light or view below which a normal on the border of a window is at an end of the light."""
+"""Cosine of the angle of incidence or of the viewing angle below which a normal on the border of a window is treated as a
+normal of terminator or limb.
+"""
 _EQUAL = 1e-9
 """Difference of angles, rad, below which they are equal."""
 _NEWTON = 5
@@ -62,7 +68,7 @@ class Circles(NamedTuple):
     Attributes:
         window: index of the window.
         angle: angle from the axis, rad.
-        weight: weight of the integral over normals, rad, with the radius of the circle.
+        weight: weight in the integral over normals, rad, including the sine of the angle.
     """
 
     window: np.ndarray
@@ -75,7 +81,8 @@ class CircleLayout(NamedTuple):
 
     Attributes:
         frame: frame of the circles of each window, arrays of shape (windows,).
-        highlight: distance of the highlight from windows with circles about another axis, rad; infinite for the others.
+        highlight: smallest angle between the highlight and a window with circles about another axis, rad; infinite for the
+            other windows.
         circles: the circles.
         arcs: their arcs.
     """
@@ -109,10 +116,10 @@ class _Spans(NamedTuple):
 
 
 def lay_circles(view: SphereView, windows: Windows, finest: float, fineness: float) -> CircleLayout:
-    """Lay circles over at most `arcs.CHUNK` windows, and find their arcs.
+    """Compute the circles of at most `arcs.CHUNK` windows, and their arcs.
 
     Args:
-        view: the sphere and the distances of camera and lamp.
+        view: radius of the sphere, and inverse distances of camera and lamp.
         windows: the windows.
         finest: narrowest scale of the lobe, rad.
         fineness: factor of the number of nodes across a window, see `BlurScale`.
@@ -136,7 +143,7 @@ def lay_circles(view: SphereView, windows: Windows, finest: float, fineness: flo
     clips = Clips.of(windows.half_spaces(view), frame)
     low, high = _with_arcs(clips, low, high, ends)
 
-    # circles about the highlight touch the sides of a strip up to this angle, and cross it beyond
+    # up to this angle, circles about the highlight touch the sides of a strip; at larger angles they cross the strip
     peak_polar = np.arccos(np.clip(_dot(across.axis, peak), -1, 1))
     side = np.maximum(np.abs(last - peak_polar), np.abs(first - peak_polar))
     both = ~strip & (low < side) & (high > _FORESHORTENED * side)
@@ -152,7 +159,7 @@ def lay_circles(view: SphereView, windows: Windows, finest: float, fineness: flo
 
 
 def _ends_inside(view: SphereView, windows: Windows, border: np.ndarray) -> np.ndarray:
-    """Check whether limb or terminator may be in windows. border: normals along their borders."""
+    """Check whether limb or terminator may be in each window. border: normals along the borders of the windows."""
     lit = np.sin(windows.lamp)[:, None] * border[0] + np.cos(windows.lamp)[:, None] * border[2]
     return np.any((border[2] < view.camera + _AT_END) | (lit < view.lamp + _AT_END), axis=1)
 
@@ -177,12 +184,15 @@ def _dot(vector: np.ndarray, others: np.ndarray) -> np.ndarray:
 
 
 def angles_from_axis(frame: Frame, normals: np.ndarray) -> np.ndarray:
-    """Compute the angles of normals, (3, windows, points), from the axis, rad, without loss of digits."""
+    """Compute the angles of normals, (3, windows, points), from the axis, rad, to full precision."""
     return np.arctan2(np.hypot(_dot(frame.first, normals), _dot(frame.second, normals)), _dot(frame.axis, normals))
 
 
 def _with_arcs(clips: Clips, low: np.ndarray, high: np.ndarray, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Narrow ranges of angles at ends of the light to the circles that have arcs; empty ranges where none has."""
+    """Narrow the ranges of angles of windows with limb or terminator, `ends`, to the circles that have arcs.
+
+    A range becomes empty if no circle has arcs.
+    """
     index = np.flatnonzero(ends)
     if not index.size:
         return low, high
@@ -222,7 +232,7 @@ def _spans(
     low, high = ends
     cuts = np.concatenate([touching, side[:, None]], axis=1)
     cuts = np.where((cuts > low[:, None] + _EQUAL) & (cuts < high[:, None] - _EQUAL), cuts, np.nan)
-    edges = np.sort(np.concatenate([low[:, None], high[:, None], cuts], axis=1), axis=1)  # NaN are last
+    edges = np.sort(np.concatenate([low[:, None], high[:, None], cuts], axis=1), axis=1)  # NaN is sorted to the end
     # limb and terminator may touch circles of equal angles, up to rounding
     window, number = np.nonzero(edges[:, 1:] > edges[:, :-1] + _EQUAL)
     low, high = edges[window, number], edges[window, number + 1]
@@ -245,7 +255,7 @@ def _nodes(spans: _Spans) -> Circles:
     """Compute the nodes of spans and their weights."""
     count = _t(spans.high, spans.scale, spans.pitch) - _t(spans.low, spans.scale, spans.pitch) + _MORE
     count += _MORE_AT_TOUCH * (np.isfinite(spans.before).astype(int) + np.isfinite(spans.after))
-    count = 4 * np.ceil(count / 4).astype(int)  # few numbers of nodes
+    count = 4 * np.ceil(count / 4).astype(int)  # rounded up, so that there are few different numbers
     span, at, share = [], [], []
     for number in np.unique(count):
         index = np.flatnonzero(count == number)
@@ -268,14 +278,14 @@ def _t(angle, scale, pitch):  # type: ignore[no-untyped-def]
 
 @kept_program
 def _angles(used: jax.Array, spans: tuple[jax.Array, ...]) -> tuple[jax.Array, jax.Array]:
-    """Compute the angles of nodes in [-1, 1], and the derivative, rad."""
+    """Compute the angles at nodes in [-1, 1], and their derivatives with respect to the node, rad."""
 
     def block(arguments):  # type: ignore[no-untyped-def]
         low, high, scale, pitch, first, last, before, after, node = arguments
         share = (node + 1) / 2
         at_low, at_high = ~jnp.isnan(before), ~jnp.isnan(after)
         start, end = jnp.where(at_low, before, first), jnp.where(at_high, after, last)
-        # with a touching circle at one end, t - t0 is a square; with one at both, t is a cosine
+        # with a touching circle at one end, its distance in t is a square; with touching circles at both ends, t is a cosine
         below, above = (jnp.sqrt(jnp.maximum(a - start, 0.0)) for a in (first, last))
         root = below + (above - below) * share
         left, right = (jnp.sqrt(jnp.maximum(end - a, 0.0)) for a in (first, last))
@@ -293,7 +303,7 @@ def _angles(used: jax.Array, spans: tuple[jax.Array, ...]) -> tuple[jax.Array, j
         def slope(angle: jax.Array) -> jax.Array:
             return _GRADED / jnp.hypot(angle, scale) + 1 / pitch
 
-        def newton(_: int, angle: jax.Array) -> jax.Array:  # t is concave, so that the steps converge from below
+        def newton(_: int, angle: jax.Array) -> jax.Array:  # t is concave, so the steps converge from below
             return jnp.clip(angle + (t - _t(angle, scale, pitch)) / slope(angle), low, high)
 
         guess = jnp.clip(jnp.minimum(scale * jnp.sinh(jnp.minimum(t / _GRADED, 300.0)), pitch * t), low, high)

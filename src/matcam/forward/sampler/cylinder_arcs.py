@@ -1,14 +1,14 @@
-"""Arcs across a cylinder: its rows within the window of a pixel, between limb and terminator, in closed form.
+"""Arcs across a cylinder: parts of image rows inside the window of a pixel and between limb and terminator.
 
-On a sphere, an arc is a part of a circle of normals. On a cylinder, a row of the image is such a circle. The columns of the
-window, limb and terminator cut one arc from it. In a distant rig the light is the same in all rows, so that one row suffices.
-Otherwise, rows become denser towards the mirror point of the lamp. Both the angle u of the normals and the position of the rows
-are substituted:
+On a sphere, an arc is a part of a circle of normals. On a cylinder, a row of the image is such a circle. The left and right
+side of the window, limb and terminator bound one arc on the row, in closed form. In a distant rig the radiance is the same
+in all rows, so one row suffices. Otherwise, rows become denser towards the highlight. Both the angle u of the normals and
+the position of the rows are substituted:
 
     u = centre + scale sinh(t).
 
-The light of a lobe is smooth in t. The centre is the position of the row that is closest to the half vector. Where the light
-ends in the window, masking varies on the scale of the lobe, so that a separate arc begins there.
+The radiance of a lobe is smooth in t. The centre is the u at which the row is closest to the half vector. If limb or
+terminator lies in the window, masking varies on the scale of the lobe there, so a separate arc begins at that end.
 """
 
 from __future__ import annotations
@@ -34,12 +34,17 @@ from matcam.sample.curved import Cylinder
 from matcam.sample.shape import Element
 
 _AWAY = 0.9
-"""Angle from the half vector, in those of `BlurScale.near`, beyond which the light is smooth on the scale of the kernel."""
+"""Smallest angle from the half vector at which the radiance is smooth on the scale of the kernel, relative to the angle that
+corresponds to `BlurScale.near`.
+"""
 _LEAST, _GRADED, _ACROSS = 6.0, 3.0, 14.0
-"""Nodes on every arc, additional ones per unit of t, and additional ones across a window whose kernel has the fineness 1."""
+"""Number of nodes on every arc, number of additional nodes per unit of t, and number of additional nodes across a window
+whose kernel has the fineness 1.
+"""
 _WIDEST = 1e9
-"""Largest scale, in radii or px: the nodes are even."""
+"""Largest scale of the substitution for rows, px. Nodes with this scale are not graded."""
 _FLAT = 1e-300
+"""Smallest divisor, which avoids a division by 0."""
 
 
 class CrossArcs(NamedTuple):
@@ -70,11 +75,11 @@ class CrossArcs(NamedTuple):
         return CrossArcs(*(a[index] for a in self))
 
     def directions(self) -> tuple[()]:
-        """Return nothing: the normals of a cylinder have one angle."""
+        """Return an empty tuple, because one angle specifies the normal of a cylinder."""
         return ()
 
     def element(self, sample: Cylinder, node: jax.Array, _: tuple[()] = ()) -> tuple[Element, AnyArray]:
-        """Compute the surface at a node in [-1, 1] of each arc, and the weight of its light."""
+        """Compute the surface element at a node in [-1, 1] on each arc, and the weight of its radiance."""
         t = jnp.asarray(self.middle) + self.half * node
         grown, inverse = jnp.exp(t), jnp.exp(-t)
         u = jnp.asarray(self.centre) + self.scale * (grown - inverse) / 2
@@ -84,10 +89,10 @@ class CrossArcs(NamedTuple):
 
 
 def smooth_on_cylinder(imaging: Imaging, windows: Windows, near: float) -> np.ndarray:
-    """Find pixels of a cylinder in whose window the light is smooth on the scale of the kernel.
+    """Find pixels of a cylinder in whose window the radiance is smooth on the scale of the kernel.
 
     Args:
-        imaging: cylinder, blur and the lamp's nearness.
+        imaging: cylinder, blur and inverse distance of the lamp.
         windows: windows of the pixels.
         near: distance from a highlight within which a lobe may be narrow on the scale of the kernel, px.
     """
@@ -96,14 +101,14 @@ def smooth_on_cylinder(imaging: Imaging, windows: Windows, near: float) -> np.nd
 
 
 def arcs_across(imaging: Imaging, windows: Windows, fineness: float, finest: float, elongation: float) -> CrossArcs:
-    """Compute the arcs of pixels.
+    """Compute the arcs in the windows of pixels.
 
     Args:
-        imaging: cylinder, blur and the lamp's nearness.
+        imaging: cylinder, blur and inverse distance of the lamp.
         windows: windows of the pixels.
         fineness: factor of the number of nodes across a window, see `BlurScale`.
         finest: narrowest scale of the lobe, rad.
-        elongation: elongation of the lobe.
+        elongation: elongation of the lobe, no unit.
     """
     count = windows.x.size
     if not count:
@@ -120,7 +125,7 @@ def arcs_across(imaging: Imaging, windows: Windows, fineness: float, finest: flo
     first, last, low, high, ridge, miss = in_calls(_arc_blocks, (*_columns(windows.at(which)), row), imaging)
     middle = np.clip(ridge, first, last)
     narrow = np.sqrt(finest**2 + (miss**2 + (middle - ridge) ** 2) / elongation**2)
-    # an arc begins at each end of the light
+    # a separate arc begins at each end of the lit part
     starts, ends = first <= low, last >= high
     before, after = middle - first, last - middle
     narrow = np.where(starts, np.minimum(narrow, np.hypot(finest, before)), narrow)
@@ -163,7 +168,7 @@ class _Spans(NamedTuple):
 
     @classmethod
     def of(cls, centre: np.ndarray, scale: np.ndarray, low: np.ndarray, high: np.ndarray) -> _Spans:
-        """Substitute intervals from `low` to `high`."""
+        """Build the substituted intervals from `low` to `high`."""
         first, last = (np.arcsinh((end - centre) / scale) for end in (low, high))
         return cls(centre, scale, (first + last) / 2, (last - first) / 2)
 
@@ -172,7 +177,7 @@ class _Spans(NamedTuple):
         return _Spans(*(a[index] for a in self))
 
     def counts(self, width: np.ndarray, fineness: float) -> np.ndarray:
-        """Choose the numbers of nodes. width: of the window."""
+        """Choose the number of nodes in each interval. width: width of the window, in the unit of `scale`."""
         steepest = self.scale * np.cosh(np.abs(self.middle) + self.half)
         needed = _LEAST + 2 * self.half * (_GRADED + _ACROSS * fineness * steepest / np.maximum(width, _FLAT))
         return np.minimum(2 * np.ceil(needed / 2), MOST_NODES).astype(int)
@@ -188,11 +193,12 @@ class _Spans(NamedTuple):
 
 
 def _around(imaging: Imaging, windows: Windows) -> tuple[np.ndarray, ...]:
-    """Describe the light in the windows of pixels.
+    """Compute properties of the radiance in the windows of pixels.
 
     Returns:
-        Whether it has no end there; smallest angle from the half vector, rad; largest rotation of normal against half
-        vector, rad/px; row of the mirror point, px; and rotation along the cylinder, rad/px.
+        True if neither limb nor terminator is in the window; smallest angle between normal and half vector, rad; largest
+        rotation of normal or half vector, rad/px; row of the highlight, px; and rotation of the half vector along the
+        axis of the cylinder, rad/px.
     """
     if not windows.x.size:
         return (np.zeros(0, dtype=bool), *[np.zeros(0)] * 4)
@@ -200,7 +206,7 @@ def _around(imaging: Imaging, windows: Windows) -> tuple[np.ndarray, ...]:
 
 
 def _columns(windows: Windows) -> tuple[np.ndarray, ...]:
-    """Return column, half side along x, and angle, cosine and sine of the lamp."""
+    """Return x, half side along x, lamp angle, and cosine and sine of the lamp azimuth."""
     return windows.x, windows.half[0], windows.lamp, windows.cosine, windows.sine
 
 
@@ -242,7 +248,7 @@ def _arc_blocks(used: jax.Array, rows: tuple[jax.Array, ...], imaging: Imaging) 
 def _interval(
     imaging: Imaging, x: jax.Array, reach: jax.Array, lamp: list[jax.Array]
 ) -> tuple[PlacedLamps, jax.Array, jax.Array, jax.Array, jax.Array]:
-    """Compute the lamps of pixels, and the u of both ends of the light and of both sides of the window, rad."""
+    """Compute the lamps of pixels, and the u of both ends of the lit part and of both sides of the window, rad."""
     cylinder: Cylinder = imaging.sample  # type: ignore[assignment]
     light = _lamps(imaging, *lamp)
     first, last = (cylinder.across(x + side * reach, jnp.zeros_like(x)) for side in (-1, 1))

@@ -1,7 +1,7 @@
-"""Row of a cylinder's image and the half vector: ends of the light, and the position closest to the half vector.
+"""Geometry of one row in the image of a cylinder: ends of the lit part, and the normal closest to the half vector.
 
-Limb and terminator are straight, so the light ends at the same angle in every row. The mirror point of a lamp is found as in a
-plane, because a path reflected by a cylinder has a constant slope along its axis (docs/model.md 3).
+Limb and terminator are straight, so the lit part ends at the same angle in every row. The highlight is found as in a plane,
+because a ray that a cylinder reflects has a constant slope along the axis of the cylinder (docs/model.md 3).
 """
 
 from __future__ import annotations
@@ -20,13 +20,18 @@ _STEPS = 6
 
 
 class PlacedLamps(NamedTuple):
-    """Lamps of some positions, in shapes that broadcast: directions, and nearness; None: distant."""
+    """Lamps of some positions, as arrays that broadcast.
+
+    Attributes:
+        towards: direction to the lamp, seen from the centre of the cylinder.
+        nearness: inverse of the lamp's distance, 1/radii; None: a distant lamp.
+    """
 
     towards: Vector
     nearness: AnyArray | None
 
     def beside(self, axes: int) -> PlacedLamps:
-        """Return the lamps for arrays with further axes of nodes."""
+        """Reshape the lamps to broadcast against `axes` further axes of nodes."""
         return jax.tree.map(lambda a: jnp.asarray(a).reshape(*a.shape, *[1] * axes), self)
 
 
@@ -37,7 +42,7 @@ def towards(lamp_angle: ArrayLike, azimuth: ArrayLike) -> Vector:
 
 
 def ends_of_light(cylinder: Cylinder, light: PlacedLamps) -> tuple[jax.Array, jax.Array]:
-    """Compute the u between which the cylinder is visible and lit: limb and terminator are straight."""
+    """Compute the range of u, rad, in which the cylinder is visible and lit. Limb and terminator are straight."""
     across = jnp.hypot(light.towards[0], light.towards[2])
     # a lamp along the axis lights no surface
     near = None if light.nearness is None else light.nearness / jnp.maximum(across, 1e-12)
@@ -45,7 +50,10 @@ def ends_of_light(cylinder: Cylinder, light: PlacedLamps) -> tuple[jax.Array, ja
 
 
 def mirror_row(cylinder: Cylinder, light: PlacedLamps, low: jax.Array, high: jax.Array) -> jax.Array:
-    """Compute the row, px, in which the cylinder mirrors the lamp; 0 if all rows or no row does."""
+    """Compute the row of the highlight, px; 0 if the highlight extends over all rows, or if there is none.
+
+    low, high: range of u that is visible and lit, rad.
+    """
     x, y, z = light.towards
     if light.nearness is None and cylinder.distant:
         return jnp.zeros_like(x)
@@ -53,7 +61,7 @@ def mirror_row(cylinder: Cylinder, light: PlacedLamps, low: jax.Array, high: jax
     q, w = cylinder.nearness, jnp.zeros_like(across) if light.nearness is None else light.nearness / across
     angle = jnp.arctan2(x, z)
     u = jnp.clip(highlight_between(angle, q, w), low, high)
-    # lengths along the axis of the paths from the mirror to lamp and camera, over the distances of these
+    # lengths of the paths from the highlight to lamp and camera in the cross section, over the distances of lamp and camera
     to_lamp, to_camera = (jnp.sqrt(1 - 2 * r * jnp.cos(u - a) + r**2) for r, a in ((w, angle), (q, 0.0)))
     climb = w + q * to_lamp / to_camera
     height = jnp.where(climb > 0, y / across / jnp.where(climb > 0, climb, 1.0), 0.0)
@@ -63,7 +71,10 @@ def mirror_row(cylinder: Cylinder, light: PlacedLamps, low: jax.Array, high: jax
 def seen_at(
     cylinder: Cylinder, light: PlacedLamps, u: jax.Array, row: jax.Array
 ) -> tuple[Element, Vector, jax.Array | None]:
-    """Compute the surface at u in rows, px, the direction to the lamp, and its squared distance; None: 1."""
+    """Compute surface elements, directions to the lamp, and squared distances of the lamp.
+
+    The squared distance is relative to that from the centre, no unit; None: 1. u: angle, rad. row: px.
+    """
     element = cylinder.surface(u, row / cylinder.stretch * (1 - cylinder.nearness * jnp.cos(u)))
     if light.nearness is None:
         return element, light.towards, None
@@ -77,7 +88,11 @@ def seen_at(
 def ridge_of(
     cylinder: Cylinder, light: PlacedLamps, row: jax.Array, low: jax.Array, high: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """Compute the u at which a row comes closest to the half vector, and the angle between them, rad."""
+    """Compute the u, rad, at which the normal in a row is closest to the half vector.
+
+    Returns:
+        u in [low, high]; and the angle between the half vector and the plane of the normals, rad.
+    """
     angle = jnp.arctan2(light.towards[0], light.towards[2] + 1)
 
     def newton(_: int, u: jax.Array) -> jax.Array:
@@ -85,7 +100,7 @@ def ridge_of(
         tangent, normal, view = element.tangent, element.normal, element.view
         aside = [tangent[0] * one[0] + tangent[2] * one[2] for one in (lamp, view)]
         slope = normal[0] * (lamp[0] + view[0]) + normal[2] * (lamp[2] + view[2])
-        if light.nearness is not None and square is not None:  # the view direction of a near point differs, too
+        if light.nearness is not None and square is not None:  # the direction to a near lamp varies, too
             slope += light.nearness * (1 - aside[0] ** 2) / jnp.sqrt(square)
         if not cylinder.distant:
             slope += cylinder.nearness * (1 - aside[1] ** 2)
@@ -100,7 +115,7 @@ def ridge_of(
 
 
 def turn_along(cylinder: Cylinder, light: PlacedLamps, u: jax.Array, row: jax.Array) -> jax.Array:
-    """Compute the largest rotation of the half vector along the cylinder, rad/px."""
+    """Compute an upper bound of the rotation of the half vector along the axis of the cylinder, rad/px."""
     if light.nearness is None and cylinder.distant:
         return jnp.zeros_like(u)
     element, lamp, square = seen_at(cylinder, light, u, row)

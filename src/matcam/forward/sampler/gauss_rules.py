@@ -1,4 +1,4 @@
-"""Gauss-Legendre rules of all numbers of nodes, in one table."""
+"""Table of Gauss-Legendre rules with all numbers of nodes up to a limit."""
 
 from __future__ import annotations
 

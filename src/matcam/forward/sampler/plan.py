@@ -1,7 +1,7 @@
-"""Plan of a record: positions of the light, from the geometry alone, that each pixel integrates.
+"""Plan of a record: the quadrature nodes of each pixel, which depend only on the geometry.
 
-Numbers and positions of nodes depend on the parameters of the camera, but a record must not be discontinuous in them. A plan is
-therefore frozen: under one plan a record is a smooth function of material and camera.
+Number and positions of the nodes depend on the parameters of the camera, but a record must be a continuous function of these
+parameters. A plan is therefore constant: with one plan, a record is a smooth function of material and camera.
 """
 
 from __future__ import annotations
@@ -27,27 +27,29 @@ from matcam.numerics.blocks import in_blocks, in_calls
 from matcam.sample.curved import Cylinder, Sphere
 
 _ON_ARC, _ON_FULL_ARC = 6.0, 12.0
-"""Nodes on a short arc, and additional ones on an arc across a window whose kernel has the fineness 1."""
+"""Number of nodes on a short arc, and of additional nodes on an arc across a window whose kernel has the fineness 1."""
 _BESIDE, _PER_DISTANCE, _MOST_DISTANCES = 7.0, 2.5, 8.0
-"""Nodes on an arc that is short relative to its distance from the highlight, additional ones per distance, and the largest
-number of distances.
+"""Number of nodes on an arc that is short relative to its distance from the highlight, number of additional nodes per ratio of
+length to distance, and largest ratio of length to distance.
 """
 _LONGEST = 1.3
-"""Largest length of an arc, in sides of its window, that adds nodes."""
+"""Length of an arc, in sides of its window, above which the number of nodes is constant."""
 _AROUND = np.pi / 8 * np.arange(16)
-"""Azimuths of positions around a pixel at which light must be visible for a smooth surrounding."""
+"""Azimuths, rad, of positions around a pixel that are visible and lit if the radiance around the pixel is smooth."""
 _GRAZING = 1e-3
 """Smallest cosine of the viewing angle by which the size of a window on the sphere is estimated."""
 _NO_CRESCENT = 0.6
-"""Share of the support radius of a residual within which all surface must be lit for smooth light up to the limb."""
+"""Share of the support radius of a residual. If the whole surface within this distance is lit, the radiance is smooth up to
+the limb.
+"""
 
 
 class RecordPositions(NamedTuple):
     """Pixel centres in images of a sample, arrays of shape (positions,).
 
     Attributes:
-        x: column from the optical axis, px.
-        y: row from the optical axis, upwards, px.
+        x: position to the right of the optical axis, px.
+        y: position above the optical axis, px.
         lamp_angle: angle between lamp and optical axis, rad.
         azimuth: azimuth of the lamp of each position, rad; None: every lamp is towards +x.
         picture: index of the image; None: irrelevant.
@@ -65,7 +67,7 @@ class RecordPositions(NamedTuple):
 
     @property
     def turn(self) -> Turn | None:
-        """Return cosine and sine of the azimuth; None if it is None."""
+        """Return cosine and sine of the azimuth; None if every lamp is towards +x."""
         return None if self.azimuth is None else Turn(np.cos(self.azimuth), np.sin(self.azimuth))
 
 
@@ -79,7 +81,7 @@ class ArcRows(NamedTuple):
         angle: angle of the circle from its axis, rad.
         weight: weight of the circle, see `Circles`, times half the length of the arc.
         middle: azimuth of the middle of the arc, rad.
-        half: half length, rad.
+        half: half length of the arc, rad.
     """
 
     nodes: np.ndarray
@@ -95,7 +97,7 @@ class ArcRows(NamedTuple):
         return ArcRows(*(a[index] for a in self))
 
     def on_circles(self, frames: np.ndarray) -> CircleArcs:
-        """Return the arcs on their circles. frames: see `PlanPart`."""
+        """Combine the arcs with the frames of their circles. frames: see `PlanPart`."""
         vectors = frames[self.window].T
         return CircleArcs(tuple(tuple(vectors[n : n + 3]) for n in (0, 3, 6)), *self[3:])
 
@@ -105,12 +107,12 @@ class PlanPart(NamedTuple):
 
     Attributes:
         terms: indices of the terms.
-        smooth: indices of pixels in smooth light.
+        smooth: indices of pixels with smooth radiance.
         limb: indices of pixels with the limb in the support of the residual of a lens.
-        limb_rule: weights of their nodes; None: no such pixels.
+        limb_rule: quadrature rule of the pixels in `limb`; None: there are no such pixels.
         frames: frame of the circles of each pixel with arcs, (pixels, 9): axis, direction of azimuth 0, and of pi/2; empty
             for a cylinder.
-        arcs: their arcs.
+        arcs: arcs of these pixels.
     """
 
     terms: tuple[int, ...]
@@ -129,14 +131,14 @@ class RecordPlan(NamedTuple):
 
 
 def record_plan(imaging: Imaging, positions: RecordPositions, finest: float, elongation: float = 1.0) -> RecordPlan:
-    """Plan a record. ArgumentError inside jax.jit.
+    """Compute the plan of a record; ArgumentError inside jax.jit.
 
     Args:
-        imaging: sample, blur and the lamp's nearness.
+        imaging: sample, blur and inverse distance of the lamp.
         positions: positions to record.
         finest: narrowest scale of the lobe, rad.
-        elongation: elongation of the lobe, no unit: factor of the distance from a highlight within which a lobe may be
-            narrow on the scale of the kernel. Default: 1, a round lobe.
+        elongation: elongation of the lobe, no unit: factor by which the lobe increases the distance from a highlight within
+            which the radiance may vary on a scale below that of the kernel. Default: 1, a round lobe.
 
     Returns:
         The plan. It is valid for materials that are not narrower, and for cameras whose parameters differ little.
@@ -158,7 +160,7 @@ def rough_pixels(imaging: Imaging, positions: RecordPositions, elongation: float
 
 
 def graded_for(finest: float, imaging: Imaging) -> float:
-    """Round the scale of a lobe, rad, to one of few, so that most materials share a plan."""
+    """Round the scale of a lobe, rad, down to one of few values, so that most materials share a plan."""
     return min(float(np.exp2(np.floor(np.log2(finest)))), COARSEST / float(imaging.sample.radius))
 
 
@@ -275,10 +277,10 @@ def _clear_blocks(
 def _residual_beside(
     imaging: Imaging, view: SphereView, pixels: Windows, positions: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Select pixels with the limb in the support of a residual that require no window, and those in smooth light.
+    """Select pixels with the limb in the support of a residual that require no arcs, and pixels with smooth radiance.
 
-    The effect of a terminator, where light starts at 0, on the residual is at most 2e-5 of the peak. A terminator beside the
-    limb counts only if the light is a thin crescent.
+    A terminator, where the radiance starts at 0, changes the contribution of the residual by at most 2e-5 of the peak. A
+    terminator near the limb matters only if the lit part is a thin crescent.
     """
     index = np.flatnonzero(positions)
     limb, dim = np.zeros_like(positions), np.zeros_like(positions)
@@ -295,7 +297,7 @@ def _residual_beside(
 def _arcs(
     view: SphereView, windows: Windows, fineness: float, finest: float, elongation: float
 ) -> tuple[np.ndarray, ArcRows]:
-    """Compute the frames of the circles of windows, and all arcs."""
+    """Compute the frames of the circles of windows, (windows, 9), and all arcs."""
 
     def chunk(begin: int) -> tuple[np.ndarray, ...]:
         own = windows.at(slice(begin, begin + CHUNK))

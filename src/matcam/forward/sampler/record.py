@@ -1,4 +1,4 @@
-"""Record of a sample at given positions of its images: the operator behind tables and images (docs/model.md 2 and 3)."""
+"""Record of a sample at given positions in its images, from which tables and images are computed (docs/model.md 2, 3)."""
 
 from __future__ import annotations
 
@@ -24,9 +24,11 @@ from matcam.material.material import Material
 from matcam.numerics.blocks import in_blocks, repeated_sum, shaped
 
 _BLOCKS, _ARCS, _SMOOTH = 32, 512, 256
-"""Blocks of one call, and arcs, or pixels in smooth light, of a block: their arrays fit into a cache."""
+"""Number of blocks of one call, and numbers of arcs and of pixels with smooth radiance in a block. The arrays of a block fit
+into the cache of a processor.
+"""
 _RULES = 32, MOST_NODES
-"""Numbers of nodes on an arc for which there are programs; a program skips unused nodes."""
+"""Largest numbers of nodes on an arc, with a program for each. A program skips unused nodes."""
 
 
 class Subject(NamedTuple):
@@ -34,8 +36,8 @@ class Subject(NamedTuple):
 
     Attributes:
         material: the material.
-        imaging: sample, blur and the lamp's nearness.
-        turning: angle by which the lamps are turned away from the optical axis, rad.
+        imaging: sample, blur and inverse distance of the lamp.
+        turning: offset of all lamp angles, rad.
     """
 
     material: Material
@@ -44,27 +46,27 @@ class Subject(NamedTuple):
 
     @property
     def known(self) -> bool:
-        """Check whether no parameter is being differentiated."""
+        """Check whether all parameters are concrete, which excludes differentiation."""
         return all(map(is_concrete, jax.tree.leaves(tuple(self))))
 
     def computed(self, values: jax.Array) -> Any:
-        """Await the values, unless they are being differentiated."""
+        """Convert values to an array of NumPy, unless parameters are traced."""
         return np.asarray(values) if self.known else values
 
     def under(self, lamp_angle: AnyArray, turn: Turn | None = None) -> Scene:
-        """Return the light under lamps."""
+        """Build the scene under lamps. lamp_angle: angle between lamp and optical axis, rad."""
         angle = jnp.asarray(lamp_angle) + self.turning
         return Scene(self.material, self.imaging.sample, angle, self.imaging.lamp_nearness, turn)
 
 
 def record(material: Material, imaging: Imaging, plan: RecordPlan, turning: jax.Array | float = 0.0) -> jax.Array:
-    """Record a material at the positions of a plan.
+    """Compute the record of a material at the positions of a plan.
 
     Args:
         material: the material.
         imaging: sample and blur, as in the plan or with slightly different parameters.
         plan: the plan.
-        turning: small angle by which the lamps are turned away from the optical axis, rad. Default: 0.
+        turning: small offset of all lamp angles, rad. Default: 0.
 
     Returns:
         Radiance under unit irradiance, 1/sr, (positions, channels). Differentiable in material, sample, blur and turning.
@@ -89,11 +91,11 @@ def record(material: Material, imaging: Imaging, plan: RecordPlan, turning: jax.
 
 
 _Call = Callable[[], tuple[np.ndarray, Any]]
-"""Program call: indices of pixels, and values to add to their records, (blocks, rows, channels)."""
+"""Function that returns indices of pixels, and values to be added to their records, (blocks, rows, channels)."""
 
 
 def _added(total: Any, position: np.ndarray, values: Any) -> Any:
-    """Add values, (rows, channels), to pixels."""
+    """Add values, (rows, channels), to the records of pixels."""
     if not is_concrete(values):
         return jnp.asarray(total).at[position].add(values)
     columns = (np.bincount(position, column, total.shape[0]) for column in np.asarray(values).T)
@@ -103,7 +105,7 @@ def _added(total: Any, position: np.ndarray, values: Any) -> Any:
 def _record_smooth(
     subject: Subject, blur: BlurTerms, rule: LimbRule | None, positions: RecordPositions, index: np.ndarray
 ) -> tuple[np.ndarray, Any]:
-    """Record pixels in smooth light, or at the limb with a rule for the residual of a lens."""
+    """Compute the record of pixels with smooth radiance, or at the limb with a rule for the residual of a lens."""
     pixels = positions.at(index)
     used, rows = shaped((*pixels[:3], pixels.turn), _BLOCKS, _SMOOTH)
     return index, subject.computed(_smooth_blocks(subject, blur, rule, used if subject.known else None, rows))
@@ -132,7 +134,7 @@ class _ArcInputs(NamedTuple):
 def _record_arcs(
     subject: Subject, blur: BlurTerms, positions: RecordPositions, part: PlanPart, some: slice
 ) -> tuple[np.ndarray, Any]:
-    """Record the light of some arcs."""
+    """Compute the contributions of some arcs to the records of their pixels."""
     own = part.arcs.at(some)
     pixels = positions.at(own.position)
     arcs = own if isinstance(own, CrossArcs) else own.on_circles(part.frames)
@@ -152,7 +154,7 @@ def _arc_blocks(subject: Subject, blur: BlurTerms, used: Any, counts: Any, rules
         scene = replace(subject.under(pixels.lamp_angle, pixels.turn), towards_lamp=towards_lamp)
 
         def seen(rule: tuple[jax.Array, jax.Array]) -> jax.Array:
-            """Compute the light of one node of each arc."""
+            """Compute the contribution of one node of each arc to the record of its pixel."""
             node, share = rule
             element, weight = pixels.arcs.element(sample, node, directions)
             at_x, at_y = scene.on_sensor(element.x, element.y)
@@ -165,7 +167,7 @@ def _arc_blocks(subject: Subject, blur: BlurTerms, used: Any, counts: Any, rules
         nothing = jnp.zeros((pixels.x.size, scene.channels()))
         return repeated_sum(seen, None if used is None else count, tuple(rules[:, count]), nothing)
 
-    # XLA would compute functions of the arcs again for every node, if they were computed inside of the blocks
+    # XLA would compute functions of the arcs again for every node if they were computed inside the blocks
     lamp_angle = rows.lamp_angle + subject.turning
     each = counts, rows, rows.arcs.directions(), (jnp.sin(lamp_angle), jnp.cos(lamp_angle))
     return in_blocks(block, used, each)

@@ -1,4 +1,4 @@
-"""Record of pixels where the light is smooth: quadrature with the kernel as weight function."""
+"""Record of pixels where the radiance is smooth: quadrature with the kernel as weight function."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from matcam.sample.shape import Element
 
 
 def record_inside(scene: Scene, blur: BlurTerms, x: jax.Array, y: jax.Array) -> jax.Array:
-    """Record pixels whose kernel contains neither the highlight nor an end of the light.
+    """Compute the record of pixels whose kernel contains no highlight, no limb and no terminator.
 
     Args:
-        scene: the light, under one lamp or one per pixel.
-        blur: the terms to record through.
-        x: columns of the pixels, (pixels,), px.
-        y: rows of the pixels, (pixels,), px.
+        scene: the scene, under one lamp or one lamp per pixel.
+        blur: terms of the blur.
+        x: positions of the pixels to the right of the optical axis, (pixels,), px.
+        y: positions of the pixels above the optical axis, (pixels,), px.
 
     Returns:
-        Radiance per unit irradiance, (pixels, channels).
+        Contribution of the terms to the record, 1/sr, (pixels, channels).
     """
     total: jax.Array | float = 0.0
     centre, _ = scene.sample.at(*scene.from_sensor(x, y))
@@ -42,7 +42,7 @@ def record_inside(scene: Scene, blur: BlurTerms, x: jax.Array, y: jax.Array) -> 
 
 
 def _arriving(scene: Scene, blur: Blur, x: jax.Array, y: jax.Array) -> jax.Array:
-    """Compute the light at positions of the sensor, px, through a lens whose only blur is defocus."""
+    """Compute the radiance at positions on the sensor, px, blurred by defocus only; 1/sr, channels last."""
 
     def seen(at_x: jax.Array, at_y: jax.Array) -> Element:
         return scene.sample.at(*scene.from_sensor(at_x, at_y))[0]

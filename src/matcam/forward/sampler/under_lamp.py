@@ -20,13 +20,13 @@ from matcam.rigs import Rig
 _LEAST_FINENESS = 0.25
 """Ratio of the radius of the image of a lamp to its blur below which the smallest number of points is used."""
 _PLACES = 1 << 18
-"""Number of pixels times points of a lamp that are recorded at once. They fit into 1 GiB."""
+"""Largest number of pixels times points of a lamp that are computed at once. Their arrays fit into 1 GiB."""
 
 
 def record_under_lamp(material: Material, rig: Rig, imaging: Imaging, positions: RecordPositions) -> jax.Array:
-    """Record a material at positions in images of a sample.
+    """Compute the record of a material at positions in images of a sample.
 
-    Places whose lamps require a similar number of points are recorded together.
+    Positions whose lamps require a similar number of points are computed together.
 
     Args:
         material: the material.
@@ -60,14 +60,14 @@ def record_under_points(
     points: list[LampPoint],
     turning: jax.Array | float = 0.0,
 ) -> jax.Array:
-    """Record a material under points of a lamp: the weighted sum over them.
+    """Compute the record of a material under a lamp: the weighted sum of the records under its points.
 
     Args:
         material: the material.
         imaging: imaging of the rig under a point lamp.
         positions: the positions; their lamps are those of the points.
-        points: points of the lamp; angle and azimuth are numbers, or of shape (positions,).
-        turning: small angle by which the lamps are turned away from the optical axis, rad. Default: 0.
+        points: points of the lamp; angle and azimuth are scalars, or have the shape (positions,).
+        turning: small offset of all lamp angles, rad. Default: 0.
 
     Returns:
         Radiance under unit irradiance, 1/sr, (positions, channels).
@@ -89,7 +89,7 @@ def record_under_points(
 
 
 def _rings(points: list[LampPoint], most: int) -> Iterator[list[LampPoint]]:
-    """Split the points of a lamp into lists of at most `most` at equal distances."""
+    """Group the points of a lamp by distance, into lists of at most `most` points."""
     for _, ring in groupby(points, lambda point: point.distance):
         while some := list(islice(ring, most)):
             yield some

@@ -1,4 +1,4 @@
-"""Values, standard deviations and support of a corrected table, from the ratio of true to recorded lobe."""
+"""Corrected table: values, standard deviations and supported entries, from the ratio of true to recorded lobe."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from matcam.inverse.normalised_fresnel import GAIN
 from matcam.numerics.fit_budget import VariancePart
 
 SUPPORTED = 0.05
-"""Relative standard deviation of the correction up to which an entry is supported."""
+"""Largest standard deviation of the correction of a supported entry, relative to the corrected value."""
 TABLE_ATTRIBUTES = {
     "brdf": {"units": "1/sr", "long_name": "BRDF corrected for the camera"},
     "brdf_std": {"units": "1/sr", "long_name": "standard deviation of brdf: correction and noise"},
@@ -34,14 +34,14 @@ TABLE_ATTRIBUTES = {
 }
 """Attributes of the variables of a corrected table."""
 CORRECTED = "corrected_for_camera"
-"""Attribute of a table that is corrected."""
+"""Name of the attribute that marks a table as corrected."""
 OPERATOR_ACCURACY = 1e-6
-"""Error of the modelled record of a lobe, as a share of the slice's largest value (docs/correct.md, Claims): fainter
-parts of a recorded lobe are unknown, whatever the noise.
+"""Error of the modelled record of a lobe, as a share of the largest value of the slice (docs/correct.md, Claims). Fainter parts
+of a recorded lobe are unknown, even without noise.
 """
 _LEAST_CONTRAST = 1e-3
-"""Smallest share of the peak of a slice that is treated as lobe, so that the noise floor stays finite where only the body
-is visible.
+"""Smallest assumed share of the lobe in the peak of a slice. It keeps the noise floor relative to the lobe finite in slices
+that show only the body.
 """
 
 
@@ -54,10 +54,19 @@ def corrected_table(
     scattered: FarthestGlare,
     glare: float,
 ) -> tuple[xr.Dataset, EnergyLimit, tuple[VariancePart, ...]]:
-    """Correct a table; return it with the energy limit and the sources of the variance of the peaks.
+    """Correct a table.
 
-    noise_share: ratio of the variance of each entry to that of a pixel. scattered: largest light of the highlight that glare
-    adds to each entry.
+    Args:
+        brdf: recorded table, 1/sr.
+        found: fit of the table through the camera.
+        noise: noise of a pixel.
+        noise_share: variance of each entry divided by the variance of a pixel, (90, 90, 180).
+        ratio_of_lobes: ratio of true to recorded lobe.
+        scattered: largest contribution of glare from the highlight to each entry.
+        glare: share of the light that the lens may scatter (no unit).
+
+    Returns:
+        Dataset of the corrected table, energy limit, and sources of the variance of the peaks.
     """
     data, sampling = brdf.values, sampling_of(brdf)
     lambert = np.maximum(found.diffuse, 0) / np.pi
@@ -139,15 +148,15 @@ def corrected_table(
 
 
 def _angles(sampling: Sampling) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return theta_h, theta_d and phi_d of a whole table, rad, in shapes that broadcast to (90, 90, 180)."""
+    """Return theta_h, theta_d and phi_d of all entries, rad, in shapes that broadcast to (90, 90, 180)."""
     grid = merl_grid(sampling)
     return grid.theta_h[:, None, None], grid.theta_d[:, None], grid.phi_d
 
 
 def _noise_floor(found: MaterialFit, noise: PixelNoise, peak: np.ndarray, sampling: Sampling) -> np.ndarray:
-    """Compute the noise floor of a pixel over the largest recorded lobe of each slice, (90,), of the noisiest channel.
+    """Compute the noise floor of a pixel divided by the peak of the recorded lobe of each slice, (90,).
 
-    peak: (90, channels), largest value of each slice, 1/sr.
+    The channel with the largest quotient is used. peak: largest value of each slice, 1/sr, (90, channels).
     """
     body, _ = found.body(np.zeros(1), merl_grid(sampling).theta_d, np.full(1, np.pi / 2))
     lobe = np.maximum(peak - body, _LEAST_CONTRAST * peak)
@@ -156,15 +165,16 @@ def _noise_floor(found: MaterialFit, noise: PixelNoise, peak: np.ndarray, sampli
 
 
 def recorded_table(table: xr.Dataset) -> xr.DataArray:
-    """Recover the recorded table from its correction.
+    """Recover the recorded table from a corrected table.
 
-    Entries that were lowered to satisfy energy, or raised to 0, differ from what was recorded.
+    The result differs from the recorded values for entries that the energy limit reduced, and for negative entries that were
+    set to 0.
 
     Args:
-        table: from `correct`.
+        table: Dataset that `correct` returned.
 
     Returns:
-        The recorded table, 1/sr, NaN where it was missing.
+        The recorded table, 1/sr; NaN for missing entries.
     """
     body = np.asarray(table.attrs.get("body", 0.0))
     if "base" in table.attrs:
@@ -176,18 +186,18 @@ def recorded_table(table: xr.Dataset) -> xr.DataArray:
 
 
 def supported_values(table: xr.Dataset, recorded: xr.DataArray) -> xr.DataArray:
-    """Replace unsupported values by recorded ones, for a format that cannot mark them.
+    """Replace unsupported values by recorded values, for formats without this flag.
 
-    Beside a highlight a corrected value is often far below the recorded one, which is light of the blurred highlight. It is
-    then not known to 5 % of itself, but to 5 % of the recorded value. It is kept, because the corrected peak contains that
-    light already.
+    Beside a highlight, a corrected value is often far below the recorded value, which consists of blurred light of the
+    highlight. The standard deviation of the correction may then exceed 5 % of the corrected value, although it is below 5 % of
+    the recorded value. Such a corrected value is kept, because the corrected peak already contains the blurred light.
 
     Args:
-        table: Dataset as from `correct`.
-        recorded: the table that was corrected, 1/sr.
+        table: Dataset that `correct` returned.
+        recorded: table before the correction, 1/sr.
 
     Returns:
-        Table of the same dims, 1/sr.
+        Table with the same dimensions, 1/sr.
 
     Example:
         >>> matcam.write_merl("out.binary", supported_values(corrected, table))  # doctest: +SKIP

@@ -45,7 +45,7 @@ from matcam.numerics.fit_budget import VariancePart, parts_budget
 from matcam.rigs import Rig
 
 _MATTERS = 0.01
-"""Relative change of the peak above which a withheld correction gets a remark."""
+"""Relative change of the peak above which a remark reports a withheld correction."""
 _WITHHELD = Remark(
     "correction-withheld",
     "rig and data contradict each other: the table is not corrected, and the change that the rig predicts is the standard "
@@ -58,25 +58,25 @@ _UNSEEN = Remark(
     "force_correction=True",
 )
 _ANGLES = (5, 45, 75)
-"""Degrees of theta_d at which the loss of the peak is reported."""
+"""Values of theta_d, degrees, at which the loss of the peak is reported."""
 
 
 @dataclass(frozen=True, repr=False)
 class Correction(Summarised):
-    """Corrected table with the fits that it was corrected by.
+    """Corrected table and the fits from which the correction was computed.
 
     Attributes:
-        table: Dataset as from `correct`.
-        recorded: the table that was corrected, 1/sr.
+        table: corrected table, a Dataset as `correct` returns it.
+        recorded: table before the correction, 1/sr.
         fit: fit of the lobe through the camera.
-        refits: fits with one parameter of the rig free each.
+        refits: fits with one parameter of the rig free, one for each parameter that was tested.
         shape: uncertainty of the shape of the lobe.
         remarks: remarks on the correction.
-        without_camera: fit of the same lobe as a perfect camera would have recorded it; with free shadowing and a lobe for each
-            colour where nothing less explains the data.
-        no_camera: probability (no unit) that no camera, rather than this one, made the table.
-        withheld: whether the table stays as it is, because rig and data contradict each other. Default: False.
-        peak_parts: sources of the variance of brdf at the peak of each slice, (90, channels) each. Default: none.
+        without_camera: fit of the same lobe to the table without a camera. It has free masking and one lobe per channel if
+            simpler models do not explain the data.
+        no_camera: probability of the explanations without a camera (no unit).
+        withheld: True if the table is not corrected, because rig and data contradict each other. Default: False.
+        peak_parts: sources of the variance of `brdf` at the peak of each slice, (90, channels) each. Default: none.
 
     Example:
         >>> done = matcam.inverse.Correction.of(table, matcam.rigs.merl())  # doctest: +SKIP
@@ -110,20 +110,22 @@ class Correction(Summarised):
         force_correction: bool = False,
         workspace: Workspace | None = None,
     ) -> Correction:
-        """Correct a table as `correct` does, and keep the fits.
+        """Correct a table, and return it together with the fits.
+
+        The arguments are those of `correct`.
 
         Args:
-            brdf: as for `correct`, 1/sr.
-            rig: as for `correct`.
-            ndf: as for `correct`. Default: "auto".
-            masking: as for `correct`. Default: "smith".
-            noise: as for `correct`. Default: None, estimated.
-            glare: as for `correct` (no unit). Default: 1e-3.
-            force_correction: as for `correct`. Default: False.
-            workspace: as for `correct`. Default: None, that of the process.
+            brdf: recorded table, 1/sr.
+            rig: rig that recorded the table.
+            ndf: family of the lobe. Default: "auto".
+            masking: masking G of the lobe. Default: "smith".
+            noise: noise of a pixel. Default: None, estimated.
+            glare: share of the light that the lens may scatter (no unit). Default: 1e-3.
+            force_correction: True to correct a table whose data contradict the rig. Default: False.
+            workspace: store of results that depend only on the rig. Default: None, that of the process.
 
         Returns:
-            The table, the fits that it was corrected by, and remarks.
+            The corrected table, the fits from which the correction was computed, and remarks.
 
         Raises:
             ArgumentError: an argument is wrong.
@@ -132,7 +134,7 @@ class Correction(Summarised):
         brdf = checked_table(brdf)
         if brdf.attrs.get(CORRECTED):
             raise ArgumentError(
-                "brdf is already corrected for a camera, as its attributes indicate: give the table as it was recorded"
+                "brdf is already corrected for a camera, as its attributes indicate: give the recorded table"
             )
         check_rig(rig)
         checks.choice("ndf", ndf, (AUTO, *FAMILIES))
@@ -143,11 +145,11 @@ class Correction(Summarised):
         sampling, located = sampling_of(brdf), located_rig(rig, brdf)
         setup = first_setup(brdf, located.rig, masking=masking, noise=noise, workspace=workspace)
         expected = setup.axes_with_refits
-        setup.rule()  # alone: the programs that it compiles serve the other fits
+        setup.rule()  # computed first, because the other fits reuse the compiled programs
         with done_behind(lambda: lattices_ahead(located.rig, sampling, expected, workspace)):
             found = explain(setup, located, ndf)
         best = found.fit
-        # the linear step to another masking is approximate, so at most this share of a log likelihood counts
+        # the linear prediction for another masking is approximate, so kappa is limited
         maskings = other_maskings(best, min(found.weighing.kappa, UNKNOWN_SHARE))
         fits = CorrectionFits(best, found.shape, found.base, found.refits, found.others, maskings, expected)
         fitted = lobe_ratio(located.rig, sampling, fits, workspace, located.std)
@@ -161,12 +163,12 @@ class Correction(Summarised):
         scattered = farthest_glare(glare, sampling, rig, best, workspace)
         blind = held_back and found.no_blur
         left, lit = (found.without_camera.noise, found.blind) if blind else (found.shape.noise, best)
-        if noise is None:  # with F free, the roughness of F gives the gains of the images, not the fit
+        if noise is None:  # free strengths contain the image gains, which are estimated from the irregularities of F
             lit = found.scattering(lit)
             left = left._replace(picture_gain=strengths_gain(lit.theta_d, *lit.strengths()[:3]))
         shares = noise_shares(located.rig, sampling)
         table, limit, parts = corrected_table(brdf, best, left, shares, ratio, scattered, glare)
-        if said:  # the change by the rejected rig is uncertainty everywhere
+        if said:  # the change that the rejected rig predicts is part of the uncertainty of all entries
             table["supported"].values[:] = False
         remarks = found.remarks
         if limit.acts:
@@ -191,8 +193,8 @@ class Correction(Summarised):
     def uncertainty_budget(self, theta_d: float, channel: int | None = None) -> UncertaintyBudget:
         """Return the uncertainty budget of the corrected peak at an angle (GUM).
 
-        Its combined uncertainty is `brdf_std` of the entry at theta_h = 0, phi_d = 90 degrees. Sources are the readings, the
-        stated camera, the other explanations of the table, glare, the body, and the noise of the entry.
+        The combined uncertainty is `brdf_std` of the entry at theta_h = 0, phi_d = 90 degrees. The sources are the readings of
+        the pixels, the specified camera, the other explanations of the table, glare, the body, and the noise of the entry.
 
         Args:
             theta_d: difference angle, rad. The slice that contains it is used.
@@ -214,15 +216,15 @@ class Correction(Summarised):
         if not np.isfinite(std):
             raise ArgumentError(
                 f"the table has no standard deviation of the peak at {degrees:.1f} degrees, {label}: choose an angle at which "
-                "it has one"
+                "brdf_std is not missing"
             )
         return parts_budget(f"peak at {degrees:.1f} deg, {label}, 1/sr", value, self.peak_parts, (int(at[1]), channel))
 
     def uncertainty_budgets(self) -> list[UncertaintyBudget]:
-        """Return the uncertainty budgets of some peaks (GUM).
+        """Return the uncertainty budgets of the peaks at three angles (GUM).
 
         Returns:
-            Those at 5, 45 and 75 degrees of each channel, where the table holds a value.
+            Budgets at theta_d = 5, 45 and 75 degrees for each channel, without peaks that have no standard deviation.
         """
         angles = np.radians(_ANGLES)
         known = np.isfinite(self.table["brdf_std"].values[self._peak(angles)])
@@ -239,13 +241,13 @@ class Correction(Summarised):
         return [str(c) for c in (brdf["channel"].values if "channel" in brdf.coords else range(brdf.shape[-1]))]
 
     def peak_loss(self, theta_d: ArrayLike) -> np.ndarray:
-        """Compute the share of the highlight peak that the camera lost.
+        """Compute the loss of the highlight peak that the camera causes.
 
         Args:
-            theta_d: difference angle, rad, or several of them (n,). The slice that contains it is used.
+            theta_d: one or several difference angles, rad. The slices that contain the angles are used.
 
         Returns:
-            1 - recorded / true peak, no unit, of the shape of `theta_d`.
+            1 - recorded / true peak (no unit), averaged over the channels, in the shape of `theta_d`.
 
         Example:
             >>> done.peak_loss(np.radians([5, 45, 75]))  # doctest: +SKIP
@@ -256,15 +258,15 @@ class Correction(Summarised):
     def supported_share(self) -> float:
         """Compute the share of supported entries (no unit).
 
-        Entries without a standard deviation do not count.
+        Entries without a standard deviation are excluded.
         """
         return float(self.table["supported"].values[np.isfinite(self.table["brdf_std"].values)].mean())
 
     @property
     def determination(self) -> str:
-        """Summarise in a word or two whether the lobe is known.
+        """Summarise in a few words how well the lobe is determined.
 
-        It is "determined", "not determined", "family fails: spline-modified", or "withheld", where rig and data contradict
+        The value is "determined", "not determined", "family fails: spline-modified", or "withheld" if rig and data contradict
         each other.
         """
         if self.withheld:
@@ -275,16 +277,16 @@ class Correction(Summarised):
 
     @property
     def _determined(self) -> bool:
-        """Check whether a lobe that explains the data has a determined roughness."""
+        """Check whether the lobe explains the data and its roughness is determined."""
         return self.fit.determined and UNEXPLAINED not in (remark.code for remark in self.remarks)
 
     @property
     def verdict(self) -> str:
-        """Summarise the result in three sentences."""
+        """Summarise the result in two or three sentences."""
         if self.withheld:
             return (
-                "Rig and data contradict each other, so the table stays as it is: the data do not show the blur that the rig "
-                "would have made. No entry is supported."
+                "Rig and data contradict each other, so the table is not corrected: the data do not show the blur that the rig "
+                "predicts. No entry is supported."
             )
         lost = [
             f"{loss:.0%} at {angle}°" for angle, loss in zip(_ANGLES, self.peak_loss(np.radians(_ANGLES)), strict=True)
@@ -319,10 +321,10 @@ class Correction(Summarised):
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return everything but the table as numbers and texts.
+        """Convert the result, without the table, to JSON types.
 
         Returns:
-            A dictionary that `matcam correct --json` prints. Angles are in rad, and their names say so.
+            The dictionary that `matcam correct --json` prints. Angles are in rad, as indicated by their names.
         """
         lost = self.peak_loss(np.radians(_ANGLES))
         return {
@@ -341,9 +343,9 @@ class Correction(Summarised):
         }
 
     def _peak_response(self, theta_d: ArrayLike) -> np.ndarray:
-        """Compute recorded over corrected peak across the plane of incidence, averaged over the channels.
+        """Compute recorded / corrected peak at phi_d = 90 degrees, averaged over the channels.
 
-        Where the peak is missing, it is replaced by the response of the lobe.
+        For a missing or black peak, the response of the lobe is used instead.
         """
         at = self._peak(theta_d)
         recorded, corrected = self.recorded.values[at], self.table["brdf"].values[at]
@@ -353,7 +355,7 @@ class Correction(Summarised):
         return np.mean(response, axis=-1)
 
     def _peak(self, theta_d: ArrayLike) -> tuple[Any, ...]:
-        """Return the index of the peak across the plane of incidence."""
+        """Return the index of the peak, the entry at theta_h = 0 and phi_d = 90 degrees."""
         return self._grid.index(theta_h=0.0, theta_d=theta_d, phi_d=np.pi / 2)
 
     @property
@@ -374,37 +376,38 @@ def correct(
 ) -> xr.Dataset:
     """Correct a whole table for the camera that recorded it.
 
-    Lobes are fitted through the camera, with F free in every slice and a Lambertian part, and weighed by their evidence. Each
-    entry's part above the Lambertian one is multiplied by true over recorded lobe. So the measurement keeps its own detail.
-    `Correction.of` does the same and keeps the fits.
+    Lobes are fitted to the table through the camera, with F free in every slice and a Lambertian part, and averaged according
+    to their evidence. The part of each entry above the body is multiplied by the ratio of true to recorded lobe, so the details
+    of the measurement are preserved. `Correction.of` also returns the fits.
 
     Args:
-        brdf: table as from `read_merl`, 1/sr.
-        rig: the rig that recorded it: a sphere; camera and lamp are distant or near.
-        ndf: family of the lobe. Default: "auto", a list of explanations that is averaged by their evidence: "ggx" and "epd",
-            and where these leave more than noise Student's t, two lobes, and a lobe with a smooth correction.
-        masking: the lobe's G: "smith", "smith-separable", "van-ginneken" or None. Default: "smith".
-        noise: noise of a pixel. Default: None, estimated from the residuals.
-        glare: share of light (no unit) that the lens may scatter far beyond what its profile says. Default: 1e-3. It
-            limits what is supported beside a highlight; use less for a lens that is known to be clean.
-        force_correction: whether to correct a table whose data contradict the rig. Default: False, it stays as it is.
-        workspace: keeps what depends on the rig alone for the next call. Default: None, that of the process.
+        brdf: table of the form that `read_merl` returns, 1/sr.
+        rig: rig that recorded the table. Its sample is a sphere; camera and lamp are distant or near.
+        ndf: family of the lobe. Default: "auto", the mean of several explanations, weighted by their evidence. They are
+            "ggx" and "epd", and if their residuals exceed pixel noise also Student's t, two lobes, a lobe over a rough base,
+            and a spline-modified lobe.
+        masking: masking G of the lobe: "smith", "smith-separable", "van-ginneken" or None. Default: "smith".
+        noise: noise of a pixel. Default: None, estimated from the table.
+        glare: share of light (no unit) that the lens may scatter in addition to its profile. Default: 1e-3. It limits the
+            entries beside a highlight that are supported; specify a smaller share for a lens that is known to be clean.
+        force_correction: True to correct a table whose data contradict the rig. Default: False, it is left unchanged.
+        workspace: store of results that depend only on the rig. Default: None, that of the process.
 
     Returns:
-        Dataset over the table's dims. `brdf`, 1/sr: missing stays missing, negative noise becomes 0, reciprocal as the
-        table is; uncertain corrections shrink towards the recorded value, and directions that would reflect more light
-        than they receive are lowered within the standard deviation of the correction. Two standard deviations describe
-        the uncertainty. `correction_std`, no unit: of true over recorded value, from fitted parameters, the other
-        explanations, the camera's uncertainty, the lens's shape, the shape of the body, a free lamp, and glare.
-        `noise_std`, 1/sr: of brdf, from pixel noise. Both make `brdf_std`, 1/sr. They are NaN for entries in the last
-        pixels of the sphere, which are not corrected.
-        `supported`: whether the correction is known to 5 % of brdf. `response`: recorded / true lobe, over the
-        first three dims. Attributes: `withheld`, 1 where rig and data contradict each other, when the response is 1 and no
-        entry is supported; `body`, the value of the Lambertian part in each channel, 1/sr; for a coated material `base` and
-        `base_alpha`, the reflectance of its base in each channel and its roughness.
+        Dataset over the dimensions of the table. `brdf`: corrected BRDF, 1/sr. Missing values remain missing, negative values
+        are set to 0, and reciprocity is preserved. Uncertain corrections are reduced towards the recorded value. In
+        directions with an albedo above 1, entries are reduced within the standard deviation of the correction.
+        `correction_std`: standard deviation of true / recorded value (no unit), due to fitted parameters, the other
+        explanations, the uncertainty of the camera, the shape of the lens, the shape of the body, a free lamp, and glare.
+        `noise_std`: standard deviation of `brdf` due to pixel noise, 1/sr. `brdf_std`: standard deviation of `brdf` due to
+        correction and noise, 1/sr. The three are NaN for entries in the last pixels of the sphere, which are not corrected.
+        `supported`: True if the standard deviation of the correction is below 5 % of `brdf`. `response`: recorded / true
+        lobe, over the first three dimensions. Attributes: `withheld`, 1 if rig and data contradict each other; the response
+        is then 1 and no entry is supported. `body`, BRDF of the Lambertian part in each channel, 1/sr. For a coated material
+        `base`, reflectance of the base in each channel, and `base_alpha`, roughness of the base.
 
     Raises:
-        ArgumentError: an argument is wrong, or the rig is not one that a fit can follow.
+        ArgumentError: an argument is wrong, or a fit does not support the rig.
         FitError: the table has no values to fit.
 
     Source:
@@ -431,5 +434,5 @@ def correct(
 
 
 def _matters(ratio: LobeRatio) -> bool:
-    """Check whether a correction would change the highlight."""
+    """Check whether a correction would change a peak by more than `_MATTERS`."""
     return bool(np.abs(ratio.log[0, : _ANGLES[-1]]).max() > _MATTERS)

@@ -1,11 +1,10 @@
-"""Limits of a correction: no entry changes by more than the data determine, or beyond what a surface can reflect.
+"""Limits of a correction: uncertain corrections are reduced, and the albedo remains physically possible.
 
-- The ratio of true over recorded lobe shrinks to 1 by its own variance: the logarithm L, of standard deviation s, becomes
-  L (1 - s^2 / L^2), and 0 where s exceeds |L| (the positive part of James & Stein's estimate). Well determined
-  corrections stay.
-- Where rig and data contradict each other the ratio is 1, and the change that the rig predicts is its standard deviation.
-- The light that leaves a surface in all directions is at most the light that falls on it (albedo, docs/model.md 1). Where a
-  correction would break that, its additions are lowered within their standard deviation.
+- The logarithm L of the ratio of true to recorded lobe, with standard deviation s, is reduced to L (1 - s^2 / L^2), and to 0 if
+  s exceeds |L| (the positive-part estimator of James and Stein). Well determined corrections hardly change.
+- If rig and data contradict each other, the ratio is 1. Its standard deviation is the change that the rig predicts.
+- The directional albedo of a surface is at most 1 (docs/model.md 1). If a correction would exceed this limit, the increases of
+  the values are reduced within their standard deviation.
 """
 
 from __future__ import annotations
@@ -22,26 +21,26 @@ from matcam.inverse.normalised_fresnel import NO_CAMERA
 from matcam.numerics.fit_budget import VariancePart, scaled_parts
 
 ROWS = tuple(slice(start, start + 10) for start in range(0, GRID_SHAPE[0], 10))
-"""Rows of a table that are processed at a time, to limit memory."""
+"""Blocks of rows of a table that are processed one after the other, to limit memory."""
 PEAK = (0, slice(None), GRID_SHAPE[2] // 2)
-"""Index of the peak of every slice across the plane of incidence, for which sources of uncertainty are kept."""
+"""Index of the peak of every slice at phi_d = 90 degrees. The sources of uncertainty are stored for these entries only."""
 _AZIMUTHS = 72
 _MOST_STEPS = 2.0
-"""Standard deviations by which the energy limit lowers an entry at most: the 95 % bound. Beyond it the absolute scale
-of the table is a more likely cause of an albedo above 1.
+"""Largest reduction of an entry by the energy limit, in standard deviations: the 95 % bound. If the albedo is still above 1, a
+wrong absolute scale of the table is the more likely cause.
 """
 _TRIED_STEPS = np.linspace(0, _MOST_STEPS, 41)[1:]
 _DIRECTIONS = np.radians(np.arange(90) + 0.5)
 
 
 class LobeRatio(NamedTuple):
-    """Ratio of true to recorded lobe; arrays over the angles of a table, (90, 90, 180).
+    """Ratio of true to recorded lobe for all entries of a table, (90, 90, 180).
 
     Attributes:
         log: ln(true / recorded).
-        std: relative standard deviation of the ratio: fitted parameters, shape, rig and alternatives.
-        recorded: recorded lobe over the largest one of its slice (no unit): where it is below the noise, a ratio that
-            multiplies the data is meaningless. Default: None, not known.
+        std: relative standard deviation of the ratio, due to fitted parameters, shape, rig and alternatives.
+        recorded: recorded lobe divided by its peak in the slice (no unit). A correction by the ratio is meaningless for
+            entries whose lobe is below the noise. Default: None, not computed.
         parts: sources of the variance `std`^2 at the peak of each slice, (90,). Default: none.
     """
 
@@ -51,10 +50,10 @@ class LobeRatio(NamedTuple):
     parts: tuple[VariancePart, ...] = ()
 
     def parts_with(self, name: str, added: np.ndarray, factor: np.ndarray | float = 1.0) -> tuple[VariancePart, ...]:
-        """Update the sources after a change of the variance.
+        """Add a source of variance, and scale the variances of the other sources.
 
         name: name of the added source. added: variance of the added source, (90, 90, 180). factor: factor of the variances of
-        the other sources.
+            the other sources.
         """
         if not self.parts:
             return ()
@@ -63,7 +62,7 @@ class LobeRatio(NamedTuple):
 
 
 def withheld(ratio: LobeRatio) -> LobeRatio:
-    """Set the correction to none, with its size as uncertainty."""
+    """Set the ratio to 1, and include the withheld change in the standard deviation."""
     change, factor = np.expm1(ratio.log), np.maximum(np.exp(ratio.log), 1)
     return ratio._replace(
         log=np.zeros_like(ratio.log),
@@ -73,7 +72,10 @@ def withheld(ratio: LobeRatio) -> LobeRatio:
 
 
 def shrunk(ratio: LobeRatio, no_camera: float) -> LobeRatio:
-    """Average the ratio and no correction, and shrink the mean to 1. no_camera: probability that no correction is needed."""
+    """Average the ratio with a ratio of 1, and shrink the mean towards 1.
+
+    The logarithms of the ratios are averaged. no_camera: probability that no correction is required, the weight of the ratio 1.
+    """
     mean = (1 - no_camera) * ratio.log
     variance = (1 - no_camera) * ratio.std**2 + no_camera * (1 - no_camera) * ratio.log**2
     known = ~(variance >= mean**2)  # missing values stay missing
@@ -85,12 +87,13 @@ def shrunk(ratio: LobeRatio, no_camera: float) -> LobeRatio:
 
 
 def above_noise(ratio: LobeRatio, floor: np.ndarray) -> LobeRatio:
-    """Limit a ratio to entries whose recorded lobe exceeds the noise.
+    """Reduce the correction of entries whose recorded lobe is below the noise.
 
-    A recorded value is the lobe m plus noise n. The linear estimate of least error multiplies the logarithm of the
-    ratio by m^2 / (m^2 + n^2) (Wiener's weight). The removed part is added to the standard deviation.
+    A recorded value is the sum of the lobe m and noise of standard deviation n. The linear estimator with the least error
+    multiplies the logarithm of the ratio by m^2 / (m^2 + n^2) (Wiener's weight). The removed part is added to the standard
+    deviation.
 
-    floor: (90,), noise floor of a pixel over the largest recorded lobe of each slice, no unit.
+    floor: noise floor of a pixel divided by the peak of the recorded lobe of each slice (no unit), (90,).
     """
     assert ratio.recorded is not None
     share = ratio.recorded**2 / (ratio.recorded**2 + floor[:, None] ** 2)
@@ -101,13 +104,15 @@ def above_noise(ratio: LobeRatio, floor: np.ndarray) -> LobeRatio:
 
 
 class EnergyLimit(NamedTuple):
-    """Reduction of the additions of a correction, symmetric in light and view, so that reciprocity is kept.
+    """Reduction of the entries that a correction increases, so that the albedo is physically possible.
+
+    The reduction is symmetric in light and view, so it preserves reciprocity.
 
     Attributes:
-        steps: (directions, channels), standard deviations of the correction by which additions are lowered.
-        excess: (directions, channels), albedo above the limit that remains.
-        light: (90, 90, 180), index of the direction of each entry's light.
-        view: (90, 90, 180), index of the direction of each entry's view.
+        steps: reduction for each direction, in standard deviations of the correction, (directions, channels).
+        excess: albedo above its limit that remains after the reduction, (directions, channels).
+        light: index of the direction of the light for each entry, (90, 90, 180).
+        view: index of the direction of the view for each entry, (90, 90, 180).
     """
 
     steps: np.ndarray
@@ -117,39 +122,43 @@ class EnergyLimit(NamedTuple):
 
     @property
     def acts(self) -> bool:
-        """Check whether any entry is lowered."""
+        """Check whether any entry is reduced."""
         return bool((self.steps > 0).any())
 
     @property
     def remark(self) -> Remark:
-        """State size and extent of the reduction."""
+        """Build the remark on the size and the extent of the reduction."""
         limited = int((self.steps > 0).any(axis=1).sum())
         text = (
-            f"the corrected table would reflect more light than it receives in {limited} of {len(self.steps)} directions: "
-            f"the entries there were lowered by up to {self.steps.max():.1f} standard deviations of the correction"
+            f"the albedo of the corrected table would exceed 1 in {limited} of {len(self.steps)} directions: "
+            f"entries in these directions were reduced by up to {self.steps.max():.1f} standard deviations of the correction"
         )
         if self.excess.max() > 0:
             text += (
-                f"; an excess of up to {self.excess.max():.1%} remains, because the correction is better known than that: "
+                f"; an excess of up to {self.excess.max():.1%} remains, which exceeds the uncertainty of the correction: "
                 "check the absolute scale of the table"
             )
         return Remark("energy-limit", text)
 
     def of(self, rows: slice, recorded: np.ndarray, corrected: np.ndarray, std: np.ndarray) -> np.ndarray:
-        """Lower some rows of a corrected table, (rows, 90, 180, channels), not below the recorded values."""
+        """Reduce the entries in some rows of a corrected table, but not below the recorded values.
+
+        recorded, corrected: values in these rows, 1/sr, (rows, 90, 180, channels). std: standard deviation of the correction.
+        """
         steps = np.maximum(self.steps[self.light[rows]], self.steps[self.view[rows]])
         return np.where(corrected > recorded, np.maximum(corrected - steps * std, recorded), corrected)
 
 
 def energy_limit(recorded: np.ndarray, corrected: np.ndarray, std: np.ndarray, sampling: Sampling) -> EnergyLimit:
-    """Compute the reduction that keeps the albedo of each direction and channel at 1, or at the recorded one if larger.
+    """Compute the reduction that limits the albedo of a corrected table.
 
-    The errors of a correction are correlated over a direction, because one fit made them. The projection on the limit
-    then moves every entry of the direction by the same number of its own standard deviations, at most `_MOST_STEPS`:
-    determined entries stay. Negative noise must not be clipped beforehand, as clipping adds light.
+    The limit of each direction and channel is 1, or the albedo of the recorded table if that is larger. The errors of a
+    correction are correlated over a direction, because they result from one fit. The projection on the limit therefore
+    reduces every entry of the direction by the same number of its own standard deviations, at most `_MOST_STEPS`, and well
+    determined entries hardly change. Negative values must not be clipped beforehand, because clipping increases the albedo.
 
-    recorded, corrected: tables, (90, 90, 180, channels), 1/sr; missing entries are treated as 0. std: standard deviation of
-    the correction, 1/sr; NaN for an uncorrected entry, which may be as low as 0.
+    recorded, corrected: tables, 1/sr, (90, 90, 180, channels); missing entries are treated as 0. std: standard deviation of
+        the correction, 1/sr; NaN for entries that are not corrected, which are treated as 0.
     """
     cells, weight = _albedo_rule()
     before, after, error = (table.reshape(-1, table.shape[-1])[cells] for table in (recorded, corrected, std))
@@ -163,7 +172,7 @@ def energy_limit(recorded: np.ndarray, corrected: np.ndarray, std: np.ndarray, s
         now = excess - weight @ np.minimum(tried * error, added)
         better = left > 0
         steps[better], left[better] = tried, np.maximum(now, 0)[better]
-    # an entry lies between two directions: the larger reduction applies
+    # an entry lies between two directions, and the larger reduction of both is used
     steps = np.maximum(steps, np.maximum(np.r_[steps[1:], steps[-1:]], np.r_[steps[:1], steps[:-1]]))
     return EnergyLimit(steps, left, *_directions(sampling))
 
@@ -171,8 +180,10 @@ def energy_limit(recorded: np.ndarray, corrected: np.ndarray, std: np.ndarray, s
 def albedo(table: np.ndarray) -> np.ndarray:
     """Compute the directional albedo of a table, (directions, channels).
 
-    Directions are 0.5, 1.5 ... 89.5 degrees from the normal. The integral goes over half vectors, where a lobe's cells are:
-    4 brdf cos_o (light . half) over their solid angle.
+    The directions are 0.5, 1.5, ... 89.5 degrees from the normal. The integration variable is the half vector, because the
+    cells of a table are dense about its peak. The integrand over the solid angle of half vectors is 4 brdf cos_o cos(theta_d).
+
+    table: BRDF, 1/sr, (90, 90, 180, channels); missing entries are treated as 0.
     """
     cells, weight = _albedo_rule()
     return weight @ np.nan_to_num(table.reshape(-1, table.shape[-1])[cells])
@@ -180,7 +191,7 @@ def albedo(table: np.ndarray) -> np.ndarray:
 
 @cache
 def _albedo_rule() -> tuple[np.ndarray, csr_matrix]:
-    """Return the cells that the integrals use, and their weights for each direction, (directions, cells)."""
+    """Compute the indices of the cells in the albedo integrals, and their weights for each direction, (directions, cells)."""
     edges = np.pi / 2 * (np.arange(GRID_SHAPE[0] + 1) / GRID_SHAPE[0]) ** 2
     ring = -np.diff(np.cos(edges))
     theta = ((edges[:-1] + edges[1:]) / 2)[:, None]
@@ -205,7 +216,7 @@ def _albedo_rule() -> tuple[np.ndarray, csr_matrix]:
 
 @cache
 def _directions(sampling: Sampling) -> tuple[np.ndarray, np.ndarray]:
-    """Return the indices among the directions of each cell's light and view."""
+    """Compute, for each cell, the indices of the directions that contain its light and its view, (90, 90, 180) each."""
     grid = merl_grid(sampling)
     th, td, ph = grid.theta_h[:, None, None], grid.theta_d[:, None], grid.phi_d
     mean, half = np.cos(th) * np.cos(td), np.sin(th) * np.sin(td) * np.cos(ph)

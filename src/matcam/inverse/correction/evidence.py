@@ -1,17 +1,17 @@
-"""Evidence of the explanations of a table: marginal likelihood of each, on one scale.
+"""Evidence of the explanations of a table: their marginal likelihoods on a common scale.
 
-The variance of a cell is the sum of pixel noise, V0, and model error, tau^2 m^2 + tau_f^2 P^2 (m the model, P the peak
-of the slice). The misfit t, its root mean square over the cells relative to m and 1e-2 P, has an exponential prior.
-Laplace's approximation gives
+An explanation is a model of the table. The variance of a cell is the sum of pixel noise, V0, and model error,
+tau^2 m^2 + tau_f^2 P^2, where m is the modelled value and P the peak of the slice. The misfit t is the root mean square of the
+model error of the cells, relative to sqrt(m^2 + (1e-2 P)^2). It has an exponential prior. Laplace's approximation gives
 
     ln E = kappa ln L + ln p(t) + ln p(theta) + k/2 ln 2 pi - 1/2 ln |kappa H + Q| + sum_s 1/2 ln(2 pi / (kappa q_s)) ,
 
-H the information of the data about the k parameters theta, Q that of their prior, q_s the information about the free strength
-of slice s (MacKay 2003, chapter 28). Misfit is correlated between cells, so cells count only by the share of pixel noise in the
-variance of the best explanation: kappa = min(1, 1 / chi^2), chi^2 the mean squared residual of that explanation in standard
-deviations of pixel noise. This is a tempered likelihood (Gruenwald 2012).
+where H is the information matrix of the data for the k parameters theta, Q the information matrix of the prior, and q_s the
+information about the free strength of slice s (MacKay 2003, chapter 28). Misfit is correlated between cells, so the likelihood
+is tempered (Gruenwald 2012). The exponent kappa = min(1, 1 / chi^2) is the share of pixel noise in the variance of the best
+explanation, where chi^2 is the mean squared residual of this explanation in standard deviations of pixel noise.
 
-V0 is estimated without a model of the lobe: from cells that mirror each other, or from the differences between channels.
+V0 is estimated without a model of the lobe, from cells at mirrored positions, or from the differences between channels.
 """
 
 from __future__ import annotations
@@ -37,42 +37,47 @@ from matcam.inverse.fit.fit_setup import FitSetup
 from matcam.inverse.fit.material_fit import MaterialFit
 
 LEAST_NOISE = PixelNoise(5e-3, 1e-6, 0.0)
-"""Least noise of a pixel that is assumed: shot noise of a full well of 40,000 electrons, and the accuracy of a modelled
-record. Mirrored cells of a symmetrised table agree exactly, although they have noise.
+"""Smallest assumed noise of a pixel: shot noise of a full well of 40,000 electrons, and the accuracy of a modelled record. The
+limit is required because mirrored cells of a symmetrised table have equal values although they have noise.
 """
 UNKNOWN_SHARE = 0.1
-"""kappa where nothing distinguishes pixel noise from misfit, as in a table of one channel whose cells have no mirror images:
-about ten cells, those of two rings, then share one error."""
+"""Value of kappa if the data do not distinguish pixel noise from misfit, for example in a table of one channel without mirrored
+cells. It corresponds to an error that about ten cells, those of two rings, have in common.
+"""
 _MISFIT_SCALE = 1e-2
-"""Mean of the exponential prior of the misfit, over the value of a cell: models with much larger errors do not explain
-a table.
+"""Mean of the exponential prior of the misfit, relative to the value of a cell. Models with much larger errors do not explain a
+table.
 """
 _FAINT = 1e-2
-"""Share of the peak of a slice below which misfit is relative to that share, not to the cell."""
+"""Share of the peak of a slice. For fainter cells, misfit is relative to this share instead of the value of the cell."""
 _TYPICAL = PixelNoise(1e-2, 1e-4, 0.0)
-"""Noise of a pixel from which its estimate starts."""
+"""Noise of a pixel of a typical camera, from which an estimate of the noise starts."""
 _MOSTLY_MISFIT = 2.0
-"""chi^2 from which more than half of the residual variance is misfit."""
+"""Value of chi^2 above which misfit is more than half of the residual variance."""
 _FEWEST_PAIRS = 100
-"""Smallest number of pairs of cells; it determines the noise to 7 %."""
+"""Smallest number of pairs of cells for an estimate of the noise. 100 pairs determine the noise to 7 %."""
 _PRIORS = {
     "width": (-4.5, 2.5), "power": (0.0, 0.7), STUDENT: (0.0, 1.0), "share": (0.0, 1.5), "tail": (0.5, 0.5),
     "spline": (0.0, 10.0), "rig": (0.0, 0.5), "fresnel": (0.0, 3.0), "diffuse": (0.2, 0.3),
     "base": (0.2, 0.3), BASE_WIDTH: (-2.0, 1.0),
 }  # fmt: skip
-"""Mean and standard deviation of each kind of parameter, in the coordinates of a fit: widths from 0.001 to 0.1 rad, powers
-from 1/2 to 2, any share, corrections of ln D up to 10, albedos of a diffuse part and reflectances of a base up to 0.5,
-roughnesses of a base from 0.05 to 0.4. Differences of evidence depend on their logarithm only.
+"""Prior mean and standard deviation of each kind of parameter, in the coordinates of a fit. They correspond to widths from
+0.001 to 0.1 rad, powers from 1/2 to 2, any share, modifications of ln D up to 10, albedos of a Lambertian part and reflectances
+of a base up to 0.5, and roughnesses of a base from 0.05 to 0.4. Differences of log evidence depend only on the logarithms of
+the standard deviations.
 """
 
 
 def noise_without_model(setup: FitSetup, found: MaterialFit) -> PixelNoise | None:
-    """Estimate the noise of a pixel without a model of the lobe; None if the data do not determine it.
+    """Estimate the noise of a pixel without a model of the lobe.
 
-    Each of two estimates is an upper bound: mirrored cells differ through an aberrated lens, too, and channels in what only
-    one of them shows. The one with the smaller variance is returned.
+    Two estimates are upper bounds of the noise. Mirrored cells also differ because of lens aberrations, and channels also
+    differ because of structure that only one channel has. The estimate with the smaller variance is returned.
 
-    setup: whose cells are compared with their mirror images. found: a fit, whose residuals are compared between channels.
+    setup: setup of a fit; its noise is returned if it is specified. Otherwise its cells are compared with mirrored cells.
+    found: fit whose residuals are compared between channels.
+
+    Returns: noise of a pixel; None if the data do not determine the noise.
     """
     if setup.noise is not None:
         return setup.noise
@@ -92,14 +97,17 @@ def _at_least(noise: PixelNoise, least: PixelNoise) -> PixelNoise:
 
 
 def _mirrored_noise(setup: FitSetup) -> PixelNoise | None:
-    """Estimate noise from cells at phi_d and pi - phi_d, which an isotropic lens records equally (docs/model.md 3)."""
+    """Estimate noise from the differences between cells at phi_d and pi - phi_d.
+
+    An isotropic lens records the same value in both (docs/model.md 3).
+    """
     problem = setup.problem
     cells, data, (table,) = problem.cells, problem.data, setup.tables
     if cells.real is not None or (setup.rig is not None and not setup.rig.camera.optics.isotropic):
         return None
     mirrored = merl_grid(sampling_of(table)).index(phi_d=np.mod(np.pi - cells.phi_d, np.pi))[2]
     others = table.values[cells.i_theta_h, cells.slices[:, None], mirrored].transpose(2, 0, 1)
-    apart = (np.abs(cells.y) >= 0.5).all(axis=-1)  # two pixels
+    apart = (np.abs(cells.y) >= 0.5).all(axis=-1)  # a cell and its mirrored cell are in two pixels
     used = data.used & np.isfinite(others) & apart
     if used.sum() < _FEWEST_PAIRS:
         return None
@@ -108,7 +116,7 @@ def _mirrored_noise(setup: FitSetup) -> PixelNoise | None:
 
 
 def _channel_noise(found: MaterialFit) -> PixelNoise | None:
-    """Estimate noise from the differences of residuals between channels, in which model errors of the lobe cancel."""
+    """Estimate noise from the differences of residuals between channels. Errors of the model of the lobe cancel in them."""
     problem, model = found._solution.problem, found._solution.model
     data, residual = problem.data, problem.residual(model)
     units = len(data.labels)
@@ -125,20 +133,23 @@ def _channel_noise(found: MaterialFit) -> PixelNoise | None:
 
 
 def _of_pairs(data: FitData, difference: np.ndarray, value: np.ndarray) -> PixelNoise:
-    """Estimate noise from the differences within pairs of cells of equal true value."""
+    """Estimate noise from pairs of cells whose true values are equal.
+
+    difference: difference of the two values, 1/sr, (u, s, n). value: estimate of the true value, 1/sr, (u, s, n).
+    """
     noise = _TYPICAL
-    for _ in range(2):  # the weights of the start take gains out
+    for _ in range(2):  # the estimate of the image gain depends on the noise
         noise = estimate_noise(data, difference / np.sqrt(2), value, 0, noise)
     return noise
 
 
 class OtherLobe(NamedTuple):
-    """Another lobe through the same camera.
+    """Fit of another lobe through the same camera, with its probability.
 
     Attributes:
         fit: fit of the lobe.
         setup: setup of the fit.
-        probability: probability of this lobe among all lobes (no unit).
+        probability: posterior probability of this lobe (no unit); the sum over all lobes is 1.
     """
 
     fit: MaterialFit
@@ -147,16 +158,16 @@ class OtherLobe(NamedTuple):
 
 
 class Explained(NamedTuple):
-    """Likelihood, prior and information of a fit before its cells are weighed.
+    """Terms of the evidence of a fit that do not depend on kappa.
 
     Attributes:
-        log_likelihood: logarithm of the likelihood with its misfit as noise.
-        log_misfit: logarithm of the prior of that misfit.
-        log_prior: logarithm of the prior of the parameters, without powers of 2 pi; the scale of a spline modification
-            is one of those tried.
-        information: (parameters, parameters), of the data.
-        prior: (parameters, parameters), information of the prior.
-        of_strengths: (strengths,), information about each free strength.
+        log_likelihood: logarithm of the likelihood, with misfit treated as noise.
+        log_misfit: logarithm of the prior density of the misfit.
+        log_prior: logarithm of the prior density of the coordinates, without powers of 2 pi. For a spline modification it
+            includes the prior probability 1 / TRIED_SPLINES of the selected scale.
+        information: information matrix of the data, (coordinates, coordinates).
+        prior: information matrix of the prior, (coordinates, coordinates).
+        of_strengths: information of the data about each free strength, (strengths,).
     """
 
     log_likelihood: float
@@ -167,7 +178,7 @@ class Explained(NamedTuple):
     of_strengths: np.ndarray
 
     def log_evidence(self, kappa: float) -> float:
-        """Compute the logarithm of the evidence. kappa: share of pixel noise in the variance."""
+        """Compute the logarithm of the evidence. kappa: exponent of the likelihood."""
         posterior = kappa * self.information + self.prior
         strengths = 0.5 * np.log(2 * np.pi / (kappa * self.of_strengths)).sum()
         volume = 0.5 * (np.linalg.slogdet(self.prior)[1] - np.linalg.slogdet(posterior)[1])
@@ -175,7 +186,7 @@ class Explained(NamedTuple):
 
 
 def mean_squared_residual(found: MaterialFit, noise: PixelNoise) -> float:
-    """Compute the mean squared residual (robust) of a fit with free strengths, in standard deviations of pixel noise."""
+    """Compute the mean squared residual of a fit with free strengths, robustly, in standard deviations of pixel noise."""
     solution = found._solution
     data, model = solution.problem.data, solution.model
     u = standardised_residual(data, solution.problem.residual(model), model.value, noise, np.inf)[data.used]
@@ -183,7 +194,7 @@ def mean_squared_residual(found: MaterialFit, noise: PixelNoise) -> float:
 
 
 def explained(found: MaterialFit, noise: PixelNoise) -> Explained:
-    """Compute the terms of the evidence of a fit with free strengths. noise: noise of a pixel."""
+    """Compute the terms of the evidence of a fit with free strengths. noise: pixel noise without misfit."""
     solution = found._solution
     problem, model = solution.problem, solution.model
     data, residual = problem.data, problem.residual(model)
@@ -211,14 +222,14 @@ def explained(found: MaterialFit, noise: PixelNoise) -> Explained:
 
 
 class Weighing(NamedTuple):
-    """Weights of the residuals of a table's explanations.
+    """Noise model that weights the residuals of the fits of a table.
 
     Attributes:
         noise: noise of a pixel.
-        kappa: share of pixel noise in the variance of the best explanation.
-        chi2: mean squared residual of the best explanation over the variance of pixel noise; of a typical camera if
-            that noise is not known.
-        known: whether the data determine the noise of a pixel without a model.
+        kappa: exponent of the likelihood: share of pixel noise in the variance of the best fit.
+        chi2: mean squared residual of the best fit divided by the variance of pixel noise. The noise of a typical camera is
+            assumed if the noise is not known.
+        known: True if the noise of a pixel is specified, or determined by the data without a model.
     """
 
     noise: PixelNoise
@@ -228,9 +239,9 @@ class Weighing(NamedTuple):
 
     @classmethod
     def of(cls, fits: Sequence[MaterialFit], noise: PixelNoise | None) -> Weighing:
-        """Weigh the residuals of some fits of the same cells.
+        """Build the noise model from fits of the same cells.
 
-        noise: noise of a pixel; None: the smallest estimate of the fits.
+        noise: noise of a pixel; None: the smallest estimate of the fits is used.
         """
         if noise is None:
             left = [fit.noise for fit in fits]
@@ -241,17 +252,17 @@ class Weighing(NamedTuple):
         return cls(noise, min(1.0, 1 / max(chi2, 1e-12)), chi2, known=True)
 
     def at_most(self, other: Weighing) -> Weighing:
-        """Choose the weighing with the smaller residuals."""
+        """Choose the noise model with the smaller chi2."""
         return self if self.chi2 < other.chi2 else other
 
     @property
     def unexplained(self) -> bool:
-        """Check whether most of the residual variance of the best explanation is misfit."""
+        """Check whether misfit is most of the residual variance of the best fit."""
         return self.chi2 > _MOSTLY_MISFIT
 
     def complete(self, fit: MaterialFit) -> bool:
-        """Check whether a fit leaves no more than pixel noise, so that a richer model cannot improve it."""
-        # three standard deviations of a mean of chi squared
+        """Check whether the residuals of a fit are pixel noise only, so that no other model can improve the fit."""
+        # the limit is three standard deviations above the expected mean of chi squared
         return self.known and mean_squared_residual(fit, self.noise) < 1 + 3 * np.sqrt(2 / max(fit.freedom, 1))
 
     def log_likelihood(self, fit: MaterialFit) -> float:
@@ -263,20 +274,20 @@ class Weighing(NamedTuple):
         return explained(fit, self.noise).log_evidence(self.kappa)
 
     def probabilities(self, fits: Sequence[MaterialFit]) -> np.ndarray:
-        """Compute the posterior probability of each fit of the same cells; all are equally probable before the data."""
+        """Compute the posterior probability of each fit of the same cells. Their prior probabilities are equal."""
         logs = np.array([self.log_evidence(fit) for fit in fits])
         shares = np.exp(logs - logs.max())
         return shares / shares.sum()
 
 
 def _robust(u: np.ndarray) -> np.ndarray:
-    """Limit squared residuals to linear growth where a fit gives them less weight (Huber 1964)."""
+    """Compute twice Huber's cost of residuals: quadratic for small and linear for large residuals (Huber 1964)."""
     weight = huber_weights(u)
     return weight * (2 - weight) * u**2
 
 
 def _priors(layout: Layout) -> tuple[np.ndarray, np.ndarray]:
-    """Return prior mean and standard deviation of every parameter of a fit."""
+    """Return the prior mean and standard deviation of every coordinate of a fit, (coordinates,) each."""
     kind = layout.kind
     if kind.family == TWO_LOBES:
         own = ["width", "width", "share", "tail", "tail"]

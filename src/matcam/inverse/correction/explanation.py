@@ -1,16 +1,16 @@
-"""Explanations of a table, weighed by their evidence (docs/correct.md).
+"""Explanations of a table, weighted by their evidence (docs/correct.md).
 
-`correct` and `fresnel` use the same explanations, so they cannot contradict each other. Every member of the list is
-fitted to the same cells with F free in every slice and a Lambertian part:
+An explanation is a model of the table, with or without a camera. `correct` and `fresnel` use the same explanations, so their
+results are consistent. Every explanation is fitted to the same cells, with F free in every slice and a Lambertian part:
 
-- a lobe of each family through the camera, with the uncertainty of the lens (width and shape) as its prior;
-- where the best of them leaves more than pixel noise: Student's t with a free tail exponent, two lobes, a lobe of each
-  family over a rough base, and a spline-modified lobe;
-- the best lobe as a perfect camera would have recorded it, and, where the list does not explain the data, a lobe of each
-  channel with any smooth masking.
+- A lobe of each family through the camera. The uncertainty of the lens (width and shape) is a prior of the fit.
+- If the residuals of all these fits exceed pixel noise: Student's t with a free tail exponent, two lobes, a lobe of each family
+  over a rough base, and a spline-modified lobe, all through the camera.
+- The best lobe without a camera, and, if none of the explanations above describes the data, a lobe of each channel without a
+  camera and with any smooth masking.
 
-A few slices rank the members; those that may matter are fitted to more. The result is the mean over the members, by their
-posterior probabilities (`evidence`).
+The explanations are compared in a few slices, and the probable ones are fitted to more slices. The result is their mean,
+weighted by their posterior probabilities (`evidence`).
 """
 
 from __future__ import annotations
@@ -39,53 +39,56 @@ from matcam.material.masking import Masking
 from matcam.rigs import Rig
 
 _WIDEST_SPLINE = 1.0
-"""Standard deviation of the second differences of ln D at which a lobe is not bound to its family."""
+"""Largest standard deviation of the second differences of ln D (no unit), with which a family hardly constrains the lobe."""
 _STIFF = 0.125
 """Share of the half width of a lobe below which its spline modification is stiff, because broad lobes have no finer
 structure.
 """
 _RANKED_STEP = 3 * SEARCH_STEP
-"""Spacing of the slices in which the members are ranked."""
+"""Spacing of the slices in which the explanations are compared."""
 _SMOOTH_CORES = ("ggx", STUDENT)
-"""Families that a spline modification may start from. Unlike EPD's lobe they have no cusp, which no pixel could resolve."""
+"""Families to which a spline modification may be applied. Unlike the lobe of EPD they have no cusp, which no pixel could
+resolve.
+"""
 _HOPELESS = 15.0
-"""Difference of log evidence in the ranking slices above which a member is left out: a probability of 3e-7, which more
-slices would lower further.
+"""Difference of log evidence to the best explanation above which an explanation is not fitted to more slices. It corresponds to
+a probability of 3e-7, which more slices would reduce further.
 """
 PROBABLE = 0.95
-"""Probability above which an explanation holds: of no camera, above which the data show no blur."""
+"""Probability of the explanations without a camera above which the data show no blur."""
 _UNLIKELY = 0.05
-"""Probability of no camera below which a guessed lens is used."""
+"""Largest probability of the explanations without a camera at which a guessed lens is used."""
 _NEGLIGIBLE = 1e-3
 """Probability below which another lobe is neglected."""
 UNEXPLAINED = "unexplained"
-"""Code of the remark that no member of the list explains the data."""
+"""Code of the remark that no explanation describes the data."""
 
 
 class Member(NamedTuple):
-    """One explanation of a table: a fit and its setup."""
+    """Explanation of a table: a fit and its setup."""
 
     setup: FitSetup
     fit: MaterialFit
 
 
 class Explanation(NamedTuple):
-    """The explanations of a table and their probabilities.
+    """Explanations of a table and their probabilities.
 
     Attributes:
-        located: the rig, with its cell rule.
+        located: rig that recorded the table, with its cell rule.
         setup: setup of `fit`.
-        candidates: fits of all lobes through the camera with a relevant probability.
-        fit: the most probable of the candidates.
-        shape: uncertainty of the shape of its lobe.
+        candidates: fits through the camera that were fitted to all slices of the setup.
+        fit: most probable of the candidates.
+        shape: uncertainty of the shape of the lobe of `fit`.
         base: fit of the same lobe in the slices of `refits`.
-        others: the other lobes through the same camera, with their probabilities.
+        others: candidates other than `fit` that are not negligible, with their probabilities.
         refits: fits with one parameter of the rig free.
         blind_setup: setup of `blind`.
-        blind: fit of the lobe without a camera.
-        no_camera: probability of the explanations without a camera.
-        shadowed: fit of a lobe of each channel with free masking, without a camera; None: the other explanations suffice.
-        weighing: weights of the residuals.
+        blind: best fit of a lobe without a camera.
+        no_camera: probability of the explanations without a camera (no unit).
+        shadowed: fit without a camera of one lobe per channel with free masking, if it is the best fit without a camera;
+            otherwise None.
+        weighing: noise model that weights the residuals.
     """
 
     located: LocatedRig
@@ -109,12 +112,15 @@ class Explanation(NamedTuple):
 
     @property
     def no_blur(self) -> bool:
-        """Check whether the data show no blur by this camera."""
+        """Check whether the data show no blur by the camera."""
         return self.no_camera > PROBABLE
 
     @property
     def contradicts(self) -> bool:
-        """Check whether rig and data contradict each other: no blur, another lens than specified, or cells of other pixels."""
+        """Check whether rig and data contradict each other.
+
+        The data show no blur, or another lens than specified, or equal values of cells that no pixel grid explains.
+        """
         return (
             self.located.unexplained
             or self.no_blur
@@ -123,7 +129,7 @@ class Explanation(NamedTuple):
 
     @property
     def undecided(self) -> bool:
-        """Check whether the blur is unknown: the lens is a guess, and the data do not determine one."""
+        """Check whether the blur is unknown, because the lens is a guess and the data do not determine the blur."""
         camera = self.located.rig.camera
         lens = known_lens(camera).uncertainty
         if lens is None or LENS not in lens.names or self.no_camera <= _UNLIKELY:
@@ -131,21 +137,22 @@ class Explanation(NamedTuple):
         return is_guess(LENS, lens.std()[LENS] / float(camera.parameters()[LENS]))
 
     def scattering(self, lit: MaterialFit) -> MaterialFit:
-        """Return the fit whose F determines the gains of the images: the one with most slices.
+        """Select the fit with the most slices, whose F determines the image gains.
 
-        A spline-modified lobe is fitted to few slices. `lit` is preferred if several fits have that number.
+        lit: fit that is preferred if several fits have the same number of slices.
         """
         return max((lit, self.fit, *self.candidates), key=lambda one: one.theta_d.size)
 
     @property
     def no_blur_remark(self) -> Remark:
-        """State that the data show no blur."""
+        """Build the remark that the data show no blur."""
         noise = [f"{fit.noise.relative:.1%}" for fit in (self.blind, self.fit, self.without_camera)]
         text = (
-            f"the data show no blur by this camera: without it a pixel's noise would be {noise[0]}, with it {noise[1]}"
+            f"the data show no blur by this camera: the noise of a pixel would be {noise[0]} without the camera, {noise[1]} "
+            "with the camera"
         )
         if self.shadowed is not None:
-            text += f"; {noise[2]} with free shadowing and one lobe per colour"
+            text += f", and {noise[2]} without the camera but with free shadowing and one lobe per channel"
         return Remark("no-blur-in-data", text)
 
     @property
@@ -158,8 +165,8 @@ class Explanation(NamedTuple):
             remarks.append(
                 Remark(
                     UNEXPLAINED,
-                    f"{1 - self.weighing.kappa:.0%} of the variance of the residuals is more than pixel noise "
-                    f"({self.weighing.noise.relative:.1%}): no lobe of the list explains the data fully",
+                    f"pixel noise ({self.weighing.noise.relative:.1%}) does not explain {1 - self.weighing.kappa:.0%} of the "
+                    "variance of the residuals: no lobe that was tried explains the data fully",
                 )
             )
         return (*remarks, *(refit.remark for refit in self.refits if refit.contradicts))
@@ -174,15 +181,15 @@ def first_setup(
     workspace: Workspace | None,
     slice_step: int = SEARCH_STEP,
 ) -> FitSetup:
-    """Build the setup that `explain` starts from.
+    """Build the setup from which `explain` derives all others.
 
     Args:
-        brdf: a checked table, 1/sr.
-        rig: the rig that recorded it, as `located_rig` returns it.
-        masking: see `correct`.
-        noise: see `correct`.
-        workspace: see `correct`.
-        slice_step: spacing of the slices that are used (no unit).
+        brdf: checked table, 1/sr.
+        rig: rig that recorded the table, as `located_rig` returns it.
+        masking: masking G of the lobe, as for `correct`.
+        noise: noise of a pixel; None: it is estimated.
+        workspace: store of results that depend only on the rig; None: that of the process.
+        slice_step: spacing of the slices that are used (no unit). Default: SEARCH_STEP.
     """
     setup = free_setup([brdf], rig, masking=masking, noise=noise, slice_step=slice_step, workspace=workspace)
     refitted = tuple(name for name in (LAMP,) if name in widths_of(rig))
@@ -190,11 +197,11 @@ def first_setup(
 
 
 def explain(setup: FitSetup, located: LocatedRig, ndf: str) -> Explanation:
-    """Fit and weigh the explanations of a table.
+    """Fit the explanations of a table, and compute their probabilities.
 
     Args:
-        setup: its `first_setup`.
-        located: the setup's rig.
+        setup: result of `first_setup` for the table.
+        located: rig of the setup, with its cell rule.
         ndf: family of the lobe, or "auto".
     """
     rig, slice_step = located.rig, setup.slice_step
@@ -228,7 +235,7 @@ def explain(setup: FitSetup, located: LocatedRig, ndf: str) -> Explanation:
     blind = max((one for _, one in pairs), key=lambda one: weighing.log_evidence(one.fit))
     no_camera = max(
         _probability_of_none(logs, [weighing.log_evidence(one.fit) for one in others]),
-        # the parameter volume that a blur hides is no evidence of the blur
+        # parameters that a blur makes irrelevant increase the evidence, so likelihoods are compared, too
         *(_probability_of_none(*([weighing.log_likelihood(one.fit)] for one in pair)) for pair in pairs),
     )
     without = _closest(others, noise)
@@ -240,7 +247,7 @@ def explain(setup: FitSetup, located: LocatedRig, ndf: str) -> Explanation:
     shares = weighing.probabilities([one.fit for one in whole])
     first = int(np.argmax(shares))
     kappa = weighing.kappa if weighing.known else 1.0
-    if kappa < 1:  # correlated misfit widens the errors, too
+    if kappa < 1:  # correlated misfit also increases the errors of the parameters
         whole = [one._replace(fit=one.setup.tempered(one.fit, kappa)) for one in whole]
     found = whole[first]
     averaged = tuple(
@@ -251,7 +258,7 @@ def explain(setup: FitSetup, located: LocatedRig, ndf: str) -> Explanation:
     shape = known_shape(found.fit, found.setup.spline)
     if not found.fit.has_spline:
         free = shape_uncertainty(found.fit, setup.noise, kappa)
-        # a spline-modified lobe is a member of its own
+        # a spline-modified lobe is a separate explanation
         shape = known_shape(found.fit, free.scale) if free.family_fails else free
     base = kept[first] if found.fit.has_spline else found
     return Explanation(
@@ -266,13 +273,16 @@ def _weighing(members: list[Member], noise: PixelNoise | None) -> Weighing:
 
 
 def _probability_of_none(by_camera: list[float], by_none: list[float]) -> float:
-    """Compute the probability of no camera from log evidences of members with and without it."""
+    """Compute the probability of the explanations without a camera.
+
+    by_camera, by_none: logarithms of the evidence of the explanations with and without a camera.
+    """
     difference = np.logaddexp.reduce(by_camera) - np.logaddexp.reduce(by_none)
     return float(1 / (1 + np.exp(np.clip(difference, -500, 500))))
 
 
 def _closest(members: list[Member], noise: PixelNoise | None) -> Member:
-    """Return the member with the smallest residuals."""
+    """Select the explanation with the smallest chi2."""
     return min(members, key=lambda one: _weighing([one], noise).chi2)
 
 
@@ -281,7 +291,10 @@ def _solved(setup: FitSetup) -> Member:
 
 
 def _with_spline(core: Member) -> Member:
-    """Fit a spline-modified lobe, as free as the residuals of its family suggest."""
+    """Fit a spline-modified lobe. The residuals of the fit of its family determine the prior of the spline.
+
+    core: fit of the family.
+    """
     spline = min(shape_uncertainty(core.fit, core.setup.noise).scale, _WIDEST_SPLINE)
     stiff = _STIFF * core.fit.hwhm if np.isfinite(core.fit.hwhm) else 0.0
     setup = core.setup.with_(spline=spline, stiff_below=stiff)
@@ -289,7 +302,7 @@ def _with_spline(core: Member) -> Member:
 
 
 def _without_camera(best: Member, rig: Rig) -> Member:
-    """Fit the same lobe as a perfect camera would have recorded it, in the same cells."""
+    """Fit the same lobe without a camera in the same cells."""
     own = best.setup
     setup = FitSetup(
         own.tables, None, own.ndf, fresnel="free", diffuse=True, base=own.base, masking=own.masking, noise=own.noise,
@@ -303,14 +316,14 @@ def _without_camera(best: Member, rig: Rig) -> Member:
 
 
 def with_free_masking(core: Member, rig: Rig) -> Member:
-    """Fit free masking and a spline-modified lobe for each channel without a camera. core: fit whose family is used."""
+    """Fit a spline-modified lobe with free masking to each channel, without a camera. core: fit whose family is used."""
     blind = _without_camera(core._replace(setup=core.setup.with_(spline=_WIDEST_SPLINE)), rig)
     setup = blind.setup.with_(masking="smith-separable", per_channel=True, free_masking=True)
     return Member(setup, setup.solve(start=blind.fit, weights="start"))
 
 
 def _in_more_slices(member: Member, slice_step: int) -> Member:
-    """Fit the same lobe in every `slice_step`-th slice; estimate the smoothness of a spline modification before."""
+    """Fit the same lobe in every `slice_step`-th slice. The prior of a spline modification is first estimated from the data."""
     if member.setup.slice_step == slice_step:
         return member
     if member.setup.spline:

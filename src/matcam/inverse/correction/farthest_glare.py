@@ -1,4 +1,4 @@
-"""Glare: the largest amount of light of a highlight that the lens can scatter to each entry of a table."""
+"""Glare: largest contribution of light that the lens scatters from a highlight to each entry of a table."""
 
 from __future__ import annotations
 
@@ -14,34 +14,39 @@ from matcam.inverse.operator.sample_view import SampleView, sample_view
 from matcam.rigs import Rig
 
 _NEAREST = 8.0
-"""px; a halo closer to the highlight belongs to the core of the lens, which its profile describes."""
+"""Smallest distance of glare from the highlight, px. Light that is scattered less far belongs to the kernel in the profile of
+the lens.
+"""
 _VIEWS = 2
-"""Views whose scattered light is kept in memory, 12 MB each."""
+"""Number of views whose scattered light is stored in memory, 12 MB each."""
 
 
 class FarthestGlare(NamedTuple):
-    """Largest contribution of a halo of any radius, with a given share of the light of the highlight, to each entry.
+    """Largest contribution of glare from the highlight to each entry of a table.
+
+    The glare is a halo of any radius that contains a given share of the light of the highlight.
 
     Attributes:
-        strength: (90, channels), reflectance of the highlight of each theta_d times the share.
-        of_mirror: (90, 90, 180), the contribution if all light were reflected, 1/sr.
+        strength: F of the highlight of each slice multiplied by the share of glare (no unit), (90, channels).
+        of_mirror: contribution for F = 1 and a share of 1, 1/sr, (90, 90, 180).
     """
 
     strength: np.ndarray
     of_mirror: np.ndarray
 
     def of(self, rows: slice) -> np.ndarray:
-        """Compute the contribution in some rows of the table, (rows, 90, 180, channels), 1/sr."""
+        """Compute the contribution to the entries in some rows of the table, 1/sr, (rows, 90, 180, channels)."""
         return self.strength[:, None] * self.of_mirror[rows, ..., None]
 
 
 def farthest_glare(
     glare: float, sampling: Sampling, rig: Rig, found: MaterialFit, workspace: Workspace
 ) -> FarthestGlare:
-    """Compute the largest glare of a highlight.
+    """Compute the largest contribution of glare from the highlight to each entry of a table.
 
-    glare: share of the light that the lens scatters. found: gives the brightness of the highlights. workspace: keeps
-        what depends on the rig alone.
+    glare: share of the light that the lens scatters (no unit). sampling: sampling of the table. rig: rig that recorded the
+        table. found: fit of the table, which determines F and the width of the highlight. workspace: store of results that
+        depend only on the rig.
     """
     strength = found.curves["fresnel"].values
     there = np.isfinite(strength).all(axis=1)
@@ -59,18 +64,19 @@ def farthest_glare(
 
 
 def _of_mirror(view: SampleView, sampling: Sampling, nearest: float) -> np.ndarray:
-    """Compute the light that a perfectly reflecting surface would scatter to each entry, (90, 90, 180).
+    """Compute the largest contribution of glare for F = 1 and a share of 1, 1/sr, (90, 90, 180).
 
-    nearest: distance from the highlight, px, within which its light is spread; a halo adds a share of that light there.
+    A Gaussian of standard deviation s adds flux exp(-d^2 / 2 s^2) / (2 pi s^2) at distance d from the highlight. The maximum
+    over s is flux / (pi e d^2).
 
-    A Gaussian of std s adds flux exp(-d^2 / 2 s^2) / (2 pi s^2) at distance d. Its maximum over s is flux / (pi e d^2).
+    nearest: smallest distance d, px. Cells at smaller distances have the contribution at this distance.
     """
     grid = merl_grid(sampling)
     th, td, ph = grid.theta_h[:, None, None], grid.theta_d[:, None], grid.phi_d
-    # the position of each cell on the lamp's side represents both positions, whose distances from the highlight are similar
+    # the position of a cell on the side of the lamp represents both positions; their distances from the highlight are similar
     x, y = view.from_highlight(th, td, ph)
     distance2 = np.maximum(x**2 + y**2, nearest**2)
-    # integral of D over normals is about 1: flux = F r^2 / 4 of a distant rig
+    # the integral of D over normals is about 1, so flux = F r^2 / 4 for a distant rig
     cos_i = np.maximum(np.cos(th) * np.cos(td) - np.sin(th) * np.sin(td) * np.abs(np.cos(ph)), 0.05)
     flux = view.highlight_area(grid.theta_d)[:, None] / 4 / view.irradiance(cos_i)
     return flux / (np.pi * np.e * distance2 * cos_i)

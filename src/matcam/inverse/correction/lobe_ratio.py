@@ -1,4 +1,4 @@
-"""Ratio of true to recorded lobe in every cell of a table, with its error; a correction multiplies measured values by it."""
+"""Ratio of true to recorded lobe in every cell of a table, and its variance. A correction multiplies values by this ratio."""
 
 from __future__ import annotations
 
@@ -47,8 +47,8 @@ class CorrectionFits(NamedTuple):
         base: fit of the same lobe in the slices of `refits`, for comparison with them.
         refits: fits with a parameter of the rig free.
         others: other lobes through the same camera, over which the ratio is averaged.
-        maskings: predictions of `fit` under other maskings, whose difference is included in the uncertainty.
-        expected: parameters of the rig that such fits may have, as given to `lattices_ahead`.
+        maskings: predictions of `fit` with other maskings, whose differences are included in the uncertainty.
+        expected: parameters of the rig that any of the fits may have, as given to `lattices_ahead`.
     """
 
     fit: MaterialFit
@@ -61,7 +61,10 @@ class CorrectionFits(NamedTuple):
 
     @property
     def alternatives(self) -> list[tuple[str, FitCoordinates, FitCoordinates, float]]:
-        """List alternatives: name, coordinates before and after, and the factor of the difference."""
+        """List the alternative fits whose difference from a reference fit is uncertainty.
+
+        Each item contains: name, coordinates of the reference, coordinates of the alternative, factor of the difference.
+        """
         at, base = self.fit.coordinates, self.base.coordinates
         return [
             *(
@@ -77,7 +80,7 @@ class CorrectionFits(NamedTuple):
 
     @property
     def axes(self) -> tuple[Axis, ...]:
-        """Return the parameters of the rig that any of the fits has, or may have."""
+        """Collect the parameters of the rig that any of the fits has or may have."""
         fitted = (
             self.fit.coordinates,
             *(there for _, _, there, _ in self.alternatives),
@@ -87,7 +90,7 @@ class CorrectionFits(NamedTuple):
 
 
 def lattices_ahead(rig: Rig, sampling: Sampling, expected: tuple[Axis, ...], workspace: Workspace) -> None:
-    """Compute the lattices that `lobe_ratio` requires, and keep them in the workspace."""
+    """Compute the lattices that `lobe_ratio` requires, and store them in the workspace."""
     response_lattice(rig, sampling, FINE, (), workspace)
     response_lattice(rig, sampling, COARSE, expected, workspace)
 
@@ -97,14 +100,14 @@ def lobe_ratio(
 ) -> LobeRatio:
     """Compute the ratio of true to recorded lobe, averaged over the explanations.
 
-    phase_std: standard deviation of the phase of the real pixels that cells are looked up in, px.
-
-    It is computed on a fine lattice with the rig as given. Three quantities are smooth, so that a coarse lattice
-    suffices: the change of the ratio by fitted parameters of the rig, its derivatives, and the alternatives (free
+    The ratio is computed on a fine lattice for the specified rig. Three smooth quantities are computed on a coarse lattice: the
+    change of the ratio due to fitted parameters of the rig, the derivatives of the ratio, and the changes by alternatives (free
     parameters, other lobes, other maskings).
+
+    phase_std: standard deviation of the phase of the real pixels from which cells are read, px. Default: 0.
     """
     at = fits.fit.coordinates
-    log_slope = fits.fit.log_slope  # a near rig has one ratio for all channels: use their mean
+    log_slope = fits.fit.log_slope  # the mean of all channels, because they have one ratio
     fine = response_lattice(rig, sampling, FINE, (), workspace).of_fresnel(log_slope)
     axes = fits.axes
     coarse = response_lattice(rig, sampling, COARSE, axes, workspace).of_fresnel(log_slope)
@@ -162,7 +165,7 @@ def _log_ratio(where: ResponseLattice, kind: LobeKind, q: jax.Array, shifts: jax
 
 @kept_program
 def _log_slopes(where: ResponseLattice, kind: LobeKind, q: jax.Array, shifts: jax.Array) -> jax.Array:
-    """Compute derivatives with respect to all coordinates of lobe and rig, (coordinates, slices, cells)."""
+    """Compute the derivatives of the log ratio with respect to lobe and rig, (coordinates, slices, cells)."""
     recorded, by_recorded = slopes_by_slice(where.recorded, kind, jnp.concatenate([q, shifts]))
     true, by_true = slopes_by_slice(where.true, kind, q)
     by_true = jnp.pad(by_true, ((0, shifts.size), (0, 0), (0, 0)))
@@ -181,7 +184,7 @@ def _at(where: ResponseLattice, at: FitCoordinates, axes: tuple[Axis, ...]) -> n
 
 
 def _log_ratio_and_record(where: ResponseLattice, at: FitCoordinates) -> tuple[np.ndarray, np.ndarray]:
-    """Compute ln(true / recorded) and ln(recorded), the rig as given."""
+    """Compute ln(true / recorded) and ln(recorded) for the specified rig, (slices, cells) each."""
     (recorded, _), (true, _) = _lobes_and_shares(where, at, np.zeros(len(where.recorded.points)))
     log_recorded = np.where(where.cells.valid, np.log(recorded), np.log(VANISHED))
     return np.where(where.cells.valid, np.log(true) - log_recorded, 0.0), log_recorded
@@ -190,9 +193,12 @@ def _log_ratio_and_record(where: ResponseLattice, at: FitCoordinates) -> tuple[n
 def _lobes_and_shares(
     where: ResponseLattice, at: FitCoordinates, shifts: np.ndarray
 ) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Compute the recorded and the true lobe on the lattice, each with its relative derivatives.
+    """Compute the recorded and the true lobe on a lattice, (slices, cells), each with relative derivatives.
 
-    The derivatives are with respect to the coefficient of each B_k. Unknown values are 1.
+    The relative derivatives are those of the logarithm of the lobe with respect to the coefficient of each B_k,
+    (k, slices, cells). Invalid cells have the value 1.
+
+    shifts: coordinates along the axes of the lattice.
     """
     pairs = [
         shape_records(operator, at.kind, placed(at.lobe), placed(rig))
@@ -206,9 +212,9 @@ def _lobes_and_shares(
 
 
 def _columns(where: ResponseLattice, at: FitCoordinates, axes: tuple[Axis, ...], shifts: np.ndarray) -> np.ndarray:
-    """Compute the derivatives of the ratio by lobe, rig and shape, (coordinates, slices, cells).
+    """Compute the derivatives of the log ratio with respect to lobe, rig and shape, (coordinates, slices, cells).
 
-    axes: of the lattice. shifts: coordinates along them.
+    axes: axes of the lattice. shifts: coordinates along these axes.
     """
     (_, by_recorded), (_, by_true) = _lobes_and_shares(where, at, shifts)
     slopes = np.asarray(_log_slopes(where, at.kind, placed(at.lobe), placed(shifts)))
@@ -219,7 +225,7 @@ def _columns(where: ResponseLattice, at: FitCoordinates, axes: tuple[Axis, ...],
 
 
 def _variance(columns: np.ndarray, shape: ShapeUncertainty) -> np.ndarray:
-    """Compute the variance of the ratio from the covariance of lobe, rig and shape."""
+    """Compute the variance of the log ratio from the covariance of lobe, rig and shape, (slices, cells)."""
     return np.einsum("psn,pq,qsn->sn", columns, shape.covariance, columns)
 
 
@@ -228,9 +234,9 @@ def _peak_parts(
 ) -> tuple[VariancePart, ...]:
     """Split the variance of the ratio at the peak of each slice into its sources.
 
-    The share of a source is that on the lattice, interpolated linearly, so that the shares of all sources add up to 1.
+    The shares of the sources in the variance are computed on the lattice and interpolated linearly, so their sum is 1.
 
-    columns: result of `_columns`. variance: variance of the ratio at the peaks, (90,).
+    columns: result of `_columns`. variance: variance of the log ratio at the peak of each slice, (90,).
     """
     rings, slices, azimuths = where.spacing
     position = int(np.argmin(np.abs(np.array(rings)))) * len(azimuths) + int(np.argmin(np.abs(np.array(azimuths) - 90)))

@@ -1,10 +1,10 @@
 """Uncertainty of the shape of a lobe.
 
-The record is linear in D. After a fit, D (1 + sum_k b_k B_k(theta)) with smooth B_k is therefore a linear least-squares
-problem (docs/model.md 8). It is solved together with small changes of the parameters of the fit, with strengths free in
-every slice. The evidence of the linear model determines the variance of the b_k. The part of the b_k that the pixels do
-not resolve is uncertainty. The lobe itself stays that of its family, because a modified lobe is an explanation of its
-own.
+The record is linear in D. After a fit, the coefficients b_k of a modified lobe D (1 + sum_k b_k B_k(theta)) with smooth B_k are
+therefore determined by a linear least-squares problem (docs/model.md 8). It includes small changes of the parameters of the
+fit, and the strengths are free in every slice. The evidence of the linear model determines the prior variance of the b_k, and
+the posterior covariance of the b_k is the uncertainty of the shape. The lobe itself is not modified, because a spline-modified
+lobe is a separate explanation.
 """
 
 from __future__ import annotations
@@ -37,13 +37,13 @@ _ROUNDS = 3
 
 
 class ShapeUncertainty(NamedTuple):
-    """Uncertainty of the shape of a lobe, as a factor 1 + sum b_k B_k.
+    """Uncertainty of the shape of a lobe, described by a factor 1 + sum_k b_k B_k of D.
 
     Attributes:
-        covariance: covariance of (lobe, rig, b), the first two in the coordinates of the fit.
-        scale: estimated standard deviation of the second differences of b.
-        noise: noise of a pixel, given or estimated with b free.
-        statements: prior knowledge of (lobe, rig, b). Default: none.
+        covariance: covariance of the coordinates of lobe and rig and of the coefficients b, (lobe + rig + b, lobe + rig + b).
+        scale: estimated prior standard deviation of the second differences of b (no unit).
+        noise: noise of a pixel, specified or estimated with free coefficients b.
+        statements: prior knowledge of lobe, rig and b. Default: none.
     """
 
     covariance: np.ndarray
@@ -57,11 +57,11 @@ class ShapeUncertainty(NamedTuple):
         return self.scale > FAMILY_FAILS
 
     def remark(self, family: str) -> Remark:
-        """State that a family does not explain the data and its lobe was corrected."""
+        """Build the remark that a family does not explain the data."""
         return Remark(
             "family-fails",
-            f"no {family} lobe explains the data (scale {self.scale:g}): its shape was corrected by a smooth factor, and the "
-            "uncertainty includes the part of the shape that the pixels do not resolve",
+            f"a {family} lobe does not explain the data (scale of the shape correction: {self.scale:g}): the fitted lobe was "
+            "multiplied by a smooth factor, and the uncertainty includes the part of the shape that the pixels do not resolve",
         )
 
 
@@ -69,7 +69,10 @@ class ShapeUncertainty(NamedTuple):
 def shape_records(
     operator: LobeOperator, kind: LobeKind, q: jax.Array, shifts: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """Compute the record of a lobe, (slices, cells), and the contribution of each B_k, (k, slices, cells)."""
+    """Compute the record of a lobe, (slices, cells), and the derivative with respect to each b_k, (k, slices, cells).
+
+    q: coordinates of the lobe. shifts: coordinates along the axes of the operator.
+    """
     ndf = kind.ndf(q)
     table = None if kind.masking is None else quick_table(ndf)
 
@@ -84,7 +87,8 @@ def shape_records(
 def shape_uncertainty(found: MaterialFit, noise: PixelNoise | None, kappa: float = 1.0) -> ShapeUncertainty:
     """Estimate the uncertainty of the shape of a fit with free strengths and one lobe.
 
-    noise: None: estimated anew. kappa: power of the likelihood (`evidence`). Default: 1.
+    noise: noise of a pixel; None: it is estimated together with the shape. kappa: exponent of the likelihood (`evidence`).
+        Default: 1.
     """
     linear = found.linearised()
     solution, at = linear.solution, linear.coordinates
@@ -92,7 +96,7 @@ def shape_uncertainty(found: MaterialFit, noise: PixelNoise | None, kappa: float
     columns = _columns(linear)
     count, shapes = len(columns), slice(len(linear.by_coordinates), len(linear.by_coordinates) + KNOTS)
     rig = slice(len(at.lobe), len(linear.by_coordinates))
-    # a tail that departs from a stiff prior would enlarge the scale and leave the peak free
+    # the scale is estimated with a uniform prior; with a stiffer tail, a deviating tail would increase the scale at the peak
     even, differences = smoothness(KNOTS), spline_smoothness()
     assumed = solution.noise
     result = np.zeros(count)
@@ -119,7 +123,10 @@ def shape_uncertainty(found: MaterialFit, noise: PixelNoise | None, kappa: float
 
 
 def known_shape(found: MaterialFit, scale: float) -> ShapeUncertainty:
-    """Compute the uncertainty of the parameters of a fit that includes its shape. scale: estimated for its family."""
+    """Build the uncertainty from the covariance of a fit. The coefficients b have no variance.
+
+    scale: scale of the shape correction that was estimated for the family of the lobe.
+    """
     covariance = found.coordinates.covariance
     own = slice(0, len(covariance))
     statements = tuple(
@@ -130,7 +137,7 @@ def known_shape(found: MaterialFit, scale: float) -> ShapeUncertainty:
 
 
 def _columns(linear: LinearisedFit) -> np.ndarray:
-    """Compute the derivatives of the model by lobe, rig, b and the parameters of the units."""
+    """Compute the derivatives of the model with respect to lobe, rig, b and units, (coordinates, u, s, n)."""
     at, solution = linear.coordinates, linear.solution
     q, shifts = placed(at.lobe), placed(at.rig)
     added = solution.problem.read(solution.model, lambda one: np.asarray(shape_records(one, at.kind, q, shifts)[1]))
@@ -139,10 +146,12 @@ def _columns(linear: LinearisedFit) -> np.ndarray:
 
 
 def linear_evidence(information: np.ndarray, right: np.ndarray, shapes: slice, rows: np.ndarray) -> float:
-    """Compute the log evidence of a scale, up to a constant; all parameters but the b_k are integrated out.
+    """Compute the log evidence of a scale, up to a constant.
 
-    information, right: matrix and right-hand side of the normal equations of all parameters, without the prior of the
-    scale. shapes: indices of the b_k. rows: combinations of the b_k that are 0 +- 1.
+    All parameters except the b_k are marginalised.
+
+    information, right: matrix and right-hand side of the normal equations of all parameters, without the prior of the b_k.
+    shapes: indices of the b_k. rows: linear combinations of the b_k that have prior mean 0 and unit variance for this scale.
     """
     others = np.r_[0 : shapes.start, shapes.stop : len(right)]
     cross = information[shapes, others]

@@ -1,8 +1,8 @@
-"""Difference between a Lambertian body and the diffuse light that leaves through a dielectric surface.
+"""Difference between a Lambertian body and a diffuse body under a dielectric surface.
 
-A correction assumes a Lambertian body under the lobe. Diffuse light of a dielectric is transmitted twice and carries
-(1 - F(theta_i)) (1 - F(theta_o)) (Shirley et al. 1997; Burley 2012, 5.3). The data rarely distinguish the two under a lobe, so
-the difference is uncertainty wherever a correction replaces recorded light by the body.
+A correction assumes a Lambertian body under the lobe. The light of a body under a dielectric surface passes this surface twice,
+so its BRDF has the factor (1 - F(theta_i)) (1 - F(theta_o)) (Shirley et al. 1997; Burley 2012, 5.3). The data rarely
+distinguish the two bodies under a lobe. Their difference is therefore included in the uncertainty of a correction.
 """
 
 from __future__ import annotations
@@ -17,7 +17,10 @@ from matcam.inverse.correction.response_lattice import seen_cells
 
 @cache
 def other_body(sampling: Sampling) -> np.ndarray:
-    """Compute the relative difference of a dielectric body from the Lambertian one of the same mean; (90, 90, 180)."""
+    """Compute the relative difference of a dielectric body from a Lambertian body.
+
+    The bodies have the same mean over the corrected entries. Returns: absolute difference (no unit), (90, 90, 180).
+    """
     grid = merl_grid(sampling)
     th, td, ph = grid.theta_h[:, None, None], grid.theta_d[:, None], grid.phi_d
     mean, half = np.cos(th) * np.cos(td), np.sin(th) * np.sin(td) * np.cos(ph)

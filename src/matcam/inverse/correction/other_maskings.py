@@ -1,8 +1,8 @@
-"""Corrections under other maskings; where the data do not distinguish maskings, the difference is uncertainty.
+"""Fits with other maskings, for the uncertainty of a correction due to masking.
 
-The masking of a surface is unknown. After a fit, the record is computed with each other masking of the same lobe. The
-linear problem of the fit predicts the change of lobe, rig and unit parameters, and the probability of the data. No
-second search is required.
+The masking of a surface is unknown. After a fit, the record of the lobe is computed with each other masking. The linear
+problem of the fit predicts the changes of all parameters and the likelihood of the data for this masking, so no further fit is
+required. The difference between maskings is included in the uncertainty if the data do not distinguish them.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from matcam.numerics.linalg import scaled_inverse
 
 
 class OtherMasking(NamedTuple):
-    """Prediction of the fit of lobe and rig with another masking.
+    """Predicted fit of lobe and rig with another masking.
 
     Attributes:
-        coordinates: coordinates of lobe and rig; their kind has the other masking.
-        weight: factor of the difference in the uncertainty, the root of the probability of the masking.
+        coordinates: predicted coordinates of lobe and rig with the other masking.
+        weight: factor of the difference in the uncertainty: square root of the probability of the masking (no unit).
     """
 
     coordinates: FitCoordinates
@@ -32,9 +32,9 @@ class OtherMasking(NamedTuple):
 
 
 def other_maskings(found: MaterialFit, kappa: float) -> tuple[OtherMasking, ...]:
-    """Predict the fit of one lobe with free strengths under each other masking.
+    """Predict the fit with each other masking.
 
-    kappa: factor that tempers log likelihoods (`evidence`).
+    found: fit of one lobe with free strengths. kappa: exponent of the likelihood (`evidence`).
     """
     linear = found.linearised()
     solution, at = linear.solution, linear.coordinates

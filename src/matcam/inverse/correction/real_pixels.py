@@ -1,9 +1,9 @@
-"""Effect of the lookup of cells in real pixels on the ratio of true to recorded lobe (docs/correct.md).
+"""Effect of real pixels, from which cells are read, on the ratio of true to recorded lobe (docs/correct.md).
 
-`lobe_ratio` gives the ratio for a pixel at the position of the cell. The recorded value is that of the pixels behind
-the cell: the record at their centres. The camera has blurred the record, so it is smooth. It is computed for both
-directions on the lattices of the ratio, and its logarithm is interpolated to the positions of the cells and to the
-centres of the pixels. Both come from one interpolation, and their difference is small.
+`lobe_ratio` computes the ratio for a pixel at the position of a cell. The recorded value of a cell is instead the record at the
+centres of the pixels from which the cell was read. The record is smooth, because the camera has blurred it. It is computed for
+both reciprocal configurations on the lattices of the ratio. Its logarithm is interpolated to the positions of the cells and to
+the centres of the pixels. The same interpolant is used for both, so its error nearly cancels in the difference.
 """
 
 from __future__ import annotations
@@ -26,16 +26,16 @@ from matcam.inverse.operator.pixels_behind import PixelsBehind, pixels_behind
 
 _CUBIC = 3
 _OVERLAP = 4
-"""Number of azimuths by which splines over a whole turn overlap."""
+"""Number of azimuths that are repeated at both ends of splines over a full circle, so that the splines are nearly periodic."""
 
 
 class Lattices(NamedTuple):
-    """Fine and coarse lattice of a ratio, and the fitted coordinates of the rig on the coarse one.
+    """Fine and coarse lattice of a ratio, and the fitted coordinates of the rig.
 
     Attributes:
-        fine: with the rig as given.
-        coarse: with the rig's axes.
-        fitted: coordinates along them.
+        fine: lattice of the specified rig.
+        coarse: lattice with axes for the parameters of the rig.
+        fitted: coordinates along the axes of the coarse lattice, (axes,).
     """
 
     fine: ResponseLattice
@@ -46,9 +46,12 @@ class Lattices(NamedTuple):
 def pixel_log_ratio(
     lattices: Lattices, at: FitCoordinates, pixels: PixelGrid, radius: float, std: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Compute ln(record at positions of cells / record of their pixels), and its variance.
+    """Compute ln(record at the position of a cell / record of its pixels), and its variance.
 
-    The variance is that by the phase; both have shape (90, 90, 180). std: standard deviation of the phase of the pixels, px.
+    The variance is due to the phase of the pixel grid. Returns: logarithm and variance, (90, 90, 180) each.
+
+    at: coordinates of the fit. pixels: pixel grid. radius: radius of the sphere, px. std: standard deviation of the phase of
+        the pixel grid, px.
     """
     fine, coarse, fitted = lattices
     splines = [_splines(fine, np.log(np.maximum(_record(fine, at, np.zeros(0)), VANISHED)))]
@@ -69,17 +72,17 @@ def pixel_log_ratio(
         behind = pixels_behind(pixels, radius, theta_d, j, i, k)
         recorded = _log_behind(own, radius, theta_d, behind)
         log[i, j, k] = np.nan_to_num(np.log(own.at(theta_h, psi).mean(axis=-1)) - recorded)
-        if std:  # the value of a cell identifies its pixel
+        if std:  # a cell remains assigned to the same pixel, whose centre moves
             for moved in (behind._replace(x=behind.x + std), behind._replace(y=behind.y + std)):
                 variance[i, j, k] += np.nan_to_num(_log_behind(own, radius, theta_d, moved) - recorded) ** 2
     return log, variance
 
 
 class _SliceRecord(NamedTuple):
-    """Logarithm of the record of the pixels of a slice, over (ring, azimuth in degrees).
+    """Record of the pixels of a slice as a function of ring and azimuth.
 
     Attributes:
-        splines: splines of the record and of its derivatives.
+        splines: splines whose sum is the logarithm of the record, over (ring, azimuth in degrees).
         mirrored: True if the plane of camera and lamp is a plane of symmetry; the azimuths then end at 180 degrees.
     """
 
@@ -87,7 +90,7 @@ class _SliceRecord(NamedTuple):
     mirrored: bool
 
     def at(self, theta_h: np.ndarray, psi: np.ndarray) -> np.ndarray:
-        """Interpolate the record at angles, (...)."""
+        """Interpolate the record, 1/sr, (...), at angles theta_h and psi, rad, (...). psi: azimuth of the normal."""
         ring = np.clip(GRID_SHAPE[0] * np.sqrt(theta_h / (np.pi / 2)) - 0.5, 0, GRID_SHAPE[0] - 1)
         if self.mirrored:
             around = np.degrees(np.abs(np.mod(psi + np.pi, 2 * np.pi) - np.pi))
@@ -97,7 +100,7 @@ class _SliceRecord(NamedTuple):
 
 
 def _log_behind(record: _SliceRecord, radius: float, theta_d: float, pixels: PixelsBehind) -> np.ndarray:
-    """Compute the log record of the pixels behind cells; NaN where none shows light."""
+    """Compute the logarithm of the record of the pixels from which cells were read; NaN if no pixel of a cell is lit."""
     angles = pixel_angles(radius, theta_d, pixels.x, pixels.y)
     weight = np.where((angles.cos_i > 0) & (angles.cos_o > 0), pixels.weight, 0.0)
     value = (weight * record.at(angles.theta_h, angles.psi)).sum(axis=-1)
@@ -107,18 +110,22 @@ def _log_behind(record: _SliceRecord, radius: float, theta_d: float, pixels: Pix
 
 @kept_program
 def _directions(operator: LobeOperator, kind: LobeKind, q: jax.Array, shifts: jax.Array) -> jax.Array:
-    """Compute the record of a lobe in each direction, (slices, cells, 2)."""
+    """Compute the record of a lobe in both reciprocal configurations, 1/sr, (slices, cells, 2)."""
     return operator.directions(kind.ndf(q), kind.masking, shifts)
 
 
 def _record(where: ResponseLattice, at: FitCoordinates, shifts: np.ndarray) -> np.ndarray:
-    """Compute the record in each direction on a lattice, (slices, rings, azimuths of `_around`); NaN where unknown."""
+    """Compute the record on a lattice, 1/sr, (slices, rings, azimuths of `_around`).
+
+    Invalid cells of the first slice are NaN; in other slices the value of the slice before is used. shifts: coordinates along
+    the axes of the lattice.
+    """
     rings, slices, azimuths = where.spacing
     both = np.asarray(_directions(where.recorded, at.kind, placed(at.lobe), placed(shifts)))
     both = np.where(where.cells.valid[..., None], both, np.nan).reshape(len(slices), len(rings), len(azimuths), 2)
-    if where.spacing.mirrored:  # the first direction lies at 180 degrees less phi_d, the second, mirrored, at phi_d
+    if where.spacing.mirrored:  # azimuths: 180 - phi_d in the first configuration, phi_d in the second
         whole = np.concatenate([both[..., 1], both[:, :, -2::-1, 0]], axis=-1)
-    else:  # the second lies at 360 degrees less phi_d
+    else:  # azimuths: 180 - phi_d in the first configuration, 360 - phi_d in the second
         turn = np.concatenate([both[:, :, ::-1, 0], both[:, :, ::-1, 1]], axis=-1)
         whole = np.concatenate([turn[..., -_OVERLAP:], turn, turn[..., :_OVERLAP]], axis=-1)
     for s in range(1, len(slices)):
@@ -129,15 +136,19 @@ def _record(where: ResponseLattice, at: FitCoordinates, shifts: np.ndarray) -> n
 def _log_change(before: np.ndarray, after: np.ndarray) -> np.ndarray:
     """Compute the change of the log record on a lattice.
 
-    It is 0 for records below the accuracy of the operator. A change of the lens is a polynomial of its coordinates, so a
-    faint record may be negative. Its logarithm would jump there, and splines would spread the jump to brighter rings.
+    The change is 0 for records below the accuracy of the operator. The dependence of the record on the lens is approximated by
+    a polynomial, so a faint record may become negative. The logarithm would then jump, and splines would spread the jump to
+    brighter rings.
     """
     accuracy = OPERATOR_ACCURACY * np.nanmax(before, axis=(1, 2), keepdims=True)
     return np.log(np.maximum(after, 0) + accuracy) - np.log(np.maximum(before, 0) + accuracy)
 
 
 def _splines(where: ResponseLattice, logs: np.ndarray) -> list[RectBivariateSpline]:
-    """Build splines over (ring, azimuth in degrees) for every slice of a table. logs: on the lattice, 0 where unknown."""
+    """Build splines over (ring, azimuth in degrees) for every slice of a table.
+
+    logs: logarithms on the lattice, (slices, rings, azimuths of `_around`); NaN is replaced by 0.
+    """
     values = np.round(np.nan_to_num(logs), 12)  # smaller slopes overflow in the harmonic means of the interpolator
     along = PchipInterpolator(where.spacing.slices, values, axis=0)(np.arange(GRID_SHAPE[1]))
     around = _around(where.spacing)
@@ -145,7 +156,10 @@ def _splines(where: ResponseLattice, logs: np.ndarray) -> list[RectBivariateSpli
 
 
 def _around(spacing: Spacing) -> list[int]:
-    """Return the azimuths of normals, degrees: half a turn if both halves are equal, otherwise a turn and an overlap."""
+    """Return the azimuths of normals on a lattice, degrees.
+
+    They cover 180 degrees if the plane of camera and lamp is a plane of symmetry, otherwise 360 degrees and an overlap.
+    """
     if spacing.mirrored:
         return [*spacing.azimuths, *(180 - a for a in spacing.azimuths[-2::-1])]
     turn = [180 * n - a for n in (1, 2) for a in spacing.azimuths[::-1]]

@@ -1,9 +1,9 @@
 """Lattice of cells on which the ratio of true to recorded lobe is computed, and interpolation to a whole table.
 
-The response, recorded over true, is computed on a lattice of cells and interpolated. Along phi_d a folded cell is even
-about 0 and pi/2, and a cubic spline with zero end slopes interpolates it. If the azimuth of the lamp turns the pixels,
-it has period pi instead, and the spline is periodic. Along theta_h and theta_d the logarithm of the response is
-interpolated by monotone cubics. Cells in the last pixels of the sphere are not corrected.
+The response (recorded / true lobe) is computed on a lattice of cells, and its logarithm is interpolated. Along phi_d the
+response is even about 0 and pi/2, and a cubic spline with zero slopes at both ends interpolates it. If the lens or the azimuth
+of the lamp breaks this symmetry, the response has the period pi instead, and the spline is periodic. Along theta_h and theta_d
+monotone cubic polynomials are used. Cells in the last pixels of the sphere are not corrected.
 """
 
 from __future__ import annotations
@@ -23,27 +23,33 @@ from matcam.inverse.operator.sample_view import SampleView, sample_view
 from matcam.rigs import Rig
 
 _DENSE_RINGS = 20
-"""Rings of theta_h about the highlight in which the lattices are dense."""
+"""Number of rings of theta_h about the highlight in which the lattices are dense."""
 _DENSE_COSINE, _SPARSE_COSINE = 0.02, 0.12
-"""Least cosine of light and view of an entry that is corrected, in the dense rings and beyond them. Down to it the interpolated
-response agrees with a direct computation to 4 % (typically 0.1 %). The blurred highlight of a slice reaches to the limb: if its
-peak were corrected and the light beside it were not, this light would count twice. The cells that a fit uses end earlier
-(`FAR_COSINE`)."""
+"""Smallest cosine of the angles of light and view of an entry that is corrected, in the dense rings and beyond them. For larger
+cosines the interpolated response agrees with a direct computation to 4 % (typically 0.1 %). The blurred highlight of a slice
+extends to the limb. If its peak were corrected and the light beside the peak were not, this light would be counted twice.
+The cells of a fit have larger cosines (`FAR_COSINE`).
+"""
 _LATTICE_COSINE = 0.005
-"""Least cosine of light and view of a cell of a lattice; smaller than that of the entries, which lie between its cells."""
+"""Smallest cosine of the angles of light and view of a valid cell of a lattice. It is smaller than the limit of the entries,
+because entries lie between the cells of the lattice.
+"""
 _LATTICES = 4
-"""Lattices kept in memory, some ten MB each."""
+"""Number of lattices that are stored in memory, about 10 MB each."""
 VANISHED = 1e-40
-"""Radiance of a lobe below which there is nothing to correct, 1/sr. Exponential tails fall below what any camera records."""
+"""Smallest value of a lobe that is corrected, 1/sr. No camera records such small values, which exponential tails reach."""
 
 
 class Spacing(NamedTuple):
-    """Positions of the cells of a lattice, denser towards both ends, where the axes of the foreshortened lobe lie.
+    """Positions of the cells of a lattice.
+
+    Rings are denser near the highlight, and slices at large theta_d. Azimuths are denser at 0 and 90 degrees, the directions of
+    the axes of the foreshortened lobe.
 
     Attributes:
-        rings: rows of theta_h.
-        slices: rows of theta_d.
-        azimuths: phi_d, degrees.
+        rings: indices of theta_h in a table.
+        slices: indices of theta_d in a table.
+        azimuths: values of phi_d, degrees.
     """
 
     rings: tuple[int, ...]
@@ -52,15 +58,15 @@ class Spacing(NamedTuple):
 
     @property
     def mirrored(self) -> bool:
-        """Check whether the plane of light and view is a plane of symmetry, so that a quarter of a turn suffices."""
+        """Check whether the azimuths cover only 90 degrees, because the plane of light and view is a plane of symmetry."""
         return self.azimuths[-1] == 90
 
     def all_round(self) -> Spacing:
-        """Extend the azimuths to half a turn, for cells without symmetry."""
+        """Extend the azimuths to 180 degrees, for cells without this symmetry."""
         return self._replace(azimuths=(*self.azimuths, *(180 - a for a in self.azimuths[-2:0:-1])))
 
     def of_line(self) -> Spacing:
-        """Refine small theta_d for a cylinder, whose line of normals passes closer to the half vector there."""
+        """Add slices at small theta_d for a cylinder. Its normals are closer to the half vector there."""
         return self._replace(slices=tuple(sorted({*self.slices, *_SMALL_ANGLES})))
 
 
@@ -70,13 +76,13 @@ FINE = Spacing(
     (0, 10, 20, 30, 38, 46, 52, 57, 61, 65, 68, 70, *range(72, 90)),
     (0, 4, 8, 12, 17, 24, 33, 43, 53, 62, 69, 75, 80, 84, 87, 90),
 )
-"""Spacing for the response."""
+"""Positions of the cells for the response of a specified rig."""
 COARSE = Spacing(
     (*range(14), 15, 17, 19, 22, 25, 28, 32, 36, 46, 58, 72, 89),
     (0, 20, 38, 52, 61, 68, 73, 77, 80, 82, 84, 86, 88, 89),
     (0, 8, 20, 36, 53, 69, 80, 90),
 )
-"""Spacing for the errors of the response and for small changes."""
+"""Positions of the cells for the errors and the small changes of the response, which are smooth."""
 
 
 class ResponseLattice(NamedTuple):
@@ -84,8 +90,8 @@ class ResponseLattice(NamedTuple):
 
     Attributes:
         cells: cells of the lattice, (slices, rings * azimuths).
-        recorded: operator of the rig.
-        true: operator of a camera without blur.
+        recorded: operator from a lobe to its record by the rig.
+        true: operator from a lobe to its record without blur.
         spacing: positions of the cells.
         sampling: sampling of the table.
     """
@@ -97,14 +103,20 @@ class ResponseLattice(NamedTuple):
     sampling: Sampling
 
     def of_fresnel(self, log_slope: Callable[[np.ndarray], np.ndarray]) -> ResponseLattice:
-        """Apply an F that varies within a cell, as in a near rig. log_slope: slope of ln F at angles, 1/rad."""
+        """Apply an F that varies within a cell, as in a near rig.
+
+        log_slope: function that computes the derivative of ln F with respect to theta_d, 1/rad, at angles theta_d, rad.
+        """
         return self._replace(recorded=self.recorded.leaning(log_slope(self.cells.theta_d)))
 
 
 def response_lattice(
     rig: Rig, sampling: Sampling, spacing: Spacing, axes: tuple[Axis, ...], workspace: Workspace
 ) -> ResponseLattice:
-    """Build the lattice of a rig. workspace: keeps it for the next material of the rig."""
+    """Build the lattice of a rig.
+
+    axes: parameters of the rig that may change. workspace: store of the lattice for other materials.
+    """
     view = sample_view(rig)
     if view.azimuth or not rig.camera.optics.isotropic:
         spacing = spacing.all_round()
@@ -121,7 +133,7 @@ def response_lattice(
 
 
 def _lattice_cells(view: SampleView, sampling: Sampling, spacing: Spacing) -> ChosenCells:
-    """Return the cells of a lattice."""
+    """Build the cells of a lattice."""
     grid = merl_grid(sampling)
     ring, azimuth = (a.ravel() for a in np.meshgrid(spacing.rings, np.radians(spacing.azimuths), indexing="ij"))
     slices = np.array(spacing.slices)
@@ -138,7 +150,7 @@ def _lattice_cells(view: SampleView, sampling: Sampling, spacing: Spacing) -> Ch
 
 
 def seen_cells(sampling: Sampling) -> np.ndarray:
-    """Return the cells of a whole table, (90, 90, 180), whose response is known."""
+    """Select the cells of a table that are corrected, bool, (90, 90, 180)."""
     grid = merl_grid(sampling)
     th, td = grid.theta_h[:, None, None], grid.theta_d[:, None]
     lowest = np.cos(th) * np.cos(td) - np.sin(th) * np.sin(td) * np.abs(np.cos(grid.phi_d))
@@ -146,10 +158,10 @@ def seen_cells(sampling: Sampling) -> np.ndarray:
 
 
 def on_table(values: np.ndarray, where: ResponseLattice) -> np.ndarray:
-    """Interpolate a function known on the lattice, (slices, rings * azimuths), to every cell of a table: (90, 90, 180)."""
+    """Interpolate values on a lattice, (slices, rings * azimuths), to all cells of a table, (90, 90, 180)."""
     rings, slices, azimuths = where.spacing
     lattice = np.where(where.cells.valid, values, np.nan).reshape(len(slices), len(rings), len(azimuths))
-    # beyond the known cells, towards the limb along theta_d, the last known value is used
+    # invalid cells near the limb have the value of the nearest valid cell at smaller theta_d
     for s in range(1, len(slices)):
         lattice[s] = np.where(np.isfinite(lattice[s]), lattice[s], lattice[s - 1])
     lattice = np.round(np.nan_to_num(lattice), 12)  # smaller slopes overflow in the harmonic means of the interpolator

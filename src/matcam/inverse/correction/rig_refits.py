@@ -1,7 +1,7 @@
-"""Refits with one exact parameter of the rig free.
+"""Refits in which one parameter of the rig, specified as exact, is free.
 
-If rig and data agree, the result does not change. Otherwise lens, lamp or family is wrong, not necessarily the free
-parameter. The change of the correction then counts several times as uncertainty.
+If rig and data agree, the result hardly changes. Otherwise the lens, the lamp or the family is wrong, not necessarily the free
+parameter. A multiple of the change of the correction is then included in its uncertainty.
 """
 
 from __future__ import annotations
@@ -18,30 +18,34 @@ from matcam.inverse.operator.rig_axes import LAMP, LENS, Axis, is_guess, known_l
 from matcam.rigs import Rig
 
 CONTRADICTION_WEIGHT = 3.0
-"""Factor of the change as uncertainty where rig and data contradict each other."""
+"""Factor of the change that is included in the uncertainty if rig and data contradict each other. It is above 1 because the
+parameter that is wrong may not be the free one.
+"""
 
 REFITTED = (LENS, LAMP)
-"""Exact parameters of a rig that are tested: the width of the lens and the radius of the lamp."""
+"""Parameters of a rig that are tested by refits: the width of the lens and the radius of the lamp."""
 
 _INSIDE = 0.8
-"""Share of the half range of an axis up to which a nearby solution is accepted; beyond it the optimum may lie outside."""
+"""Largest coordinate of an accepted solution near the specified value, as a share of the end of the range. The optimum may lie
+outside the range for larger coordinates.
+"""
 _SIGNIFICANT = 4.0
-"""Standard deviations by which a free parameter must move to contradict the rig."""
+"""Change of a free parameter above which rig and data contradict each other, in standard deviations."""
 _LEAST = 0.002
-"""Smallest relative change of the width of the blur that contradicts the rig."""
+"""Relative change of the width of the blur up to which rig and data do not contradict each other."""
 
 
 class RigRefit(NamedTuple):
     """Refit with one parameter of the rig free.
 
     Attributes:
-        axis: the parameter.
-        coordinate: fitted coordinate; 0 is the value of the rig.
-        value: the parameter there, in its own unit.
-        std: standard deviation of `value`.
-        contradicts: whether rig and data contradict each other.
-        fit: the fit with the parameter free.
-        weight: factor of its change as uncertainty; 0 where the covariance of the fit includes it.
+        axis: free parameter of the rig.
+        coordinate: fitted coordinate of the parameter; 0 is the specified value.
+        value: fitted value of the parameter, in its own unit.
+        std: standard deviation of `value`, in the same unit.
+        contradicts: True if rig and data contradict each other.
+        fit: fit with this parameter free.
+        weight: factor of the change in the uncertainty (no unit); 0 if the covariance of the fit includes the parameter.
     """
 
     axis: Axis
@@ -54,36 +58,36 @@ class RigRefit(NamedTuple):
 
     @property
     def counted(self) -> float:
-        """Return the factor of the change as uncertainty."""
+        """Compute the factor of the change in the uncertainty, which is larger for a contradiction."""
         return self.weight * (CONTRADICTION_WEIGHT if self.contradicts else 1.0)
 
     @property
     def remark(self) -> Remark:
-        """State the fitted value, and whether it contradicts the rig."""
+        """Build the remark that the fitted value contradicts the rig."""
         if self.axis.name == LENS:
             code = "lens-contradicts-data"
-            found = (
-                f"left free, the lens would be {self.value:.3f} +- {self.std:.1g} px instead of {self.axis.base:.3f} px"
-            )
+            found = f"a fit with free lens width gives {self.value:.3f} +- {self.std:.1g} px instead of {self.axis.base:.3f} px"
         else:
             code = "lamp-contradicts-data"
             radius, std, base = (float(np.degrees(v)) for v in (self.value, self.std, self.axis.base))
-            found = f"left free, the lamp's radius would be {radius:.3f} +- {std:.1g} degrees instead of {base:.3f}"
+            found = f"a fit with free lamp radius gives {radius:.3f} +- {std:.1g} degrees instead of {base:.3f} degrees"
         return Remark(
             code,
-            f"{found}: camera, lamp or family contradict the data; {CONTRADICTION_WEIGHT:g} times the difference counts "
-            "as uncertainty",
+            f"{found}: the camera, the lamp or the family contradicts the data; the uncertainty includes "
+            f"{CONTRADICTION_WEIGHT:g} times the difference",
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the fit as numbers and texts, with its contradiction flag."""
+        """Convert the fit to JSON types, with the flag `contradicts`."""
         return {**self.fit.to_dict(), "contradicts": self.contradicts}
 
 
 def rig_refits(setup: FitSetup, rig: Rig, found: MaterialFit, names: Sequence[str] = REFITTED) -> tuple[RigRefit, ...]:
-    """Fit with parameters of the rig free, one after the other. found: the solution of `setup`.
+    """Refit with each of several parameters of the rig free.
 
-    For a width with a prior, the fit that exists is used.
+    A parameter with a prior is already fitted, and no refit is required.
+
+    setup: setup of `found`. found: fit with the specified rig. names: names of the parameters. Default: REFITTED.
     """
     refits = []
     for name in names:
@@ -91,13 +95,13 @@ def rig_refits(setup: FitSetup, rig: Rig, found: MaterialFit, names: Sequence[st
             refits.append(_fitted_refit(found, name, rig))
         elif name in widths_of(rig) or name in rig.camera.parameters():
             refits.append(_followed_refit(setup.with_(also=(name,)), found, name))
-    if not found.resolved:  # a lobe at its bound biases the lens
+    if not found.resolved:  # a lobe at its lower bound biases the width of the lens
         return tuple(refit._replace(contradicts=refit.contradicts and refit.axis.name != LENS) for refit in refits)
     return tuple(refits)
 
 
 def _followed_refit(free: FitSetup, found: MaterialFit, name: str) -> RigRefit:
-    """Refit with a parameter free near its value, and over its whole range if the data require it."""
+    """Refit with a parameter free near the specified value, and over its whole range if the data require a larger change."""
     refit = _free_refit(free.with_(nearby=True).solve(start=found, weights="start"), name)
     axis, whole = refit.axis, next(axis for axis in free.prior.axes if axis.name == name)
     ends = [own for own, far in ((axis.low, whole.low), (axis.high, whole.high)) if own != far]
@@ -107,7 +111,7 @@ def _followed_refit(free: FitSetup, found: MaterialFit, name: str) -> RigRefit:
 
 
 def _free_refit(fit: MaterialFit, name: str) -> RigRefit:
-    """Refit with a parameter free that the rig gives as exact."""
+    """Build the result of a refit with a free parameter that was specified as exact. fit: the refit."""
     at = fit.coordinates
     position = [axis.name for axis in at.axes].index(name)
     own = len(at.lobe) + position
@@ -117,7 +121,7 @@ def _free_refit(fit: MaterialFit, name: str) -> RigRefit:
 
 
 def _fitted_refit(fit: MaterialFit, name: str, rig: Rig) -> RigRefit:
-    """Compare a parameter that has a prior with its estimate from the data alone."""
+    """Compare the prior of a parameter with its estimate from the data alone. fit: fit that includes the parameter."""
     at = fit.coordinates
     position = [axis.name for axis in at.axes].index(name)
     own = len(at.lobe) + position

@@ -1,9 +1,9 @@
-"""Spline-modified lobe in all slices, with its smoothness estimated from the data.
+"""Fit of a spline-modified lobe in all slices, with the smoothness of the spline estimated from the data.
 
-A linear model predicts the scale of the modification from the residuals of the family, and overestimates it far from
-the solution. A fit in few slices gives the lobe, and the evidence of the linear model there gives the smoothness at the
-angles that the camera resolves. Below a pixel and beyond 45 degrees the prior stays as wide as it was. The lobe is then
-fitted in all slices.
+A linear model estimates the scale of the modification from the residuals of the family. Far from the solution this estimate is
+too large. The lobe is therefore first fitted in few slices. The evidence of the linear model at this solution then determines
+the scale at the angles that the camera resolves. At angles below one pixel and above 45 degrees the prior is not changed.
+Finally the lobe is fitted in all slices.
 """
 
 from __future__ import annotations
@@ -15,21 +15,26 @@ from matcam.inverse.fit.fit_setup import FitSetup
 from matcam.inverse.fit.material_fit import MaterialFit
 
 _LEAST = 0.03
-"""Smallest scale that is tried, as a share of the largest."""
+"""Smallest scale whose evidence is computed, as a share of the largest scale."""
 TRIED_SPLINES = 16
-"""Number of scales that are tried."""
+"""Number of scales whose evidence is computed, evenly spaced in the logarithm."""
 
 
 def in_all_slices(few: MaterialFit, setup: FitSetup, slice_step: int) -> tuple[MaterialFit, FitSetup]:
-    """Fit a spline-modified lobe in every `slice_step`-th slice, and return it with its setup. few: the solution of
-    `setup`, in fewer of them.
+    """Fit a spline-modified lobe in every `slice_step`-th slice.
+
+    few: fit with `setup`, which has fewer slices. Returns: fit in the slices, and its setup.
     """
     whole = setup.with_(slice_step=slice_step, learned_spline=learned_spline(few, setup.spline))
     return whole.solve(start=few), whole
 
 
 def learned_spline(found: MaterialFit, most: float) -> float:
-    """Estimate the standard deviation of the second differences, at most `most`, at the angles that the camera resolves."""
+    """Estimate the scale of a spline modification at the angles that the camera resolves.
+
+    The scale is the prior standard deviation of the second differences of the coefficients. found: fit of the spline-modified
+    lobe. most: largest scale (no unit).
+    """
     linear = found.linearised()
     solution = linear.solution
     problem, p, model = solution.problem, solution.p, solution.model

@@ -1,12 +1,13 @@
-"""Rough base under a smooth coat: the second surface of a clear coat over flakes, a lacquer or a varnish.
+"""BRDF of a rough base under a smooth coat, for example of flakes under a clear coat, a lacquer or a varnish.
 
-The lobe of a fit is that of the coat. Light that crosses the coat, is reflected by a base of reflectance R, and crosses the
+The fitted lobe is that of the coat. Light that crosses the coat, is reflected by a base of reflectance R, and crosses the
 coat again has the BRDF (Weidlich & Wilkie 2007, section 3)
 
-    R D G / (4 cos_i cos_o) (1 - F(theta_i)) (1 - F(theta_o)) ,
+    R D G / (4 cos_i cos_o) (1 - F(theta_i)) (1 - F(theta_o)) .
 
-with a GGX of its own roughness and F of a coat of index 1.5. Refraction is neglected, so the roughness is that seen from
-outside. The base is so broad that a camera records it as it is.
+D and G are those of a GGX surface with the roughness of the base, and F is that of a coat of refractive index 1.5. Refraction
+is neglected, so the roughness of the base is its apparent roughness from outside the coat. The lobe of the base is so broad
+that its blur by the camera is neglected.
 """
 
 from __future__ import annotations
@@ -23,30 +24,32 @@ from matcam.material.ndf.ggx import GGX
 from matcam.material.reflectance import Dielectric
 
 NARROWEST_PX = 8.0
-"""Smallest roughness of a base, times the radius of the sphere, px: a lens of half a pixel then changes its peak by at most 1 %
-up to 45 degrees.
+"""Smallest product of the roughness of a base and the radius of the sphere, px. At this value a lens with a blur of 0.5 px
+changes the peak of the base by at most 1 % up to 45 degrees.
 """
 _INDEX = 1.5
-"""Refractive index of varnishes and clear coats, 1.45 to 1.55: the transmittance in and out changes by 2 % at 60 degrees."""
+"""Assumed refractive index of a coat. Varnishes and clear coats have 1.45 to 1.55; within this range the product of the
+transmittances into and out of the coat changes by 2 % at 60 degrees.
+"""
 _ALONG = 1 - 1e-12
-"""Largest cosine, at which the derivative of the angle is finite."""
+"""Upper limit of a cosine, so that the derivative of its arccosine is finite."""
 STEEPEST = 1e-3
-"""Cosine below which directions count as this close to the horizon, so that a BRDF stays finite."""
+"""Lower limit of the cosines of the angles of incidence and reflection, so that a BRDF is finite at the horizon."""
 
 
 class Base(NamedTuple):
     """Rough base under a coat.
 
     Attributes:
-        roughness: roughness alpha of its GGX lobe, a slope.
-        reflectance: reflectance of each channel.
+        roughness: roughness alpha of the GGX lobe of the base (no unit).
+        reflectance: reflectance of the base in each channel (no unit).
     """
 
     roughness: float
     reflectance: tuple[float, ...]
 
     def brdf(self, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> np.ndarray:
-        """Evaluate the BRDF, 1/sr, in the shape of the angles, rad, and (channels,)."""
+        """Evaluate the BRDF, 1/sr, (..., channels), at angles in rad that broadcast to (...)."""
         value, _ = base_and_slope(np.log(self.roughness), *np.broadcast_arrays(theta_h, theta_d, phi_d))
         return value[..., None] * self.reflectance
 
@@ -64,7 +67,11 @@ def _with_slope(
 def base_and_slope(
     log_roughness: float, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Compute the BRDF of a base of reflectance 1, 1/sr, and its derivative with respect to ln roughness."""
+    """Compute the BRDF of a base and its derivative.
+
+    The base has a reflectance of 1. The derivative is with respect to ln roughness. Both have the shape of the angles, which
+    are in rad, and the unit 1/sr.
+    """
     value, slope = _with_slope(*(placed(np.asarray(a, dtype=float)) for a in (log_roughness, theta_h, theta_d, phi_d)))
     return np.asarray(value), np.asarray(slope)
 

@@ -1,10 +1,10 @@
-"""Values that a material is fitted to, and the likelihood of their noise (docs/model.md 8).
+"""Values to which a material is fitted, and the likelihood of their noise (docs/model.md 8).
 
-Noise is a property of pixels, and each slice of theta_d is one image with its own exposure. Let V be the variance of a
-cell according to the model, and g the standard deviation of the image gain common to a slice m. The covariance of the
-cells of the slice is V + g^2 m m'. Its inverse root has a closed form: divide by sqrt V, then multiply the component
-along a = m / sqrt V by 1 / sqrt(1 + g^2 |a|^2). An unknown strength of each slice is the limit of an infinite g, in
-which this component vanishes.
+Noise is a property of pixels. Each slice of theta_d is one image, whose exposure error multiplies all values of the slice by
+the same gain. Let m be the modelled values of the cells of a slice, V the diagonal matrix of their variances due to pixel
+noise, and g the standard deviation of the gain. The covariance of the cells is V + g^2 m m'. The inverse of its square root
+has a closed form: division by sqrt V, then multiplication of the component along a = m / sqrt V by
+1 / sqrt(1 + g^2 |a|^2). An unknown strength of each slice is the limit of an infinite g, in which this component vanishes.
 """
 
 from __future__ import annotations
@@ -20,35 +20,38 @@ from matcam.core.errors import FitError
 from matcam.inverse.operator.chosen_cells import ChosenCells
 
 INITIAL_NOISE = PixelNoise(0.02, 2e-3, 0.01)
-"""Assumed noise before the first estimate."""
+"""Assumed noise of a pixel until it is estimated from residuals: 2 % of the value, 0.2 % of the peak and a gain of 1 %."""
 
 _FEWEST = 0.2
-"""Smallest share of the chosen cells with a value that a fit requires."""
+"""Smallest share of the chosen cells of a channel that must have a value."""
 _FEWEST_SLICES = 3
 _PEAKS = (1e-9, 1e12)
-"""Limits of the brightest value of a channel, 1/sr. Black velvet and the narrowest lobe of a mirror lie far inside."""
+"""Limits of the brightest value of a channel, 1/sr. Black velvet and the narrowest lobe of a mirror are far inside them."""
 
-# Larger residuals are misfit; as a share of the peak they do not make the faint surroundings of the peak dominate the
-# fit
 LEAST_FLOOR = 3e-6
-"""Least noise floor of a pixel, share of the peak: the error of a rule, 1e-6 of the peak, which about ten neighbouring cells
-share."""
+"""Smallest noise floor of a pixel, as a share of the peak of the slice. The quadrature of the record has an error of 1e-6 of
+the peak, which is correlated over about ten neighbouring cells, so its effect is sqrt(10) times larger. With this floor, the
+faint surroundings of a peak do not dominate the fit.
+"""
 _NOISE_BOUNDS = ((np.log(1e-4), np.log(0.2)), (np.log(LEAST_FLOOR), np.log(0.5)))
 _LEAST_LEFT = 0.02
 _HUBER = 3.0
-"""Standardised residual beyond which the weight of a cell decreases (Huber 1964). Normal residuals exceed it in 0.3 %."""
+"""Standardised residual above which the weight of a cell decreases (Huber 1964). 0.3 % of normal residuals exceed it."""
 
 
 class FitData(NamedTuple):
-    """Values of a fit. Shapes: u units (a channel of a table), s slices, n cells.
+    """Values to which a material is fitted.
+
+    In the shapes, u is the number of units (each is a channel of a table), s of slices, and n of cells in a slice.
 
     Attributes:
-        values: (u, s, n), 1/sr; 0 where unused.
-        used: (u, s, n) bool.
-        share: (s, n), variance of a cell over that of one of its pixels: half, unless both positions share a pixel.
-        peak: (u, s), brightest value of the slice, 1/sr; 1 where there is none.
-        labels: (u,), names of the channels.
-        table_of: (u,), index of each unit's table.
+        values: values of the cells, 1/sr, (u, s, n); 0 for unused cells.
+        used: True for cells that are used in the fit, (u, s, n).
+        share: variance of a cell divided by the variance of a pixel, (s, n). It is 1/2 for the mean of two pixels, 1 if both
+            positions of the cell lie in the same pixel, and the sum of the squared weights for interpolated pixels.
+        peak: largest value of each slice, 1/sr, (u, s); 1 if no value of the slice is positive.
+        labels: names of the channels, (u,).
+        table_of: index of the table of each unit, (u,).
     """
 
     values: np.ndarray
@@ -64,14 +67,14 @@ class FitData(NamedTuple):
         return max(self.table_of) + 1
 
     def units_of(self, table: int) -> list[int]:
-        """Return the indices of a table's units."""
+        """Return the indices of the units of a table."""
         return [unit for unit, owner in enumerate(self.table_of) if owner == table]
 
 
 def fit_data(tables: tuple[xr.DataArray, ...], cells: ChosenCells) -> FitData:
-    """Collect the values of checked tables of one rig, one table after the other.
+    """Collect the values of checked tables of one rig.
 
-    FitError names the channel that cannot be fitted, and the reason.
+    The units are ordered by table, then by channel. A FitError is raised if the values of a channel do not suffice for a fit.
     """
     parts = [_table_data(table, cells, index) for index, table in enumerate(tables)]
     values, used, peak = (np.concatenate(c) for c in zip(*((p.values, p.used, p.peak) for p in parts), strict=True))
@@ -88,18 +91,18 @@ def _table_data(brdf: xr.DataArray, cells: ChosenCells, index: int) -> FitData:
     labels = tuple(str(c) for c in (brdf["channel"].values if "channel" in brdf.coords else range(brdf.shape[3])))
     for label, one, there, bright in zip(labels, values, used, peak, strict=True):
         if not np.isfinite(one[cells.valid]).any():
-            raise FitError(f"channel {label}: every value is missing")
+            raise FitError(f"channel {label}: every value is missing: give a table with values in this channel")
         if not (bright > 0).any():
-            raise FitError(f"channel {label}: no value is above 0: there is no highlight to fit")
+            raise FitError(f"channel {label}: no value is above 0, so there is no highlight to fit: check the table")
         if not _PEAKS[0] < bright.max() < _PEAKS[1]:
             raise FitError(
-                f"channel {label}: its brightest value, {bright.max():.3g}, is not that of a BRDF: give the table in 1/sr"
+                f"channel {label}: the brightest value, {bright.max():.3g}, is impossible for a BRDF: give the table in 1/sr"
             )
         share, seen = there.sum() / cells.valid.sum(), int(there.any(-1).sum())
         if share < _FEWEST or seen < _FEWEST_SLICES:
             raise FitError(
-                f"channel {label}: {share:.0%} of the values that a fit needs exist, in {seen} of {cells.slices.size} "
-                f"slices of theta_d; at least {_FEWEST:.0%} in {_FEWEST_SLICES} slices are needed"
+                f"channel {label}: the table contains {share:.0%} of the required values, in {seen} of {cells.slices.size} "
+                f"slices of theta_d; a fit requires at least {_FEWEST:.0%}, in at least {_FEWEST_SLICES} slices"
             )
     return FitData(
         np.where(used, values, 0.0),
@@ -112,12 +115,14 @@ def _table_data(brdf: xr.DataArray, cells: ChosenCells, index: int) -> FitData:
 
 
 class Whitening(NamedTuple):
-    """Transformation of residuals (u, s, n) to independent ones of variance 1.
+    """Linear transformation of the residuals of a fit to independent residuals of unit variance.
+
+    The shapes are those of `FitData`, and the symbols those of the module docstring.
 
     Attributes:
-        root: (u, s, n), 1 / sqrt V; 0 where unused.
-        direction: (u, s, n), a / |a|.
-        remainder: (u, s, 1), factor of the part along `direction`.
+        root: 1 / sqrt V, sr, (u, s, n); 0 for unused cells.
+        direction: unit vector a / |a| of each slice, (u, s, n).
+        remainder: factor of the component along `direction`, (u, s, 1).
     """
 
     root: np.ndarray
@@ -125,22 +130,25 @@ class Whitening(NamedTuple):
     remainder: np.ndarray
 
     def __call__(self, residual: np.ndarray) -> np.ndarray:
-        """Whiten residuals of shape (u, s, n) and any axes before."""
+        """Whiten residuals, 1/sr, (..., u, s, n)."""
         u = residual * self.root
         return u - (1 - self.remainder) * self.direction * (u * self.direction).sum(-1, keepdims=True)
 
 
 def cell_variance(data: FitData, model: np.ndarray, noise: PixelNoise) -> np.ndarray:
-    """Compute the variance of each cell without the gain of the image, (u, s, n); 1 for unused cells."""
+    """Compute the variance of each cell without the image gain.
+
+    model: modelled values, 1/sr, (u, s, n). Returns: variances, 1/sr^2, (u, s, n); 1 for unused cells.
+    """
     variance = data.share * ((noise.relative * model) ** 2 + (noise.floor * data.peak[..., None]) ** 2)
     return np.where(data.used, variance, 1.0)
 
 
 def whitening(data: FitData, weight: np.ndarray, along: np.ndarray, gain: float) -> Whitening:
-    """Build the whitening from robust weights 1 / V.
+    """Build the whitening of residuals from robust weights.
 
-    along: the model that the gain of the image multiplies. gain: standard deviation of the image gain; infinite for
-        free strengths.
+    weight: robust weights 1 / V, sr^2, (u, s, n). along: modelled values that the image gain multiplies, 1/sr, (u, s, n).
+        gain: standard deviation of the image gain (no unit); infinite for free strengths.
     """
     root = np.sqrt(np.where(data.used, weight, 0.0))
     a = along * root
@@ -152,9 +160,10 @@ def whitening(data: FitData, weight: np.ndarray, along: np.ndarray, gain: float)
 def standardised_residual(
     data: FitData, residual: np.ndarray, model: np.ndarray, noise: PixelNoise, gain: float
 ) -> np.ndarray:
-    """Compute residuals in standard deviations, (u, s, n), after removal of the most probable gain of each slice.
+    """Compute residuals in standard deviations of the noise, (u, s, n).
 
-    gain: standard deviation of the image gain; infinite for free strengths.
+    The most probable image gain of each slice is removed. residual, model: 1/sr, (u, s, n). gain: standard deviation of the
+        image gain (no unit); infinite for free strengths.
     """
     root = np.sqrt(np.where(data.used, 1 / cell_variance(data, model, noise), 0.0))
     u, a = residual * root, model * root
@@ -171,9 +180,12 @@ def huber_weights(u: np.ndarray) -> np.ndarray:
 def estimate_noise(
     data: FitData, residual: np.ndarray, model: np.ndarray, fitted: int, start: PixelNoise
 ) -> PixelNoise:
-    """Estimate relative noise, floor and image gain from the residuals, by maximum likelihood.
+    """Estimate the noise of a pixel and the image gain from residuals.
 
-    fitted: number of fitted parameters.
+    The relative noise and the noise floor maximise the likelihood. The variance of the image gain is estimated from the moments
+    of the gains of the slices.
+
+    residual, model: 1/sr, (u, s, n). fitted: number of fitted parameters. start: first estimate of the noise.
     """
     used = data.used
     slices = model / np.sqrt(cell_variance(data, model, start)) * used
@@ -181,7 +193,7 @@ def estimate_noise(
     gains = (slices * residual / np.sqrt(cell_variance(data, model, start))).sum(-1, keepdims=True) / power
     seen = used.any(-1, keepdims=True)
     gain = float(np.sqrt(max((gains[seen] ** 2).mean() - (1 / power[seen]).mean(), 0.0)))
-    # a gain absorbs more of the noise of the cells that determine it
+    # the estimated gain reduces the residuals of the cells that determine it; the variance is corrected for this
     left = np.maximum(1 - slices**2 / power, _LEAST_LEFT)
     chi2 = ((residual - gains * model) ** 2 / left)[used]
     chi2 *= used.sum() / max(used.sum() - fitted, 1)

@@ -1,7 +1,8 @@
 """Free parameters of a fit: names, bounds and coordinates.
 
-The coordinates of a fit are logarithms of the parameters of a lobe, of n, of k and of eta - 1, so that a step has the
-same meaning everywhere. `Layout` defines the order of all lobes, parameters of the rig and Fresnel terms in one vector.
+The coordinates of a fit are the logarithms of most parameters of a lobe, of the refractive indices n and k, and of eta - 1. A
+step of a coordinate is then a relative change of the parameter. `Layout` defines the order of the coordinates of all lobes, of
+the rig and of the units in one vector. A unit is one channel of one table.
 """
 
 from __future__ import annotations
@@ -26,15 +27,19 @@ FresnelModel = str
 """Name of a Fresnel term, one of `FRESNEL_MODELS`."""
 
 NARROWEST_PX = 0.02
-"""Width of a lobe on the sensor, px, below which every camera records it as a point."""
+"""Smallest width of a lobe on the sensor, px. Every camera records a narrower lobe as a point."""
 
 STUDENT, TWO_LOBES = StudentLobe.family, TwoLobes.family
-"""Lobes that `correct` tries if no family explains the data. They are not available as options."""
+"""Families that `correct` fits if the public families do not explain the data. They cannot be selected by an option."""
 _UNNAMED: dict[str, type[StudentLobe | TwoLobes]] = {STUDENT: StudentLobe, TWO_LOBES: TwoLobes}
 _EXCESS_BOUNDS = (-0.6, 3.7)
-"""Bounds of ln(g - 1) of Student's t, from the limit of finite masking (g = 3/2) to Beckmann's tails."""
+"""Bounds of ln(g - 1) for the exponent g of Student's t. Masking is finite from g = 3/2; the upper bound has the tails of
+Beckmann's lobe.
+"""
 _SHARE_BOUNDS = (-6.0, 6.0)
-"""Bounds of ln(share / (1 - share)). A share of 0.25 % is not detectable in an image."""
+"""Bounds of ln(share / (1 - share)) for the share of the second of two lobes. At the bounds the share of one lobe is 0.25 %,
+which is not detectable in an image.
+"""
 
 _POWER_BOUNDS = {"epd": (0.25, 4.0), "sgd": (0.02, 2.0)}
 _SPLINE_BOUNDS = (-25.0, 25.0)
@@ -51,21 +56,21 @@ FRESNEL_LATTICE: dict[str, list[tuple[float, ...]]] = {
     "schlick": [(f0,) for f0 in np.linspace(0.01, 0.99, 40)],
     "dielectric": [(float(np.log(eta - 1)),) for eta in np.linspace(1.02, 3.5, 40)],
 }
-"""Coordinates of each model that are compared before a fit."""
+"""Coordinates of each Fresnel model from which the start of a fit is chosen."""
 _FRESNEL_BOUNDS = {"n": (-5.0, 4.0), "k": (-7.0, 4.0), "f0": (1e-4, 1.0), "eta": (-6.0, 3.0)}
 BASE_WIDTH = "base_alpha"
-"""Name of the roughness of a base."""
+"""Name of the parameter for the roughness of a base."""
 
 
 class LobeKind(NamedTuple):
-    """Meaning of the parameters of a lobe: family, masking, and spline modifications.
+    """Parametrisation of a lobe: family, masking and spline modification.
 
     Attributes:
         family: key of `FAMILIES`, STUDENT or TWO_LOBES.
-        masking: masking G of the lobe.
+        masking: name of the masking G of the lobe, or None.
         spline_size: number of coefficients of the spline modification; 0 or KNOTS.
         shadows: number of parameters of a free masking; 0 or SHADOWS.
-        stretched: True if a "ggx" lobe has one roughness along the first tangent of the surface and one across.
+        stretched: True for a "ggx" lobe with different roughnesses along the tangents x and y of the surface.
     """
 
     family: str
@@ -76,7 +81,7 @@ class LobeKind(NamedTuple):
 
     @property
     def family_names(self) -> tuple[str, ...]:
-        """Names of the parameters of the family, as in its constructor; for a stretched lobe, by the tangents x and y."""
+        """Names of the parameters of the family, as in its constructor; "alpha_x" and "alpha_y" for a stretched lobe."""
         if self.family in _UNNAMED:
             return tuple(field.name for field in dataclasses.fields(_UNNAMED[self.family]))
         return ("alpha_x", "alpha_y") if self.stretched else _fields_of(self.family)
@@ -88,19 +93,24 @@ class LobeKind(NamedTuple):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of all coordinates: family, spline, free masking. Reported parameters are those of `lobe_readings`."""
+        """Names of all coordinates of the lobe, in the order family, spline and free masking.
+
+        `lobe_readings` computes the parameters that are reported instead.
+        """
         splines = (f"spline{k}" for k in range(self.spline_size))
         return (*self.family_names, *splines, *(f"shadow{k}" for k in range(self.shadows)))
 
     @property
     def size(self) -> int:
-        """Count the parameters."""
+        """Count the coordinates of the lobe."""
         return len(self.family_names) + self.spline_size + self.shadows
 
     def ndf(self, q: jax.Array) -> NDF:
-        """Build the NDF at coordinates: logarithms of the parameters of the family, then spline coefficients.
+        """Build the NDF from coordinates.
 
-        The share of the second of two lobes is the logistic function of its coordinate.
+        q: coordinates in the order of `names`. Those of the family are logarithms of its parameters, with exceptions for two
+            lobes: the share of the second lobe is the logistic function of its coordinate, and the shares of Beckmann are
+            coordinates themselves.
         """
         own = len(self.family_names)
         if self.family == TWO_LOBES:
@@ -115,11 +125,11 @@ class LobeKind(NamedTuple):
         return ShadowedNDF(ndf, shadows) if self.shadows else ndf
 
     def slopes(self, q: jax.Array) -> SlopeDistribution:
-        """Return the distribution of slopes at coordinates, isotropic or stretched."""
+        """Build the distribution of slopes from coordinates, isotropic or stretched."""
         return AnisotropicGGX(jnp.exp(q[0]), jnp.exp(q[1])) if self.stretched else self.ndf(q)
 
     def bounds(self, radius: float) -> list[tuple[float, float]]:
-        """Bound the coordinates for a lobe on a sphere of `radius` px."""
+        """Compute the lower and upper bound of each coordinate. radius: radius of the sphere, px."""
         largest = 1.0 if self.family in _UNNAMED else FAMILIES[self.family].largest
         bounds = [(float(np.log(NARROWEST_PX / radius)), float(np.log(0.999 * largest)))]
         bounds *= 1 + (self.stretched or self.family == TWO_LOBES)
@@ -139,15 +149,17 @@ def _fields_of(family: str) -> tuple[str, ...]:
 
 
 class Layout(NamedTuple):
-    """Order of the vector of a fit: lobes, the rig, the roughness of a base, then Fresnel term and body of each unit.
+    """Order of the coordinates of a fit in one vector.
+
+    The order is: lobes, rig, roughness of a base, then the Fresnel term and the body of each unit (a channel of a table).
 
     Attributes:
-        kind: meaning of the parameters of each lobe.
+        kind: parametrisation of each lobe.
         fresnel: model of F.
         diffuse: True if each unit has a Lambertian part.
-        lobe_of: index of the lobe of each unit (a channel of a table).
+        lobe_of: index of the lobe of each unit, (units,).
         axes: number of fitted parameters of the rig.
-        base: True if the material has a rough base under the lobe (`base_lobe.py`), with a reflectance of each unit.
+        base: True if the material has a rough base under the lobe (`base_lobe.py`), whose reflectance differs between units.
     """
 
     kind: LobeKind
@@ -169,55 +181,61 @@ class Layout(NamedTuple):
 
     @property
     def fresnel_size(self) -> int:
-        """Count the parameters of a unit's Fresnel term."""
+        """Count the parameters of the Fresnel term of a unit."""
         return len(_FRESNEL_NAMES[self.fresnel])
 
     @property
     def unit_names(self) -> tuple[str, ...]:
-        """Name the parameters of a unit."""
+        """Names of the parameters of a unit."""
         body = ["diffuse"] * self.diffuse + ["base"] * self.base
         return (*_FRESNEL_NAMES[self.fresnel], *body)
 
     @property
     def size(self) -> int:
-        """Count all parameters."""
+        """Count all coordinates of the fit."""
         return self.base_width.stop + self.units * len(self.unit_names)
 
     def lobe(self, index: int) -> slice:
-        """Return the indices of a lobe in the vector."""
+        """Return the slice of the vector that contains the coordinates of a lobe."""
         return slice(index * self.kind.size, (index + 1) * self.kind.size)
 
     @property
     def rig(self) -> slice:
-        """Return the indices of the parameters of the rig in the vector."""
+        """Return the slice of the vector that contains the coordinates of the rig."""
         first = self.lobes * self.kind.size
         return slice(first, first + self.axes)
 
     @property
     def base_width(self) -> slice:
-        """Return the index of the logarithm of the roughness of a base; empty without a base."""
+        """Return the slice of the vector that contains ln(roughness of the base); it is empty without a base."""
         return slice(self.rig.stop, self.rig.stop + self.base)
 
     def unit(self, index: int) -> slice:
-        """Return the indices of a unit in the vector."""
+        """Return the slice of the vector that contains the coordinates of a unit."""
         size = len(self.unit_names)
         first = self.base_width.stop + index * size
         return slice(first, first + size)
 
     def of_units(self, name: str) -> list[int]:
-        """Return the index of a parameter of each unit in the vector; empty if the units do not have it."""
+        """Return the indices in the vector of one parameter of all units.
+
+        name: one of `unit_names`; for other names the list is empty.
+        """
         if name not in self.unit_names:
             return []
         return [self.unit(u).start + self.unit_names.index(name) for u in range(self.units)]
 
     def unit_bounds(self) -> list[tuple[float, float]]:
-        """Bound the coordinates of one unit."""
+        """Compute the lower and upper bound of each coordinate of one unit."""
         bounds = [_FRESNEL_BOUNDS[name] for name in _FRESNEL_NAMES[self.fresnel]]
         return bounds + [(0.0, 1.0)] * (self.diffuse + self.base)
 
 
 def reflectance_at(model: FresnelModel, coordinates: jax.Array) -> Reflectance:
-    """Return the Fresnel term at coordinates (ln n, ln k), (f0,) or (ln(eta - 1),)."""
+    """Build the Fresnel term from coordinates.
+
+    coordinates: (ln n, ln k) of a conductor, (f0,) of Schlick's model, or (ln(eta - 1),) of a dielectric.
+    """
     if model == "conductor":
         return Conductor(jnp.exp(coordinates[0]), jnp.exp(coordinates[1]))
     if model == "schlick":
@@ -226,7 +244,10 @@ def reflectance_at(model: FresnelModel, coordinates: jax.Array) -> Reflectance:
 
 
 def readable_value(name: str, coordinate: float) -> tuple[float, float]:
-    """Convert a coordinate to the reported parameter, and compute its derivative with respect to the coordinate."""
+    """Convert a coordinate to the reported parameter.
+
+    Returns: value of the parameter, and its derivative with respect to the coordinate.
+    """
     if name in ("f0", "diffuse", "base"):
         return coordinate, 1.0
     value = float(np.exp(coordinate))
@@ -234,7 +255,12 @@ def readable_value(name: str, coordinate: float) -> tuple[float, float]:
 
 
 def fresnel_start(model: FresnelModel, theta: np.ndarray, f: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """Find coordinates close to a curve F(theta): the best of a lattice. f, weight: (slices,)."""
+    """Find the coordinates of a Fresnel term that best fit a curve of F.
+
+    The coordinates are those of `FRESNEL_LATTICE` with the smallest weighted sum of squared differences.
+
+    theta: angles, rad, (slices,). f: F at the angles, (slices,). weight: weights of the squared differences, (slices,).
+    """
     points = FRESNEL_LATTICE[model]
     curves = [np.asarray(reflectance_at(model, jnp.asarray(p)).at(jnp.asarray(theta))) for p in points]
     misfit = [(weight * (f - curve) ** 2).sum() for curve in curves]

@@ -1,13 +1,17 @@
 """Least-squares problem of a fit: model and residuals with their derivatives (docs/model.md 8).
 
-The model of a cell of unit u (a channel of a table) in slice s is  F_u(theta_d) A(cell; lobe, rig) + B_u.  The body B_u is
-diffuse_u / pi, and in some fits light of a rough base, which no camera blurs. A strength F that is free in every slice is
-solved for exactly (variable projection, Golub & Pereyra 1973; derivatives by Kaufman 1975).
+The model of a cell of unit u (a channel of a table) is
 
-For a near rig A is the record of D G at F = 1 plus the slope of ln F times the moment of the record
-(`lobe_operator.py`). The slope is that of the Fresnel model, or of a smooth curve through free strengths
-(`strength_slopes.py`). The latter is constant in derivatives, because its dependence on the parameters is of second
-order.
+    F_u(theta_d) A(cell; lobe, rig) + B_u(cell) .
+
+A is the record of the lobe at F = 1. The body B_u is diffuse_u / pi, and in some fits also the BRDF of a rough base, whose
+blur by the camera is neglected. If the strength F is free in every slice, it is eliminated exactly (variable projection,
+Golub & Pereyra 1973; derivatives by Kaufman 1975).
+
+For a near rig A is the sum of the record of D G, and of the moment of the record multiplied by the slope of ln F
+(`lobe_operator.py`). The slope is computed from the Fresnel model, or from a smooth curve through free strengths
+(`strength_slopes.py`). The slope from free strengths is constant in derivatives, because its dependence on the parameters is
+of second order.
 """
 
 from __future__ import annotations
@@ -38,10 +42,12 @@ class Prior(NamedTuple):
 
     Attributes:
         axes: fitted parameters of the rig.
-        root: (rows, axes), root of the information matrix of their coordinates; 0 for unknown parameters.
-        spline: standard deviation of the second differences of the coefficients of a spline.
-        finest: slope below which the camera resolves no structure, so that the spline is ten times stiffer.
-        learned: value of `spline` estimated from the data where the spline is not stiff; None: `spline`.
+        root: square root R of the information matrix R' R of the coordinates of the rig, (rows, axes); 0 for unknown
+            parameters.
+        spline: standard deviation of the second differences of the coefficients of a spline (no unit).
+        finest: slope (no unit) below which the camera resolves no structure. The spline is ten times stiffer there.
+        learned: standard deviation of the second differences estimated from the data, for slopes at which the spline is not
+            stiff; None: the value of `spline`.
     """
 
     axes: tuple[Axis, ...] = ()
@@ -51,7 +57,7 @@ class Prior(NamedTuple):
     learned: float | None = None
 
     def rows(self, layout: Layout) -> np.ndarray:
-        """Build (rows, parameters): linear combinations of the parameters with prior mean 0 and unit variance."""
+        """Build the linear combinations of the coordinates that have prior mean 0 and unit variance, (rows, coordinates)."""
         rig = np.zeros((len(self.root), layout.size))
         rig[:, layout.rig] = self.root
         rows = [rig]
@@ -85,16 +91,21 @@ class Prior(NamedTuple):
         return smoothness(SHADOWS) / self.spline
 
     def rig_information(self) -> np.ndarray:
-        """Return the information matrix of the coordinates of the rig; almost 0 for free parameters."""
+        """Compute the prior information matrix of the coordinates of the rig, (axes, axes).
+
+        If no parameter has a prior, it is 1e-6 times the identity matrix, so that it is not singular.
+        """
         return self.root.T @ self.root if self.root.any() else np.eye(len(self.axes)) * 1e-6
 
 
 class Body(NamedTuple):
-    """Light from below the lobe. Shapes: u units, s slices, n cells, p parameters.
+    """BRDF of the body under the lobe: Lambertian part and rough base.
+
+    In the shapes, u is the number of units, s of slices, n of cells in a slice, and p of coordinates.
 
     Attributes:
-        value: (u, s, n) or (u, 1, 1), 1/sr.
-        derivative: (p, u, s, n), with respect to all parameters.
+        value: value of the BRDF in the cells, 1/sr, (u, s, n) or (u, 1, 1).
+        derivative: derivatives of the value with respect to all coordinates of the fit, 1/sr, (p, u, s, n).
     """
 
     value: np.ndarray
@@ -102,15 +113,18 @@ class Body(NamedTuple):
 
 
 class FitModel(NamedTuple):
-    """Model and its derivatives. Shapes: u units, s slices, n cells, p parameters.
+    """Modelled values of the cells and their derivatives.
+
+    In the shapes, u is the number of units, s of slices, n of cells in a slice, and p of coordinates.
 
     Attributes:
-        value: (u, s, n), 1/sr.
-        derivative: (p, u, s, n), at constant strengths.
-        lobe: (u, s, n), A of each unit.
-        strength: (u, s), F.
-        strength_std: (u, s), standard deviation of free strengths with all other parameters exact; 0 otherwise.
-        log_slope: (u, s), slope of ln F, 1/rad, by which F varies over the nodes of A; 0 for a distant rig.
+        value: modelled values, 1/sr, (u, s, n).
+        derivative: derivatives of the values with respect to the coordinates at constant free strengths, 1/sr, (p, u, s, n).
+        lobe: record A of the lobe at F = 1, 1/sr, (u, s, n).
+        strength: strength F, (u, s).
+        strength_std: standard deviation of free strengths if all other parameters are exact, (u, s); 0 if F is a model.
+        log_slope: derivative of ln F with respect to theta_d, 1/rad, (u, s). It describes the variation of F over the
+            quadrature nodes of a cell; 0 for a distant rig.
     """
 
     value: np.ndarray
@@ -125,7 +139,10 @@ class FitModel(NamedTuple):
 def _reflectance(
     model: FresnelModel, coordinates: jax.Array, theta: jax.Array, rise: bool
 ) -> tuple[jax.Array, jax.Array]:
-    """Compute F and its derivatives for each row of coordinates. rise: compute the slope of F with theta instead."""
+    """Compute F at angles theta, and the derivatives of F with respect to the coordinates, for each row of coordinates.
+
+    rise: True to compute dF/dtheta instead of F.
+    """
 
     def curve(c: jax.Array) -> jax.Array:
         at = reflectance_at(model, c).at
@@ -135,14 +152,14 @@ def _reflectance(
 
 
 class FitProblem:
-    """Data, operator, layout and prior of a fit.
+    """Least-squares problem of a fit: data, operator, layout and prior.
 
     Attributes:
         data: values of the chosen cells.
         cells: the chosen cells.
         operator: operator from a lobe to its record in the chosen cells.
-        layout: order of the parameters.
-        prior: prior of the parameters.
+        layout: order of the coordinates.
+        prior: prior of the coordinates.
         radius: radius of the sphere, px.
     """
 
@@ -160,16 +177,16 @@ class FitProblem:
         self._last: dict[int, tuple[bytes, list[RecordAndSlopes]]] = {}
 
     def with_layout(self, layout: Layout) -> FitProblem:
-        """Return the same problem with other parameters."""
+        """Return the same problem with another layout of the coordinates."""
         return FitProblem(self.data, self.cells, self.operator, layout, self.prior, self.radius)
 
     @property
     def theta_d(self) -> np.ndarray:
-        """Return the slices' theta_d, rad."""
+        """Return theta_d of the slices, rad, (slices,)."""
         return self.cells.theta_d
 
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the lowest and the highest value of each coordinate."""
+        """Compute the lower and the upper bounds of the coordinates, (coordinates,) each."""
         layout = self.layout
         bounds = layout.kind.bounds(self.radius) * layout.lobes
         bounds += [(axis.low, axis.high) for axis in self.prior.axes]
@@ -178,16 +195,20 @@ class FitProblem:
         return low, high
 
     def residual(self, model: FitModel) -> np.ndarray:
-        """Return data - model, (u, s, n); 0 where unused."""
+        """Compute data - model, 1/sr, (u, s, n); 0 for unused cells."""
         return np.where(self.data.used, self.data.values - model.value, 0.0)
 
     def of_units(self, name: str, p: np.ndarray) -> np.ndarray:
-        """Return a parameter of each unit, (u,): "diffuse", the albedo of its Lambertian part, or "base"; 0 without one."""
+        """Return the coordinate of one kind for every unit, (units,).
+
+        name: "diffuse", albedo of the Lambertian part, or "base", reflectance of the base. The values are 0 if the fit does not
+            have this part.
+        """
         indices = self.layout.of_units(name)
         return p[indices] if indices else np.zeros(self.layout.units)
 
     def body(self, p: np.ndarray) -> Body:
-        """Evaluate the light from below the lobe in the chosen cells."""
+        """Evaluate the BRDF of the body in the chosen cells. p: coordinates of the fit."""
         layout, cells = self.layout, self.cells
         value = self.of_units("diffuse", p)[:, None, None] / np.pi
         derivative = np.zeros((layout.size, layout.units, *cells.theta_h.shape))
@@ -203,7 +224,10 @@ class FitProblem:
         return Body(value, derivative)
 
     def model(self, p: np.ndarray, weight: np.ndarray) -> FitModel:
-        """Evaluate the model at parameters. weight: (u, s, n), 1 / V, for the solution of free strengths."""
+        """Evaluate the model.
+
+        p: coordinates of the fit. weight: weights 1 / V for the solution of free strengths, sr^2, (u, s, n).
+        """
         layout = self.layout
         orders = [self._records_and_slopes(index, p) for index in range(layout.lobes)]
         records = [np.stack([orders[index][n].record for index in layout.lobe_of]) for n in range(len(orders[0]))]
@@ -220,11 +244,12 @@ class FitProblem:
         return model._replace(derivative=derivative)
 
     def start_model(self, record: np.ndarray, weight: np.ndarray) -> FitModel:
-        """Evaluate the model with free strengths and without derivatives, for the start of a search.
+        """Evaluate the model with free strengths, for the start of a search.
 
-        F is constant in a cell, also in a near rig, because the lobes of the lattice differ by more.
+        The model has no derivatives. F is constant within a cell, also in a near rig. The error of this approximation is
+        smaller than the differences between the lobes from which a search starts.
 
-        record: record of the common lobe of all units, (s, n).
+        record: record of the common lobe of all units at F = 1, 1/sr, (s, n). weight: weights 1 / V, sr^2, (u, s, n).
         """
         p = np.zeros(self.layout.size)
         records = [np.broadcast_to(record, (self.layout.units, *record.shape))]
@@ -233,10 +258,10 @@ class FitProblem:
     def _strengths(
         self, p: np.ndarray, weight: np.ndarray, records: list[np.ndarray], body: np.ndarray
     ) -> tuple[FitModel, np.ndarray]:
-        """Evaluate the model, and its derivatives with respect to Fresnel terms, (u, parameters, s, n).
+        """Evaluate the model, and its derivatives with respect to the coordinates of F, (u, coordinates, s, n).
 
-        records: records of each unit's lobe at F = 1, (u, s, n), and in a near rig their moments. body: light from below the
-            lobe, 1/sr, which broadcasts to the records.
+        records: record of the lobe of each unit at F = 1, (u, s, n), and in a near rig the moment of this record. body: BRDF
+            of the body, 1/sr; it broadcasts to (u, s, n).
         """
         layout, (units, slices, cells) = self.layout, records[0].shape
         log_slope = np.zeros((units, slices))
@@ -264,7 +289,10 @@ class FitProblem:
         return FitModel(value, np.zeros((0, *value.shape)), lobe, strength, std, log_slope), by_fresnel
 
     def _free_strengths(self, weight: np.ndarray, lobe: np.ndarray, body: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Solve for the strength of every unit and slice, with its standard deviation for exact other parameters."""
+        """Solve for the strength of every unit and slice.
+
+        Returns: strengths, and their standard deviations if all other parameters are exact, (u, s) each.
+        """
         data = self.data
         wa = np.where(data.used, weight, 0.0) * lobe
         power = (wa * lobe).sum(-1)
@@ -277,17 +305,19 @@ class FitProblem:
         return StrengthSlopes(self.theta_d)
 
     def read(self, model: FitModel, of: Callable[[LobeOperator], np.ndarray]) -> np.ndarray:
-        """Evaluate a linear function of the operator with the slope of F of each unit, (u, ..., s, n).
+        """Evaluate a linear function of the operator for every unit, (u, ..., s, n).
 
-        of: function of an operator that returns values (..., s, n). model: model with F.
+        The variation of F within a cell of a near rig is included.
+
+        model: model with the slope of ln F of each unit. of: function of an operator that returns values (..., s, n).
         """
         parts = [of(operator) for operator in self.operator.orders]
         return np.stack([_combined(parts, slope) for slope in model.log_slope])
 
     def _records_and_slopes(self, index: int, p: np.ndarray) -> list[RecordAndSlopes]:
-        """Compute the record of a lobe, and in a near rig its moment; both are cached.
+        """Compute the record of a lobe, and in a near rig the moment of the record.
 
-        The weights change more often than the lobe.
+        The last results are cached, because weights are updated without a change of the lobe.
         """
         q = np.concatenate([p[self.layout.lobe(index)], p[self.layout.rig]])
         key = q.tobytes()
@@ -296,13 +326,16 @@ class FitProblem:
         return self._last[index][1]
 
     def gain(self, noise: PixelNoise) -> float:
-        """Return the standard deviation of the gain of a slice: infinite for free strengths."""
+        """Return the standard deviation of the gain of a slice (no unit); infinite for free strengths."""
         return np.inf if self.layout.fresnel == "free" else noise.picture_gain
 
     def whitening(self, model: FitModel, weight: np.ndarray, gain: float) -> Whitening:
         """Build the whitening of the residuals.
 
-        Free strengths remove the component along the lobe; a known gain of the image reduces the component along the slice.
+        If strengths are free, the component of the residuals along the lobe is removed. Otherwise the component along the model
+        is reduced according to the image gain.
+
+        weight: robust weights 1 / V, sr^2, (u, s, n). gain: standard deviation of the image gain (no unit).
         """
         if self.layout.fresnel == "free":
             return whitening(self.data, weight, model.lobe, np.inf)
@@ -310,7 +343,10 @@ class FitProblem:
 
 
 def _combined(orders: list[np.ndarray], log_slope: np.ndarray) -> np.ndarray:
-    """Add the moment, if there is one, to a record, (..., s, n). log_slope: slope of ln F, 1/rad, (..., s)."""
+    """Add the moment of a record, multiplied by the slope of ln F, to the record, (..., s, n).
+
+    orders: record, and in a near rig its moment. log_slope: slope of ln F, 1/rad, (..., s).
+    """
     if len(orders) == 1:
         return orders[0]
     record, moment = orders

@@ -1,4 +1,4 @@
-"""Readings of a solved fit: strengths, parameters by name, materials, the camera, and remarks."""
+"""Results of a solved fit: strengths, named parameters, materials, camera and remarks."""
 
 from __future__ import annotations
 
@@ -20,27 +20,27 @@ from matcam.material.microfacet import Microfacet
 from matcam.material.reflectance import Conductor, Dielectric, Reflectance, Sampled, Schlick
 
 DETERMINED = 0.05
-"""Relative standard deviation of a roughness below which it is determined."""
+"""Relative standard deviation below which a roughness is called determined."""
 LINEAR = 0.15
-"""Relative standard deviation of a power up to which the linearised errors are valid. Beyond it the correlation of
-width and power is not linear, and the standard deviation of the width is too small.
+"""Largest relative standard deviation of a power at which the linearised errors are valid. For larger ones the relation of
+width and power is not linear, and the computed standard deviation of the width is too small.
 """
 
 _BOUND = 0.05
-"""ln of a width over the narrowest allowed width, below which the fit is at its bound."""
+"""Value of ln(width / smallest allowed width) up to which the width of a fit is considered to be at its lower bound."""
 _UNSEEN = 2.0
-"""Number of standard deviations of its square below which a width is compatible with 0."""
+"""Number of standard deviations of the square of a width; a width whose square is smaller is compatible with 0."""
 
 
 class FitCoordinates(NamedTuple):
-    """First lobe and rig of a fit, in the coordinates in which the fit is linear.
+    """Coordinates of the first lobe and of the rig in a solved fit.
 
     Attributes:
-        kind: meaning of the coordinates of the lobe.
-        lobe: (lobe coordinates,), logarithms of the parameters of the family, then spline coefficients.
+        kind: parametrisation of the lobe.
+        lobe: coordinates of the lobe, in the order of `LobeKind.names`, (lobe coordinates,).
         axes: fitted parameters of the rig.
-        rig: (axes,), coordinates along the axes; 0 is the value of the rig.
-        covariance: covariance of (lobe, rig).
+        rig: coordinates of the parameters of the rig, (axes,); 0 is the specified value.
+        covariance: covariance of the coordinates of lobe and rig, (lobe coordinates + axes, lobe coordinates + axes).
     """
 
     kind: LobeKind
@@ -51,13 +51,16 @@ class FitCoordinates(NamedTuple):
 
 
 class Strengths(NamedTuple):
-    """Fitted F of every slice, free in each. Shapes: u units, s slices; NaN or 0 where nothing was recorded.
+    """Fitted strengths F of the slices, which are independent parameters.
+
+    In the shapes, u is the number of units, s of slices, and p of coordinates. For slices without values, F is NaN and the
+    other arrays are 0.
 
     Attributes:
-        value: (u, s), F.
-        noise_covariance: (u, s, s), covariance due to pixel noise, for an exact rig.
-        rig_covariance: (u, s, s), covariance due to the uncertain parameters of the rig.
-        slopes: (u, s, p), derivatives of F with respect to the coordinates of the fit.
+        value: strengths F (no unit), (u, s).
+        noise_covariance: covariance of F due to pixel noise for an exact rig, (u, s, s).
+        rig_covariance: covariance of F due to the uncertain parameters of the rig, (u, s, s).
+        slopes: derivatives of F with respect to the coordinates of the fit, (u, s, p).
     """
 
     value: np.ndarray
@@ -69,13 +72,17 @@ class Strengths(NamedTuple):
 class LinearisedFit(NamedTuple):
     """Linear least-squares problem of a fit at its solution.
 
+    In the shapes, u is the number of units, s of slices, and n of cells in a slice.
+
     Attributes:
         solution: data, operator, model and derivatives at the solution.
         coordinates: coordinates of the first lobe and the rig.
-        residual: (u, s, n), data - model; 0 where unused.
-        by_coordinates: (lobe and rig, u, s, n), derivatives of the model with respect to the coordinates.
-        by_units: (unit parameters, u, s, n), derivatives with respect to the parameters of base and units.
-        rig_information: (axes, axes), prior information on the rig.
+        residual: data - model, 1/sr, (u, s, n); 0 for unused cells.
+        by_coordinates: derivatives of the model with respect to the coordinates of the first lobe and the rig, 1/sr,
+            (coordinates, u, s, n).
+        by_units: derivatives of the model with respect to the coordinates of the base and the units, 1/sr,
+            (coordinates, u, s, n).
+        rig_information: prior information matrix of the coordinates of the rig, (axes, axes).
     """
 
     solution: Solution
@@ -87,7 +94,7 @@ class LinearisedFit(NamedTuple):
 
 
 def fit_coordinates(solution: Solution) -> FitCoordinates:
-    """Return the first lobe and the rig."""
+    """Select the coordinates of the first lobe and the rig."""
     layout, p = solution.problem.layout, solution.p
     both = np.r_[layout.lobe(0), layout.rig]
     covariance = solution.covariance[np.ix_(both, both)]
@@ -95,7 +102,7 @@ def fit_coordinates(solution: Solution) -> FitCoordinates:
 
 
 def linearised_fit(solution: Solution) -> LinearisedFit:
-    """Return the linear problem at a solution."""
+    """Collect the terms of the linear problem at a solution."""
     problem, layout = solution.problem, solution.problem.layout
     derivative = solution.model.derivative
     return LinearisedFit(
@@ -109,10 +116,10 @@ def linearised_fit(solution: Solution) -> LinearisedFit:
 
 
 def strengths_with_covariance(solution: Solution) -> Strengths:
-    """Compute F of every slice and the two parts of its covariance."""
+    """Compute F of every slice, and its covariances due to noise and due to the rig."""
     own, slope = _strength_errors(solution)
     rig = solution.problem.layout.rig
-    # part from the uncertainty of the rig, and covariance for an exact rig
+    # `added` is the part due to the uncertainty of the rig; the remainder is the covariance for an exact rig
     cross = solution.covariance[:, rig]
     added = cross @ np.linalg.pinv(solution.covariance[rig, rig], hermitian=True) @ cross.T
     seen = solution.problem.data.used.any(-1)
@@ -125,9 +132,9 @@ def strengths_with_covariance(solution: Solution) -> Strengths:
 
 
 def strength_curves(solution: Solution) -> tuple[np.ndarray, np.ndarray]:
-    """Compute F of every unit and slice, and its standard deviation.
+    """Compute F of every unit and slice and its standard deviation, (units, slices) each.
 
-    The standard deviation includes the image gain if F is free.
+    If F is free in every slice, the standard deviation includes the image gain, and slices without values are NaN.
     """
     problem, layout = solution.problem, solution.problem.layout
     strength = solution.model.strength.copy()
@@ -145,7 +152,11 @@ def strength_curves(solution: Solution) -> tuple[np.ndarray, np.ndarray]:
 
 
 def fresnel_slope(solution: Solution, unit: int, theta: np.ndarray | float) -> tuple[np.ndarray, slice]:
-    """Compute the derivatives of F of a unit at angles with respect to its coordinates, and their indices."""
+    """Compute the derivatives of F of a unit with respect to its coordinates.
+
+    theta: angles at which F is evaluated, rad, (...). Returns: derivatives, (..., coordinates), and the slice of the vector of
+        the fit that contains these coordinates.
+    """
     layout = solution.problem.layout
     first = layout.unit(unit).start
     inner = slice(first, first + layout.fresnel_size)
@@ -157,11 +168,12 @@ def fresnel_slope(solution: Solution, unit: int, theta: np.ndarray | float) -> t
 
 
 def _strength_errors(solution: Solution) -> tuple[np.ndarray, np.ndarray]:
-    """Compute the parts of the errors of free strengths; 0 where nothing was recorded.
+    """Compute the terms of the covariance of free strengths; they are 0 for slices without values.
 
-    The first part is their standard deviation for exact other parameters, (units, slices). The second is minus their
-    derivatives with respect to the parameters of the fit, (parameters, units, slices). The covariance of the strengths
-    of a unit is diag(own^2) + slope' covariance slope.
+    The first term, s, is the standard deviation of the strengths if all other parameters are exact, (units, slices). The
+    second term, J, is the negative derivative of the strengths with respect to the coordinates of the fit,
+    (coordinates, units, slices). The covariance of the strengths of a unit is diag(s^2) + J' C J, where C is the covariance of
+    the coordinates.
     """
     data, model = solution.problem.data, solution.model
     weighted = np.where(data.used, solution.weight, 0.0) * model.lobe
@@ -174,7 +186,10 @@ def _strength_errors(solution: Solution) -> tuple[np.ndarray, np.ndarray]:
 def body_at(
     solution: Solution, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Compute the light from below the lobe, 1/sr, and its standard deviation, (angles, units)."""
+    """Compute the BRDF of the body and its standard deviation, 1/sr, (..., units) each.
+
+    The angles, rad, broadcast to (...).
+    """
     layout, p = solution.problem.layout, solution.p
     angles = np.broadcast_arrays(theta_h, theta_d, phi_d)
     value, variance = np.zeros((2, *angles[0].shape, layout.units))
@@ -195,11 +210,13 @@ def body_at(
 
 
 class LobeVerdict(NamedTuple):
-    """Verdict on the lobes of a fit.
+    """Result of the check whether a fit determines and resolves its lobes.
 
     Attributes:
-        determined: True if every roughness, or the half width of a lobe without a family, is known to 5 %.
-        resolved: True if the lobe is wider than the narrowest lobe that the camera distinguishes from a point.
+        determined: True if the lobe is resolved and the relative standard deviation of every roughness is below 5 %. The
+            half width is tested instead for a lobe that the parameters of a family do not describe.
+        resolved: True if the first lobe is wider than the smallest width that a fit allows, at which every camera records a
+            point.
     """
 
     determined: bool
@@ -211,7 +228,7 @@ def lobe_verdict(solution: Solution) -> LobeVerdict:
     layout, std = solution.problem.layout, np.sqrt(np.diag(solution.covariance))
     narrowest = layout.kind.bounds(solution.problem.radius)[0][0]
     resolved = bool(float(solution.p[0]) - narrowest > _BOUND)
-    if not layout.kind.of_family:  # such a lobe is judged by its half width
+    if not layout.kind.of_family:  # the half width is tested, because the lobe has no parameters of a family
         lobes = [layout.lobe(n) for n in range(layout.lobes)]
         angles = [half_maximum_angle(layout.kind, solution.p[at], solution.covariance[at, at]) for at in lobes]
         return LobeVerdict(resolved and all(error < DETERMINED * angle for angle, error in angles), resolved)
@@ -224,7 +241,7 @@ def lobe_verdict(solution: Solution) -> LobeVerdict:
 def fit_remarks(
     solution: Solution, camera: Camera | None, verdict: LobeVerdict, noise_given: bool
 ) -> tuple[Remark, ...]:
-    """List the remarks on a fit."""
+    """List the remarks on a fit. camera: camera of the rig; None: no rig. noise_given: True if the noise is specified."""
     remarks = []
     prior, position, noise = solution.problem.prior, solution.problem.layout.rig, solution.noise
     if camera is None:
@@ -233,8 +250,8 @@ def fit_remarks(
         remarks.append(Remark("camera-exact", "the camera is assumed to be exact"))
     elif solution.problem.prior.root.any() and known_lens(camera).assumed:
         text = (
-            f"the profile has no uncertainty: the lens width is assumed to be known to {ASSUMED:.0%}; give its "
-            "standard deviation, or 0 for an exact lens"
+            f"the profile has no uncertainty: the lens width is assumed to be known to {ASSUMED:.0%}; specify the "
+            "standard deviation of the width, or 0 for an exact lens"
         )
         remarks.append(Remark("lens-assumed", text))
     stds = np.sqrt(np.diag(solution.covariance)[position])
@@ -247,20 +264,20 @@ def fit_remarks(
         remarks.append(
             Remark(
                 "lobe-too-narrow",
-                "the lobe is narrower than this camera can resolve or record: the width is a bound; "
+                "the lobe is narrower than this camera can resolve or record: the fitted width is an upper bound; "
                 "check that rig and data belong together",
             )
         )
     elif not verdict.determined:
-        text = "the roughness is not determined: its standard deviation exceeds 5 %"
+        text = "the data do not determine the roughness: its standard deviation exceeds 5 %"
         remarks.append(Remark("roughness-not-determined", text))
     if noise_given and solution.misfit > 1 + 5 * np.sqrt(2 / max(solution.freedom, 1)):
         text = f"the residuals are {np.sqrt(solution.misfit):.1f} times the given noise: the model does not explain the data"
         remarks.append(Remark("misfit", text))
     if not noise_given and max(noise.relative, 20 * noise.floor) > 0.05:
         text = (
-            f"the residuals are {noise.relative:.0%} of a pixel's value and {noise.floor:.1%} of its image's peak, more than "
-            "the noise of any camera: the camera or the family of the lobe is wrong"
+            f"the residuals are {noise.relative:.0%} of the value of a pixel and {noise.floor:.1%} of the peak of the image, "
+            "which exceeds the noise of any camera: check the camera and the family of the lobe"
         )
         remarks.append(Remark("misfit", text))
     return tuple(remarks)
@@ -270,11 +287,11 @@ class NamedParameters(NamedTuple):
     """Reported parameters of a fit.
 
     Attributes:
-        names: "alpha", "n[G]", "optics.sigma_px", ...; of a spline-modified lobe, those of `lobe_readings` instead of
-            coefficients.
-        values: values in the units of the parameters.
-        covariance: covariance of the values.
-        slopes: derivatives of the values with respect to the coordinates, (names, coordinates).
+        names: names of the parameters, for example "alpha", "n[G]" and "optics.sigma_px". A spline-modified lobe has the
+            parameters of `lobe_readings` instead of coefficients.
+        values: value of each parameter, in its own unit, (names,).
+        covariance: covariance of the values, (names, names).
+        slopes: derivatives of the values with respect to the coordinates of the fit, (names, coordinates).
     """
 
     names: list[str]
@@ -284,7 +301,7 @@ class NamedParameters(NamedTuple):
 
 
 def named_parameters(solution: Solution) -> NamedParameters:
-    """Return all parameters by name."""
+    """Compute the reported parameters with their names and covariance."""
     problem, layout, data = solution.problem, solution.problem.layout, solution.problem.data
     several = data.tables > 1
     unit_names = [f"{label}@{t}" if several else label for label, t in zip(data.labels, data.table_of, strict=True)]
@@ -324,7 +341,7 @@ def named_parameters(solution: Solution) -> NamedParameters:
 
 
 def fitted_materials(solution: Solution, strength: np.ndarray) -> tuple[Microfacet, ...]:
-    """Build the material of each table. strength: (units, slices), as from `strength_curves`."""
+    """Build the material of each table. strength: F from `strength_curves`, (units, slices)."""
     problem = solution.problem
     return tuple(_material(solution, problem.data.units_of(table), strength) for table in range(problem.data.tables))
 
@@ -350,7 +367,7 @@ def _material(solution: Solution, units: list[int], strength: np.ndarray) -> Mic
 
 
 def fitted_camera(solution: Solution, camera: Camera) -> Camera:
-    """Build the fitted camera, with its uncertainty after the fit."""
+    """Build a camera with the fitted parameters of the lens and their uncertainty. camera: camera of the rig."""
     problem: FitProblem = solution.problem
     axes, position = problem.prior.axes, problem.layout.rig
     lens = [n for n, axis in enumerate(axes) if axis.name not in (*WIDTHS, *CHANGES)]

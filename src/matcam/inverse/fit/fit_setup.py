@@ -64,48 +64,49 @@ AUTO = "auto"
 """Default family of the lobe: the most probable of the candidates."""
 CANDIDATES = ("ggx", "epd")
 SEARCH_STEP = 6
-"""Spacing of the slices of theta_d in which a lobe is searched before it is fitted to more."""
+"""Spacing of the slices of theta_d in which a lobe is first searched; it is then fitted to more slices."""
 _LOOK_STEP = 3 * SEARCH_STEP
-"""Spacing of the slices in which starts are compared."""
+"""Spacing of the slices of theta_d in which the starts of a search are compared."""
 _LOOK_ROUNDS = 2
-"""Rounds of weights in these slices; further rounds use all slices."""
+"""Largest number of updates of the weights in the slices with spacing `_LOOK_STEP`; later updates use all slices."""
 
 
 @dataclass(frozen=True)
 class FitSetup:
-    """Everything that determines a fit.
+    """Complete specification of a fit.
 
     Attributes:
-        tables: tables of one rig, 1/sr, a material each.
-        rig: the rig that recorded them; None: as if the camera were perfect.
+        tables: tables that one rig recorded, 1/sr; one table per material.
+        rig: rig that recorded the tables; None: a perfect camera.
         ndf: family of the lobe. Default: "ggx".
         fresnel: model of F. Default: "conductor".
         diffuse: True to add a Lambertian part. Default: False.
         base: True to add a rough base under the lobe (`base_lobe.py`). Default: False.
-        per_channel: True for one lobe per channel. Default: False.
+        per_channel: True for one lobe per channel. Default: False, one lobe per table.
         masking: masking G of the lobe. Default: "smith".
-        camera_parameters: treatment of the parameters of the rig: "fixed", "prior" or "free". Default: None, "prior",
-            unless the camera is exact. If it has no uncertainty, a tenth of the width of the lens is assumed.
-        free: names of the parameters of the rig that "free" fits. Default: the width of a Gaussian lens.
+        camera_parameters: treatment of the parameters of the rig: "fixed", "prior" or "free". Default: None, "fixed" for an
+            exact camera, otherwise "prior". The lens width of a camera without uncertainty is assumed to be known to 10 %.
+        free: names of the parameters of the rig that are fitted if `camera_parameters` is "free". Default: the width of a
+            Gaussian lens.
         also: names of further parameters of the rig that are fitted without a prior. Default: ().
-        nearby: True to fit a lamp in `also` only near the value of the rig. Default: False.
-        refitted: names of parameters that a later fit has in `also`, nearby; their rules are computed with those of this
-            fit. Default: ().
+        nearby: True to restrict the radius of the lamp in `also` to a range about its specified value. Default: False.
+        refitted: names of parameters that later fits have in `also` with `nearby`. The quadrature rules of these fits are
+            computed together with those of this fit. Default: ().
         lens_shape: True to fit the shape of the kernel of the lens (`rig_axes.shape_axes`). Default: False.
-        spline: prior standard deviation of the departure of ln D from its family (no unit). Default: 0, no departure.
-        stiff_below: slope (no unit) below which the spline is ten times stiffer; below a pixel it always is. Default: 0.
-        learned_spline: value of `spline` estimated from the data for slopes where the spline is not stiff. Default: None,
-            `spline`.
-        free_masking: True if G is any smooth function of the angle. Default: False.
+        spline: prior standard deviation of the second differences of the spline that modifies ln D (no unit). Default: 0,
+            no modification.
+        stiff_below: slope (no unit) below which the spline is ten times stiffer, at least that of one pixel. Default: 0.
+        learned_spline: value of `spline` estimated from the data, for slopes at which the spline is not stiff. Default:
+            None, the value of `spline`.
+        free_masking: True to fit G as any smooth function of the angle. Default: False.
         noise: noise of a pixel. Default: None, estimated from the residuals.
-        slice_step: spacing of the slices of theta_d (no unit). Default: 1.
-        view: sphere that defines the pixels without a rig: its radius, px, and the distances of camera and lamp.
-            Default: 256 px, distant.
-        pixels: real pixels in which cells are looked up without a rig. Default: None, each cell has its own pixels.
+        slice_step: spacing of the slices of theta_d (no unit). Default: 1, all slices.
+        view: sphere that defines the pixels if `rig` is None. Default: a radius of 256 px, distant camera and lamp.
+        pixels: pixel grid from which cells are read if `rig` is None. Default: None, each cell has its own pixels.
         workspace: store of results that depend only on the rig. Default: None, that of the process.
 
     Raises:
-        ArgumentError: a field is out of its range, or the tables do not belong together.
+        ArgumentError: a field is out of its range, or the tables differ in sampling or rig.
 
     Example:
         >>> setup = matcam.inverse.FitSetup((table,), matcam.rigs.merl(), slice_step=6)  # doctest: +SKIP
@@ -164,7 +165,7 @@ class FitSetup:
                 rig_behind(table, self.rig)
 
     def with_(self, **changes: Any) -> FitSetup:
-        """Return the same setup with other fields.
+        """Return a copy of the setup with changed fields.
 
         Args:
             changes: new values of fields, by name.
@@ -181,10 +182,10 @@ class FitSetup:
         """Find the best fit.
 
         Args:
-            start: fit of these tables by another setup, from which the search continues. Default: None, a new search.
-                A start with the same parameters, as from a fit of fewer slices, requires only a few linear steps.
-            weights: robust weights: "data", from the variance of each value, or "start", those of the start. Default:
-                "data". "start" is for a start in the same cells.
+            start: fit of these tables with another setup, from which the search continues. Default: None, a new search.
+                A start with the same parameters, for example in fewer slices, requires only a few linear steps.
+            weights: source of the first robust weights: "data", the variance of each value, or "start", the weights of the
+                start, which must have the same cells. Default: "data".
 
         Returns:
             The material, its parameters with their errors, and remarks on the fit.
@@ -206,11 +207,11 @@ class FitSetup:
         return self._result(go_on(self._vector(start), weight, before.noise))
 
     def tempered(self, found: MaterialFit, kappa: float) -> MaterialFit:
-        """Increase the errors of a fit for misfit correlated between cells.
+        """Increase the errors of a fit whose misfit is correlated between cells.
 
         Args:
-            found: a fit by this setup.
-            kappa: power of the likelihood (no unit), from 0 to 1 (`correction/evidence.py`).
+            found: fit with this setup.
+            kappa: exponent of the likelihood (no unit), from 0 to 1 (`correction/evidence.py`).
 
         Returns:
             The same fit, with the covariance of the tempered likelihood.
@@ -222,7 +223,7 @@ class FitSetup:
         return Search(self.problem, self.noise, self.workspace or default_workspace())
 
     def _in_few_slices(self) -> Solution | None:
-        """Fit few of the slices, in which a search is fast; None if there are no more slices."""
+        """Search in few of the slices, which is fast; None if the setup has no more slices, or if these have no values."""
         if self.slice_step >= _LOOK_STEP:
             return None
         few = self.with_(slice_step=_LOOK_STEP)
@@ -236,7 +237,7 @@ class FitSetup:
         return material_fit(solution, camera, noise_given=self.noise is not None)
 
     def _vector(self, start: MaterialFit) -> np.ndarray:
-        """Return the parameters of a start in the order of this setup; 0 for parameters that it lacks."""
+        """Convert the coordinates of a start to the layout of this setup; coordinates that the start lacks are 0."""
         layout, (problem, p, *_) = self.layout, start._solution
         before = problem.layout
         vector = np.zeros(layout.size)
@@ -250,13 +251,13 @@ class FitSetup:
         return vector
 
     def rule(self) -> tuple[ChosenCells, LobeOperator]:
-        """Return the chosen cells and their operator, which the workspace keeps.
+        """Compute and store the chosen cells and their operator.
 
         Returns:
-            The cells of the slices that are used, and the operator from a lobe to their record.
+            The chosen cells of the slices, and the operator from a lobe to its record in these cells.
 
         Raises:
-            ArgumentError: the rig is not one that a fit can follow, or lacks a parameter that is free.
+            ArgumentError: a fit does not support the rig, or the rig lacks a free parameter.
 
         Example:
             >>> cells, operator = setup.rule()  # doctest: +SKIP
@@ -269,26 +270,26 @@ class FitSetup:
     @cached_property
     def problem(self) -> FitProblem:
         """Return the least-squares problem."""
-        layout = self.layout  # first: it checks the arguments
+        layout = self.layout  # computed first, because it checks the arguments
         cells, operator = self.rule()
         radius = (self.view if self.rig is None else sample_view(self.rig)).radius
         return FitProblem(fit_data(self.tables, cells), cells, operator, layout, self.prior, radius)
 
     @property
     def axes_with_refits(self) -> tuple[Axis, ...]:
-        """Return the parameters of the rig that any fit changes."""
+        """Return the rig parameters that are free in this or later fits."""
         return self.with_(also=self.refitted, nearby=True).prior.axes
 
     @property
     def _whole(self) -> WholeRule:
-        """Return the slices and axes of the rule: those of a search, and of later fits in its slices."""
+        """Select the slices and axes for which the rule is computed, including those of later fits."""
         slice_step, axes = SEARCH_STEP if self.slice_step == _LOOK_STEP else self.slice_step, self.prior.axes
         refitted = self.axes_with_refits if slice_step >= SEARCH_STEP else axes
         return WholeRule(slice_step, refitted if set(axes) <= set(refitted) else axes)
 
     @cached_property
     def layout(self) -> Layout:
-        """Return the order of the parameters."""
+        """Return the order of the coordinates of the fit."""
         channels = [table.sizes["channel"] for table in self.tables]
         lobes = range(sum(channels)) if self.per_channel else np.repeat(np.arange(len(channels)), channels)
         kind = LobeKind(self.ndf, self.masking, KNOTS if self.spline else 0, SHADOWS if self.free_masking else 0)
@@ -296,7 +297,7 @@ class FitSetup:
 
     @cached_property
     def prior(self) -> Prior:
-        """Return the prior of the parameters."""
+        """Return the prior of the coordinates of the fit."""
         camera_parameters = self.camera_parameters
         if self.rig is None:
             if camera_parameters not in (None, "fixed"):
@@ -333,7 +334,7 @@ class FitSetup:
 
 
 def _stated_prior(rig: Rig, uncertainty: Uncertainty) -> tuple[tuple[Axis, ...], np.ndarray]:
-    """Convert the uncertainty of a camera to axes of its parameters, and the root of their information."""
+    """Convert the uncertainty of a camera to axes and a square root of the information matrix of their coordinates."""
     parameters = rig.camera.parameters()
     value = np.array([float(parameters[name]) for name in uncertainty.names])
     covariance = np.asarray(uncertainty.covariance)
@@ -369,31 +370,29 @@ def fit(
     """Fit a microfacet material to a table through its camera.
 
     All slices of theta_d are fitted jointly. The data are chosen cells, one per pixel, so that their errors are
-    independent except for the gain of the image. The covariance is the inverse of their Fisher information, which
-    includes the prior of the camera. Outliers beyond 3 standard deviations have smaller weights (Huber).
+    independent except for the gain of the image. The covariance is the inverse of the Fisher information, which includes
+    the prior of the camera. Residuals beyond 3 standard deviations have smaller weights (Huber).
 
     Args:
-        brdf: table as from `read_merl`, 1/sr, or several tables of one rig, one per material.
-        rig: rig that recorded the tables: a sphere; camera and lamp are distant or near. None: a perfect camera.
+        brdf: table of the form that `read_merl` returns, 1/sr, or several tables of one rig, one per material.
+        rig: rig that recorded the tables. Its sample is a sphere; camera and lamp are distant or near. None: a perfect camera.
         ndf: family of the lobe: "ggx", "epd", "sgd", "beckmann" or "gaussian". Default: "ggx". Unlike in `fresnel` and
             `correct` it is not "auto", because the family determines the parameters of the result.
-        fresnel: model of F: "conductor" (n and k), "schlick" or "dielectric" per channel, or "free" in every slice. Default:
-            "conductor".
+        fresnel: model of F in each channel: "conductor" (n and k), "schlick" or "dielectric", or "free", one value for each
+            slice. Default: "conductor".
         diffuse: True to add a Lambertian part. Default: False, because metals have none.
-        per_channel: True for one lobe per channel. Default: False, one lobe for all.
+        per_channel: True for one lobe per channel. Default: False, one lobe per table.
         masking: masking G of the lobe: "smith", "smith-separable", "van-ginneken" or None. Default: "smith".
-        camera_parameters: treatment of the parameters of the rig. "fixed": the values of the rig. "prior": the
-            uncertain parameters of the camera are fitted, with its covariance as their prior; without a covariance, the
-            width of the lens is assumed to be known to 10 %. "free": the parameters named in `free` are fitted without
-            a prior.
-            Default: None, "prior", or "fixed" if the camera is exact (a standard deviation of 0).
-        free: names of the parameters of the rig that "free" fits. A width ("optics.sigma_px", "jitter", "aperture", a
-            sphere's "lamp_radius") may be as small as 0. Default: the width of a Gaussian lens.
-        spline: allowed smooth departure of D from its family (no unit): the standard deviation of the second differences
-            of ln D between knots that are half a power of e apart. Default: 0, not at all; 1 hardly constrains the lobe
-            to a family.
+        camera_parameters: treatment of the parameters of the rig. "fixed": the specified values are used. "prior": the
+            uncertain parameters of the camera are fitted, and the covariance of the camera is their prior; without a
+            covariance, the width of the lens is assumed to be known to 10 %. "free": the parameters named in `free` are
+            fitted without a prior. Default: None, "prior", or "fixed" for an exact camera (a standard deviation of 0).
+        free: names of the parameters of the rig that are fitted if `camera_parameters` is "free". A width
+            ("optics.sigma_px", "jitter", "aperture", "lamp_radius") may be 0. Default: the width of a Gaussian lens.
+        spline: prior standard deviation of the second differences of the spline that modifies ln D (no unit). Its knots
+            are spaced by 0.5 in ln(slope). Default: 0, no modification. With 1, the family hardly constrains the lobe.
         noise: noise of a pixel and of the image gain. Default: None, estimated from the residuals, which include misfit.
-        slice_step: spacing of the slices of theta_d that are used (no unit). Default: 1, all of them; more is quicker.
+        slice_step: spacing of the slices of theta_d that are used (no unit). Default: 1, all slices. A larger one is faster.
         workspace: store of results that depend only on the rig. Default: None, that of the process.
 
     Returns:
@@ -433,7 +432,7 @@ def free_setup(
     slice_step: int = SEARCH_STEP,
     workspace: Workspace | None = None,
 ) -> FitSetup:
-    """Return the setup with the fewest assumptions: F free in every slice, and a Lambertian part."""
+    """Build a setup with free strengths and a Lambertian part."""
     return FitSetup(
         tuple(tables), rig, fresnel="free", diffuse=True, masking=masking, camera_parameters=camera_parameters,
         noise=noise, slice_step=slice_step, workspace=workspace,
@@ -446,5 +445,5 @@ def candidate_fits(setup: FitSetup, ndf: str) -> list[MaterialFit]:
 
 
 def likeliest(fits: Sequence[MaterialFit]) -> MaterialFit:
-    """Return the fit with the most probable family."""
+    """Select the fit with the largest likelihood."""
     return max(fits, key=lambda found: found.log_likelihood)

@@ -1,4 +1,4 @@
-"""Sources of the uncertainty budget of a fit: prior knowledge and readings."""
+"""Sources of the uncertainty budget of a fit: prior knowledge, and the readings of the pixels."""
 
 from __future__ import annotations
 
@@ -12,21 +12,23 @@ from matcam.inverse.operator.rig_axes import Axis
 from matcam.numerics.fit_budget import Readings, StatedParameter, Statement, stated_parameters
 
 RIG = "camera and rig, as specified"
-"""Name of the source of the specified parameters of the rig if they are correlated."""
+"""Name of the common source of uncertainty for specified parameters of the rig that are correlated."""
 SMOOTH_LOBE = "smoothness of the lobe"
-"""Name of the source of the prior on the spline modification of a lobe."""
+"""Name of the source of uncertainty for the prior on the spline modification of a lobe."""
 _LEAST = 1e-3
-"""Information on a coordinate below which there is no prior: a standard deviation of 30, in logarithms of widths."""
+"""Smallest information on a coordinate that is treated as a prior. It corresponds to a standard deviation of 30 in the
+logarithm of a width, which does not constrain the width.
+"""
 
 
 def rig_statements(axes: Sequence[Axis], information: np.ndarray, first: int, size: int) -> list[Statement]:
     """Collect the prior knowledge of the parameters of a rig.
 
     Args:
-        axes: fitted parameters.
-        information: specified information matrix of their coordinates, (axes, axes).
+        axes: fitted parameters of the rig.
+        information: prior information matrix of the coordinates of these parameters, (axes, axes).
         first: index of the first axis among the coordinates of the fit.
-        size: number of these coordinates.
+        size: number of coordinates of the fit.
     """
     whole = np.zeros((size, size))
     own = slice(first, first + len(axes))
@@ -39,7 +41,11 @@ def rig_statements(axes: Sequence[Axis], information: np.ndarray, first: int, si
 
 
 def _slope(axis: Axis, information: float) -> float:
-    """Compute d value / d coordinate, as a secant from one standard deviation below the base to one above."""
+    """Compute the derivative of the value of a parameter with respect to its coordinate.
+
+    It is the slope of a secant from one prior standard deviation below the specified value to one above it, within the bounds
+    of the axis. information: prior information on the coordinate.
+    """
     std = 1 / math.sqrt(max(information, _LEAST))
     low, high = max(-std, axis.low), min(std, axis.high)
     return (axis.value(high) - axis.value(low)) / (high - low)
@@ -57,11 +63,11 @@ def fit_statements(solution: Solution) -> list[Statement]:
 
 
 def fit_readings_source(freedom: int, *, noise_given: bool) -> Readings:
-    """Return the readings of a fit as a source of uncertainty.
+    """Build the source of uncertainty for the readings of the pixels.
 
     Args:
         freedom: degrees of freedom of the fit.
-        noise_given: whether the noise of a pixel is given, or estimated from the residuals.
+        noise_given: True if the noise of a pixel is specified; False if it is estimated from the residuals.
     """
     if noise_given:
         return Readings("readings of the pixels (noise as given)", "B")

@@ -1,7 +1,7 @@
 """Reported parameters of a fitted lobe: parameters of its family, or parameters that apply to any lobe.
 
-A spline-modified lobe has no family parameters, and its coefficients have no direct meaning. It has a half width, a
-tail exponent, and a share of facets far from the peak, which is visible as haze.
+A spline-modified lobe has no parameters of a family, and its coefficients have no direct meaning. The reported parameters are
+its half width, its tail exponent, and its share of facets far from the peak, which is visible as haze.
 """
 
 from __future__ import annotations
@@ -16,18 +16,22 @@ from matcam.inverse.fit.fit_parameters import LobeKind, readable_value
 from matcam.material.ndf.free_lobe import shadow_basis
 
 HALF_WIDTH = "hwhm_rad"
-"""Name of the half width at half maximum of a lobe, rad."""
+"""Name of the parameter for the half width at half maximum of a lobe, rad."""
 _NARROWEST_ANGLE, _WIDEST_ANGLE = 1e-9, 1.5
-"""Range in which the angle of half the maximum is searched, rad."""
+"""Range of angles in which half of the maximum is searched for, rad. Its lower end is below the width of any lobe."""
 _HALVINGS = 60
 _TAIL = (3.0, 10.0)
-"""Range of half widths over which the tail exponent is determined."""
+"""Range of angles over which the tail exponent is determined, in half widths of the lobe."""
 _TAIL_ENDS = np.pi / 4
-"""Largest angle of the tail, rad; most cells show the lobe beyond it at grazing angles only."""
+"""Upper limit of the range of the tail exponent, rad. Most cells show the lobe beyond this angle only at grazing incidence or
+reflection.
+"""
 _TAIL_BEGINS = np.pi / 6
-"""Angle beyond which a tail must not begin, rad; such a lobe has none."""
+"""Upper limit of the angle at which the range of the tail exponent begins, rad. Wider lobes have no tail exponent, because
+the range would be too short.
+"""
 _FARTHEST = 2e3
-"""Slope beyond which there are no facets."""
+"""Upper limit of the slope in the integral of the haze share (no unit). The share of steeper facets is negligible."""
 _NODES = np.polynomial.legendre.leggauss(60)
 _GRAZING = np.radians(75.0)
 
@@ -36,9 +40,10 @@ class LobeReadings(NamedTuple):
     """Reported parameters of a lobe.
 
     Attributes:
-        names: for a lobe of a family, its own parameters; otherwise "hwhm_rad", and "tail_exponent" and "haze_share" if
-            the lobe is narrow enough, and "masking_75" where masking is free.
-        values: values in the units of the parameters.
+        names: names of the parameters. A lobe of a family has the parameters of the family. Any other lobe has "hwhm_rad",
+            also "tail_exponent" and "haze_share" if the lobe is narrow enough, and "masking_75", the masking at 75 degrees
+            relative to normal incidence, if masking is free.
+        values: value of each parameter, in its own unit, (names,).
         slopes: derivatives with respect to the coordinates of the lobe, (names, lobe coordinates).
     """
 
@@ -48,7 +53,7 @@ class LobeReadings(NamedTuple):
 
 
 def lobe_readings(kind: LobeKind, q: np.ndarray) -> LobeReadings:
-    """Compute the reported parameters of a lobe at coordinates."""
+    """Compute the reported parameters of a lobe from its coordinates. q: coordinates, (lobe coordinates,)."""
     if kind.of_family:
         pairs = np.array([readable_value(name, one) for name, one in zip(kind.names, q, strict=True)])
         return LobeReadings(kind.names, pairs[:, 0], np.diag(pairs[:, 1]))
@@ -71,7 +76,10 @@ def lobe_readings(kind: LobeKind, q: np.ndarray) -> LobeReadings:
 
 
 def half_maximum_angle(kind: LobeKind, q: np.ndarray, covariance: np.ndarray) -> tuple[float, float]:
-    """Compute the half width at half maximum of D, rad, and its standard deviation."""
+    """Compute the half width at half maximum of D, rad, and its standard deviation.
+
+    q: coordinates of the lobe. covariance: covariance of the coordinates.
+    """
     angle, by_q = half_maximum(kind, q)
     return angle, float(np.sqrt(by_q @ covariance @ by_q))
 
@@ -79,8 +87,8 @@ def half_maximum_angle(kind: LobeKind, q: np.ndarray, covariance: np.ndarray) ->
 def half_maximum(kind: LobeKind, q: np.ndarray) -> tuple[float, np.ndarray]:
     """Compute the half width at half maximum of D, rad, and its derivatives.
 
-    The derivatives are with respect to the coordinates of the lobe. The angle is found by bisection, and its derivatives by
-    implicit differentiation. Both are NaN if D does not fall to half.
+    The derivatives are with respect to the coordinates of the lobe. The half width is found by bisection, and its derivatives
+    by implicit differentiation. Half width and derivatives are NaN if D does not fall to half of its maximum.
     """
     beyond, low, by_angle, by_lobe = (np.asarray(a) for a in _half_maximum(kind, placed(q)))
     if beyond > 0:
@@ -91,8 +99,10 @@ def half_maximum(kind: LobeKind, q: np.ndarray) -> tuple[float, np.ndarray]:
 
 @kept_program
 def _half_maximum(kind: LobeKind, q: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
-    """Solve for the angle where D is half its maximum: ln(2 D / D(0)) at the widest angle, ln(angle), and derivatives
-    of the former.
+    """Solve for the angle at which D is half of its maximum.
+
+    The function f = ln(2 D / D(0)) is 0 at this angle. Returns: f at the widest angle, ln(angle), and at this angle the
+        derivatives of f with respect to ln(angle) and with respect to the coordinates.
     """
 
     def excess(log_angle: jax.Array, q: jax.Array) -> jax.Array:
@@ -112,11 +122,14 @@ def _half_maximum(kind: LobeKind, q: jax.Array) -> tuple[jax.Array, jax.Array, j
 
 @kept_program
 def _tail(kind: LobeKind, q: jax.Array, angle: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Compute tail exponent and haze share, and their derivatives with respect to coordinates and half width."""
+    """Compute tail exponent and haze share, and their derivatives with respect to coordinates and half width.
+
+    angle: half width at half maximum, rad.
+    """
 
     def both(q: jax.Array, angle: jax.Array) -> jax.Array:
         ends = jnp.stack([_TAIL[0] * angle, jnp.minimum(_TAIL[1] * angle, _TAIL_ENDS)])
-        # integral of P22 beyond, in the logarithm of the slope
+        # haze share: integral of P22 beyond ten half widths, over the logarithm of the slope
         first = jnp.log(jnp.tan(jnp.minimum(_TAIL[1] * angle, _WIDEST_ANGLE)))
         length = jnp.log(_FARTHEST) - first
         slope = jnp.concatenate([jnp.tan(ends), jnp.exp(first + length * (_NODES[0] + 1) / 2)])

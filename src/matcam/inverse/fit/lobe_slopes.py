@@ -17,8 +17,9 @@ class RecordAndSlopes(NamedTuple):
     """Record of a lobe and its derivatives.
 
     Attributes:
-        record: (slices, cells), 1/sr at F = 1.
-        slopes: (parameters, slices, cells), derivatives with respect to the coordinates of the lobe, then of the rig.
+        record: record at F = 1, 1/sr, (slices, cells).
+        slopes: derivatives of the record with respect to the coordinates of the lobe, then of the rig, 1/sr,
+            (coordinates, slices, cells).
     """
 
     record: np.ndarray
@@ -27,7 +28,10 @@ class RecordAndSlopes(NamedTuple):
 
 @kept_program
 def lobe_record(operator: LobeOperator, kind: LobeKind, q: jax.Array) -> jax.Array:
-    """Compute the record of a lobe, (slices, cells). q: coordinates of the lobe, then of the rig."""
+    """Compute the record of a lobe at F = 1, 1/sr, (slices, cells).
+
+    q: coordinates of the lobe, then of the rig.
+    """
     return operator.record(kind.ndf(q[: kind.size]), kind.masking, q[kind.size :])
 
 
@@ -37,8 +41,9 @@ def _record_and_slopes(operator: LobeOperator, kind: LobeKind, q: jax.Array) -> 
 
 
 def record_and_slopes(operator: LobeOperator, kind: LobeKind, q: np.ndarray) -> RecordAndSlopes:
-    """Compute the record of a lobe and its derivatives. q: coordinates of the lobe, then those along the axes of the
-    operator.
+    """Compute the record of a lobe and its derivatives.
+
+    q: coordinates of the lobe, then of the rig, in the order of the axes of the operator.
     """
     value, slope = _record_and_slopes(operator, kind, placed(q))
     return RecordAndSlopes(np.asarray(value), np.asarray(slope))

@@ -50,26 +50,28 @@ class MaterialFit(Summarised):
     Attributes:
         family: family of the lobe ("ggx", "epd", "sgd", "beckmann", "gaussian"; in `correct` also "student-t" and
             "two-lobes").
-        params: value of each parameter by name ("alpha", "n[G]", "optics.sigma_px", ...), in the parameter's own unit.
+        params: value of each parameter by name ("alpha", "n[G]", "optics.sigma_px", ...), in the unit of the parameter.
             A spline-modified lobe, Student's t and two lobes have "hwhm_rad", "tail_exponent" and "haze_share" instead
             of the parameters of a family.
         std: standard deviation of each parameter, by the same names and in the same units.
-        covariance: covariance of all parameters (parameters, parameters), in the order of `params`.
+        covariance: covariance of all parameters, in the order of `params`, (parameters, parameters).
         hwhm: half width at half maximum of D, rad. It is well determined even if a width and a power are correlated.
         hwhm_std: standard deviation of `hwhm`, rad.
-        determined: True if the standard deviation of every roughness is below 5 %.
-        resolved: True if the lobe is wider than the narrowest lobe that this camera distinguishes from a point.
-        materials: one `Microfacet` per table.
+        determined: True if the lobe is resolved and the relative standard deviation of every roughness is below 5 %.
+        resolved: True if the lobe is wider than the smallest width that a fit allows, which a camera records as a point.
+        materials: fitted material of each table.
         camera: fitted camera, with its uncertainty after the fit; None without a rig.
-        curves: Dataset over (theta_d, channel) with `fresnel` and `fresnel_std`, no unit.
-        residual: Dataset over (channel, theta_d, cell) in standard deviations of the noise, with theta_h and phi_d, rad.
-        noise: noise of a pixel, given or estimated.
-        misfit: sum of squared residuals per degree of freedom (no unit). It is about 1 where the model explains the data.
-        log_likelihood: logarithm of the likelihood, for comparing families on the same data.
+        curves: Dataset over (theta_d, channel) with F, `fresnel`, and its standard deviation, `fresnel_std` (no unit).
+        residual: Dataset over (channel, theta_d, cell) of the residuals, in standard deviations of the noise. It also has
+            theta_h and phi_d of each cell, rad.
+        noise: noise of a pixel, specified or estimated.
+        misfit: sum of squared standardised residuals per degree of freedom (no unit). It is about 1 if the model explains
+            the data.
+        log_likelihood: logarithm of the likelihood, for the comparison of families on the same data.
         freedom: degrees of freedom.
         remarks: remarks on the fit.
-        noise_given: True if `noise` was given; otherwise it is estimated from the residuals.
-        _solution: the solved problem; for this package only.
+        noise_given: True if `noise` was specified; False if it was estimated from the residuals.
+        _solution: solved problem, for use inside the package only.
 
     Example:
         >>> found = matcam.fit(table, matcam.rigs.merl(), "ggx")  # doctest: +SKIP
@@ -113,25 +115,25 @@ class MaterialFit(Summarised):
 
     @property
     def theta_d(self) -> np.ndarray:
-        """Return the theta_d of the fitted slices (slices,), rad."""
+        """Return theta_d of the fitted slices, rad, (slices,)."""
         return self._solution.problem.theta_d
 
     @property
     def diffuse(self) -> np.ndarray:
-        """Return the albedo of each channel's Lambertian part.
+        """Return the albedo of the Lambertian part of each channel.
 
-        Shape (channels,), no unit; 0 where the fit has none.
+        The shape is (channels,), without unit. The values are 0 if the fit has no Lambertian part.
         """
         return self._solution.problem.of_units("diffuse", self._solution.p)
 
     @property
     def diffuse_std(self) -> np.ndarray:
-        """Return the standard deviation of `diffuse`, (channels,), no unit."""
+        """Return the standard deviation of `diffuse` (no unit), (channels,)."""
         return np.sqrt(self._solution.problem.of_units("diffuse", np.diag(self._solution.covariance)))
 
     @property
     def base(self) -> Base | None:
-        """Return the rough base under the lobe, or None."""
+        """Rough base under the lobe; None if the fit has none."""
         solution = self._solution
         layout = solution.problem.layout
         if not layout.base:
@@ -140,23 +142,23 @@ class MaterialFit(Summarised):
         return Base(float(np.exp(solution.p[layout.base_width][0])), tuple(np.maximum(reflectance, 0.0).tolist()))
 
     def body(self, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the light from below the lobe, and its standard deviation.
+        """Compute the BRDF of the body, and its standard deviation.
 
-        It is the Lambertian part, and light of a base if the fit has one.
+        The body is the Lambertian part, and the rough base under the lobe if the fit has one.
 
         Args:
-            theta_h: angles between normal and half vector, rad; the angles broadcast.
+            theta_h: angles between normal and half vector, rad; all angles broadcast to (...).
             theta_d: difference angles, rad.
             phi_d: azimuths of the difference vector, rad.
 
         Returns:
-            (value, standard deviation), 1/sr, in the shape of the angles and (channels,).
+            (value, standard deviation), 1/sr, (..., channels) each.
         """
         return body_at(self._solution, theta_h, theta_d, phi_d)
 
     @property
     def has_spline(self) -> bool:
-        """Check whether the lobe may depart from its family (`spline`)."""
+        """Check whether the lobe is spline-modified."""
         return bool(self.coordinates.kind.spline_size)
 
     @property
@@ -166,9 +168,9 @@ class MaterialFit(Summarised):
 
     @property
     def coordinates(self) -> FitCoordinates:
-        """Return the first lobe and the rig as fit coordinates.
+        """Return the coordinates of the first lobe and the rig.
 
-        The fit is linear in these coordinates. The result includes their covariance.
+        The model is approximately linear in these coordinates. The result includes their covariance.
         """
         return fit_coordinates(self._solution)
 
@@ -191,15 +193,15 @@ class MaterialFit(Summarised):
         names = list(self.params)
         for name in (first, second):
             if name not in names:
-                raise ArgumentError(f"the fit has no parameter {name!r}; it has {', '.join(names)}")
+                raise ArgumentError(f"the fit has no parameter {name!r}; give one of: {', '.join(names)}")
         i, j = names.index(first), names.index(second)
         return float(self.covariance[i, j] / np.sqrt(self.covariance[i, i] * self.covariance[j, j]))
 
     def uncertainty_budget(self, name: str) -> UncertaintyBudget:
         """Return the uncertainty budget of a parameter (GUM).
 
-        Its combined uncertainty is the standard deviation of the parameter. Sources are the readings and the specified
-        values of the camera and the rig.
+        The combined uncertainty is the standard deviation of the parameter. The sources are the readings of the pixels, and
+        the specified values of the camera and the rig.
 
         Args:
             name: name of the parameter, as in `params`, or "hwhm_rad".
@@ -216,7 +218,7 @@ class MaterialFit(Summarised):
         """Return the uncertainty budgets of parameters.
 
         Args:
-            *names: names as in `uncertainty_budget`. Default: all of `params`, and "hwhm_rad".
+            *names: names of parameters, as in `uncertainty_budget`. Default: all names in `params`, and "hwhm_rad".
 
         Raises:
             ArgumentError: the fit has no parameter of this name.
@@ -231,7 +233,7 @@ class MaterialFit(Summarised):
             known[HALF_WIDTH] = (angle, slope)
         wrong = [name for name in names if name not in known]
         if wrong:
-            raise ArgumentError(f"the fit has no parameter {wrong[0]!r}; it has {', '.join(known)}")
+            raise ArgumentError(f"the fit has no parameter {wrong[0]!r}; give one of: {', '.join(known)}")
         statements = fit_statements(solution)
         readings = fit_readings_source(self.freedom, noise_given=self.noise_given)
         return [
@@ -241,14 +243,14 @@ class MaterialFit(Summarised):
         ]
 
     def fresnel(self, theta: float, unit: int = 0) -> tuple[float, float]:
-        """Return F and its standard deviation at an angle.
+        """Compute F and its standard deviation at an angle.
 
         Args:
             theta: angle between light and half vector, rad.
-            unit: index of the channel, counted through all tables. Default: 0, the first channel.
+            unit: index of the channel, counted over the channels of all tables. Default: 0, the first channel.
 
         Returns:
-            (F, standard deviation), no unit. A free F is interpolated between its slices.
+            (F, standard deviation), no unit. If F is free in every slice, both are interpolated between the slices.
 
         Example:
             >>> found.fresnel(np.radians(75.0))  # doctest: +SKIP
@@ -264,18 +266,20 @@ class MaterialFit(Summarised):
         return float(value), float(np.sqrt(slope @ self._solution.covariance[inner, inner] @ slope))
 
     def strengths(self) -> Strengths:
-        """Return F of every slice with its covariance, if F is free.
+        """Compute the free strengths F of the slices and their covariance.
 
-        F must be free in every slice of the fit. The strengths are those of the lobe before normalisation.
+        F must be free in every slice of the fit. The strengths are not normalised.
 
         Returns:
-            F of each channel and slice, and its covariance in two parts, from pixel noise and from parameters of the
-            rig.
+            F of each channel and slice, and the two parts of its covariance, due to pixel noise and due to uncertain
+            parameters of the rig.
         """
         return strengths_with_covariance(self._solution)
 
     def log_slope(self, theta_d: np.ndarray) -> np.ndarray:
-        """Return the slope of ln F, which affects records in near rigs.
+        """Interpolate the derivative of ln F with respect to theta_d.
+
+        Records in near rigs depend on this derivative.
 
         Args:
             theta_d: difference angles, rad (n,).
@@ -286,15 +290,15 @@ class MaterialFit(Summarised):
         return np.interp(theta_d, self.theta_d, self._solution.model.log_slope.mean(axis=0))
 
     def squared_width(self, name: str) -> tuple[float, float]:
-        """Return the square of a fitted width of the rig.
+        """Compute the square of a fitted width of the rig.
 
-        Blurs add in quadrature, so the square is the natural quantity near a width of 0.
+        Blurs add in quadrature, so the error of the square remains finite at a width of 0.
 
         Args:
             name: name of the width, as in `params` ("optics.sigma_px", "lamp_radius", ...).
 
         Returns:
-            (square, its standard deviation), in the width's unit squared.
+            (square, standard deviation of the square), in the squared unit of the width.
 
         Raises:
             ArgumentError: this parameter of the rig was not fitted.
@@ -315,7 +319,7 @@ class MaterialFit(Summarised):
     def linearised(self) -> LinearisedFit:
         """Return the fit as a linear least-squares problem.
 
-        Corrections start from it.
+        The uncertainty of a correction is computed from this problem.
 
         Returns:
             Data, model, derivatives and prior at the solution.
@@ -343,10 +347,10 @@ class MaterialFit(Summarised):
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the result without arrays, as numbers and texts.
+        """Convert the parameters and statistics of the fit to JSON types.
 
         Returns:
-            A dictionary that `matcam fit --json` prints. Angles are in rad, as indicated by their names.
+            The dictionary that `matcam fit --json` prints. Angles are in rad, as indicated by their names.
 
         Example:
             >>> found.to_dict()["misfit"]  # doctest: +SKIP
@@ -370,7 +374,7 @@ class MaterialFit(Summarised):
 
 
 def material_fit(solution: Solution, camera: Camera | None, *, noise_given: bool) -> MaterialFit:
-    """Build the result of a solved fit. camera: camera of the rig; None: no camera."""
+    """Build the result of a solved fit. camera: camera of the rig; None: no rig. noise_given: True if noise is specified."""
     problem, data = solution.problem, solution.problem.data
     readings = named_parameters(solution)
     std = np.sqrt(np.diag(readings.covariance))

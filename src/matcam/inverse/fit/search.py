@@ -29,24 +29,27 @@ _POWERS = {"epd": np.log([0.5, 1.0, 1.8]), "sgd": np.log([0.3, 0.8, 1.5])}
 _EXCESSES = np.log([0.7, 2.0, 6.0])
 _WIDER, _SHARES, _TAILS = np.log([3.0, 12.0, 45.0]), (-0.8, 0.8), ((0.1, 0.1), (0.9, 0.1), (0.1, 0.9))
 _FOLLOWED, _NO_RIVAL = 2, 1.5
-"""Number of starts that are refined, and ratio to the best misfit above which a start is dropped."""
+"""Largest number of starts that are refined, and largest ratio of their misfit to the smallest misfit of all starts."""
 _ROUNDS = 6
 _STEPS = 12, 3
-"""Largest numbers of least-squares steps, with the first weights and with later ones, which change the fit less."""
+"""Largest number of least-squares steps with the first weights, and with updated weights, which change the fit less."""
 _LONGEST, _STEADY = 0.8, 0.3
-"""Limits for extrapolation of a round: share of the last step that remains, and change of its direction."""
+"""Limits for the extrapolation of rounds: largest ratio of a change of the parameters to the change in the round before, and
+largest deviation from the direction of that change, as a share of the change.
+"""
 _SETTLED = 0.02
-"""Change of the parameters, in standard deviations, below which the weights have converged."""
+"""Change of the parameters in a round, in standard deviations, below which the weights have converged."""
 _BASE_WIDTH, _BASE = np.log(0.15), 0.1
-"""Start of a base: the geometric mean of the roughnesses of flakes and satin paint, 0.05 to 0.5, and a dark paint. A base
-without reflectance would have no gradient with respect to its roughness.
+"""Logarithm of the roughness, and reflectance, of a base at the start of a search. The roughness is the geometric mean of the
+range from 0.05 to 0.5 of flakes and satin paint. The reflectance is that of a dark paint; with a reflectance of 0 the gradient
+with respect to the roughness would be 0.
 """
 _STEEP = np.radians(80.0)
-"""theta_d above which strengths hardly constrain the start of a Fresnel term."""
+"""Value of theta_d, rad, above which strengths are not used for the start of a Fresnel term, as they hardly constrain it."""
 
 
 def _lattice(family: str) -> np.ndarray:
-    """Return the coordinates of the starts, neighbours beside each other, (..., coordinates)."""
+    """Build the lattice of starts of a family, (..., coordinates). The leading axes are the axes of the lattice."""
     if family == TWO_LOBES:
         lobes: list = [
             [[[(q, q + wider, share, *tails) for tails in _TAILS] for share in _SHARES] for wider in _WIDER]
@@ -61,22 +64,25 @@ def _lattice(family: str) -> np.ndarray:
 
 
 def _covariance(information: np.ndarray, prior_rows: np.ndarray) -> np.ndarray:
-    """Compute the posterior covariance of parameters from the information of the data and the rows of the prior."""
+    """Compute the posterior covariance of the coordinates.
+
+    information: information matrix of the data. prior_rows: result of `Prior.rows`.
+    """
     return scaled_inverse(information + prior_rows.T @ prior_rows, undetermined=1e12)
 
 
 class Solution(NamedTuple):
-    """Best parameters of a problem, and the model at them.
+    """Solution of a least-squares problem: best coordinates, and the model at these coordinates.
 
     Attributes:
         problem: problem that was solved.
-        p: coordinates of the fit, (parameters,).
+        p: best coordinates of the fit, (coordinates,).
         model: model at these coordinates.
-        covariance: covariance of the coordinates, (parameters, parameters).
-        noise: noise of a pixel, given or estimated.
-        misfit: weighted sum of squares over the degrees of freedom.
+        covariance: covariance of the coordinates, (coordinates, coordinates).
+        noise: noise of a pixel, specified or estimated.
+        misfit: weighted sum of squared residuals, divided by the degrees of freedom.
         freedom: degrees of freedom.
-        weight: (u, s, n), robust weights 1 / V.
+        weight: robust weights 1 / V, sr^2, (units, slices, cells).
     """
 
     problem: FitProblem
@@ -89,7 +95,10 @@ class Solution(NamedTuple):
     weight: np.ndarray
 
     def tempered(self, kappa: float) -> Solution:
-        """Return the solution with the covariance of the likelihood to the power of kappa (`correction/evidence.py`)."""
+        """Return the solution with the covariance of the tempered likelihood (`correction/evidence.py`).
+
+        kappa: exponent of the likelihood, 0 to 1.
+        """
         white = self.problem.whitening(self.model, self.weight, self.noise.picture_gain)
         flat = white(self.model.derivative).reshape(self.p.size, -1)
         rows = self.problem.prior.rows(self.problem.layout)
@@ -99,7 +108,8 @@ class Solution(NamedTuple):
 class Search:
     """Search for the best fit of a problem.
 
-    noise: noise of a pixel; None: it is estimated from the residuals. workspace: store of the records of the starts.
+    problem: problem to solve. noise: noise of a pixel; None: it is estimated from the residuals. workspace: store of the
+        records of the starts.
     """
 
     def __init__(self, problem: FitProblem, noise: PixelNoise | None, workspace: Workspace):
@@ -109,13 +119,13 @@ class Search:
         self.low, self.high = problem.bounds()
 
     def best(self, rounds: int = _ROUNDS) -> Solution:
-        """Try a lattice of starts, and refine the best ones.
+        """Search a lattice of starts, and refine the best starts.
 
-        rounds: largest number of rounds of weights; fewer suffice for the start of another fit.
+        rounds: largest number of updates of the weights; a fit that only provides the start of another fit requires fewer.
         """
         data = self.problem.data
         noise = self.given_noise or INITIAL_NOISE
-        # first, weights from the variance of each value; then from the model
+        # the first weights are computed from the values, and later weights from the model
         weight = 1 / cell_variance(data, np.abs(data.values), INITIAL_NOISE._replace(picture_gain=noise.picture_gain))
         tried = [self._least_squares(start, weight, noise, steps=_STEPS[0]) for start in self._starts(weight)]
         p, _ = min(tried, key=lambda pair: pair[1])
@@ -123,21 +133,24 @@ class Search:
         return self._refine(p, weight, noise, rounds)
 
     def resume(self, start: np.ndarray, weight: np.ndarray | None, noise: PixelNoise) -> Solution:
-        """Continue from the parameters of a fit of another model. weight: robust weights; None: from the variance of
-        each value.
+        """Continue from the solution of another model.
+
+        start: coordinates in the layout of this problem. weight: robust weights; None: weights from the variance of each value.
+        noise: noise of a pixel, used as the first estimate if it is not specified.
         """
         return self._refine(self._inside(start), self._weight(weight, noise), self.given_noise or noise, rounds=_ROUNDS)
 
     def widen(self, few: Solution) -> Solution:
-        """Continue from the best fit of the same model to some of the slices, which also gives the weights of the new
-        values.
+        """Continue from the solution of the same model in fewer slices.
+
+        The model of this solution also determines the weights in the additional slices.
         """
         start, noise = self._inside(few.p), self.given_noise or few.noise
         model = self.problem.model(start, self._weight(None, noise))
         return self._refine(start, self._robust_weight(model, noise), noise, rounds=_ROUNDS)
 
     def adjust(self, start: np.ndarray, weight: np.ndarray | None, noise: PixelNoise) -> Solution:
-        """Continue from a fit of the same model to fewer slices: within its errors, a few linear steps suffice."""
+        """Continue from a solution of the same model, for example in fewer slices. A few linear steps suffice."""
         return self._refine(start, self._weight(weight, noise), self.given_noise or noise, rounds=2, steps=(2, 2))
 
     def _weight(self, weight: np.ndarray | None, noise: PixelNoise) -> np.ndarray:
@@ -145,7 +158,10 @@ class Search:
         return 1 / cell_variance(data, np.abs(data.values), noise) if weight is None else weight
 
     def _weighed(self, p: np.ndarray, weight: np.ndarray, noise: PixelNoise) -> tuple[FitModel, np.ndarray, PixelNoise]:
-        """Evaluate the model at parameters, and the resulting weights and noise. weight: for free strengths."""
+        """Evaluate the model, and update weights and noise.
+
+        p: coordinates of the fit. weight: weights for the solution of free strengths.
+        """
         model = self.problem.model(p, weight)
         if self.given_noise is None:
             noise = estimate_noise(self.problem.data, self.problem.residual(model), model.value, p.size, noise)
@@ -161,7 +177,7 @@ class Search:
         return np.clip(p, self.low + 1e-9, self.high - 1e-9)
 
     def _starts(self, weight: np.ndarray) -> list[np.ndarray]:
-        """Return the lobes of a lattice that fit better than their neighbours, the two best first."""
+        """Find the coordinates of at most `_FOLLOWED` starts: lobes that fit better than their neighbours on the lattice."""
         layout, problem = self.problem.layout, self.problem
         kind = layout.kind._replace(spline_size=0, shadows=0)
         free = problem.with_layout(layout._replace(kind=kind, fresnel="free", diffuse=False, base=False))
@@ -180,7 +196,10 @@ class Search:
         return [self._vector(lobes[index], models[best[0]]) for index in best]
 
     def _vector(self, lobe: np.ndarray, free: FitModel) -> np.ndarray:
-        """Build a complete start from a lobe; Fresnel terms come from the free strengths of a model."""
+        """Build the coordinates of a start.
+
+        lobe: coordinates of the lobe. free: model with free strengths, to which the Fresnel terms are fitted.
+        """
         layout, theta_d = self.problem.layout, self.problem.theta_d
         p = np.zeros(layout.size)
         for index in range(layout.lobes):
@@ -202,9 +221,11 @@ class Search:
     ) -> Solution:
         """Alternate least squares with fixed weights and updates of the weights until convergence.
 
-        Convergence is linear, so after two rounds with the same ratio the next one starts from the extrapolated limit.
+        Convergence is linear. If two consecutive changes are nearly parallel, the next round starts from the extrapolated
+        limit.
 
-        steps: largest number of least-squares steps, in the first round and in others.
+        rounds: largest number of rounds. steps: largest number of least-squares steps in the first round, and in each later
+            round.
         """
         problem, data = self.problem, self.problem.data
         last = np.zeros_like(p)
@@ -228,7 +249,7 @@ class Search:
                 last = np.zeros_like(p)
         if not np.all(np.isfinite(p)):
             raise FitError(
-                "the fit produced non-finite parameters: check that the table is linear and that the family suits its lobe"
+                "the fit produced non-finite parameters: check that the table is linear, and try another family of the lobe"
             )
         u = white(problem.residual(model))
         strengths = data.used.any(-1).sum() if problem.layout.fresnel == "free" else 0
@@ -239,14 +260,14 @@ class Search:
     def _least_squares(
         self, p: np.ndarray, weight: np.ndarray, noise: PixelNoise, steps: int
     ) -> tuple[np.ndarray, float]:
-        """Minimise the sum of squares; return the parameters and half of the sum."""
+        """Minimise the sum of squares. Returns: coordinates, and half of the sum of squares."""
         problem, prior = self.problem, self.prior_rows
         start = problem.model(p, weight)
         fixed = None if problem.layout.fresnel == "free" else problem.whitening(start, weight, noise.picture_gain)
         last: dict[bytes, np.ndarray] = {}
 
         def triangle(p: np.ndarray) -> np.ndarray:
-            """Compute R of the QR decomposition of derivatives and residuals: the same normal equations in few rows."""
+            """Compute R of the QR decomposition of derivatives and residuals. Its few rows have the same normal equations."""
             key = p.tobytes()
             if key not in last:
                 model = problem.model(p, weight)

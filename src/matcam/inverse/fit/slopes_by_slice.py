@@ -1,15 +1,17 @@
-"""Record of a lobe with its derivatives, by a chain rule that evaluates each node a few times for all parameters.
+"""Record of a lobe and its derivatives, by a chain rule that evaluates each quadrature node only a few times.
 
-The record is R = sum_n a_n D_n, where a_n is a node's weight w_n times its masking G_n. Its derivative with respect to q is
+The record is R = sum_n a_n D_n, where a_n is the weight w_n of node n multiplied by its masking G_n. The derivative of the
+record with respect to a coordinate q of the lobe is
 
     dR/dq = sum_n a_n dD_n/dq + sum_s e_s dLambda_s/dq,      e_s = sum_n w_n D_n dG_n/dLambda_s,
 
-and the e_s, one for each sample of the masking, do not depend on q. Only the one or two parameters of the family
-require the formula of the lobe at every node. A spline modification multiplies D by exp(sum_k b_k B_k) / norm, so its
-derivatives are sums of a_n D_n B_k and the derivative of one number. Lambda, which is linear in D, is differentiated in
-its table. A parameter of the rig changes only the weights, by a polynomial through few points.
+where Lambda_s are the values of Lambda from which masking is computed. The e_s are the same for all coordinates. Only the one
+or two parameters of a family require the derivative of D at every node. A spline modification multiplies D by
+exp(sum_k b_k B_k) / norm, so the derivatives with respect to b_k follow from the sums of a_n D_n B_k and the derivative of the
+norm. Lambda is linear in D and tabulated; the entries of the table are differentiated. A parameter of the rig changes only the
+weights, by a polynomial through few points.
 
-Forward differentiation would store the derivatives of all nodes by all parameters, hundreds of MB.
+Forward differentiation would store the derivatives at all nodes with respect to all coordinates, which takes hundreds of MB.
 """
 
 from __future__ import annotations
@@ -29,13 +31,15 @@ from matcam.material.ndf.free_lobe import SplineNDF, spline_at, spline_sums
 from matcam.numerics.approximation import lagrange_basis
 
 _FEW = 2
-"""Number of coordinates of a lobe up to which a closed-form Lambda is differentiated with respect to each in turn."""
+"""Largest number of coordinates of a lobe for which Lambda is differentiated with respect to one coordinate after the other.
+For more coordinates, reverse differentiation is faster.
+"""
 
 
 def slopes_by_slice(operator: LobeOperator, kind: LobeKind, q: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Compute the record of a lobe, (slices, cells), and its derivatives, (parameters, slices, cells).
+    """Compute the record of a lobe, (slices, cells), and its derivatives, (coordinates, slices, cells).
 
-    q: coordinates of the lobe, then those along the operator's axes.
+    q: coordinates of the lobe, then of the rig, in the order of the axes of the operator.
     """
     lobe = _Lobe.of(kind, q[: kind.size])
     bases = [_basis(points, shift) for points, shift in zip(operator.points, q[kind.size :], strict=True)]
@@ -47,12 +51,12 @@ class _Lobe(NamedTuple):
     """Quantities of a lobe that are common to all slices.
 
     Attributes:
-        kind: meaning of the coordinates of the lobe.
+        kind: parametrisation of the lobe.
         q: coordinates of the lobe, (lobe coordinates,).
-        by_norm: derivative of ln norm of a spline-modified lobe with respect to q; None for other lobes.
-        masked_by: argument of Lambda: its table, or the coordinates.
-        masked_slopes: derivatives of this argument with respect to q, (lobe coordinates, values).
-        tabulated: True if the argument is the table.
+        by_norm: derivatives of ln(norm) of a spline-modified lobe with respect to q, (lobe coordinates,); None for other lobes.
+        masked_by: array from which Lambda is computed: the table of Lambda, or q, (values,).
+        masked_slopes: derivatives of `masked_by` with respect to q, (lobe coordinates, values).
+        tabulated: True if `masked_by` is the table of Lambda.
     """
 
     kind: LobeKind
@@ -64,7 +68,7 @@ class _Lobe(NamedTuple):
 
     @classmethod
     def of(cls, kind: LobeKind, q: jax.Array) -> _Lobe:
-        """Compute the quantities of a lobe that are common to all slices."""
+        """Compute the quantities from the coordinates of a lobe."""
         by_norm = _by_norm(kind, q) if kind.spline_size else None
         table, slopes = table_slopes(kind, q)
         if table is None or slopes is None:
@@ -72,18 +76,18 @@ class _Lobe(NamedTuple):
         return cls(kind, q, by_norm, table, slopes, tabulated=True)
 
     def directions(self, operator: LobeOperator) -> tuple[jax.Array, jax.Array]:
-        """Return the light and the view of an operator as `lambda_of` takes them."""
+        """Return the directions of light and view in the form that `lambda_of` requires."""
         return (operator.position_i, operator.position_o) if self.tabulated else (operator.cos_i, operator.cos_o)
 
     def lambda_of(self, by: jax.Array, direction: jax.Array) -> jax.Array:
-        """Compute Lambda in directions. by: its argument."""
+        """Compute Lambda. by: array of the kind of `masked_by`. direction: light or view from `directions`."""
         return lambda_at(by, direction) if self.tabulated else self.kind.ndf(by).smith_lambda(direction)
 
 
 def table_slopes(kind: LobeKind, q: jax.Array) -> tuple[jax.Array | None, jax.Array | None]:
     """Compute the table of Lambda of a lobe, and its derivatives, (lobe coordinates, values).
 
-    None without masking, or if Lambda requires no table.
+    Both are None for a lobe without masking, or if Lambda has a closed form.
     """
     if kind.masking is not None and kind.spline_size and not kind.shadows:
         return _spline_table(kind, q)
@@ -92,7 +96,7 @@ def table_slopes(kind: LobeKind, q: jax.Array) -> tuple[jax.Array | None, jax.Ar
 
 
 def _spline_table(kind: LobeKind, q: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Compute the table of Lambda of a spline-modified lobe and its derivatives from common sums."""
+    """Compute the table of Lambda of a spline-modified lobe, and its derivatives, (lobe coordinates, values)."""
     ndf = kind.ndf(q)
     slope2, weight = smith_rule(ndf.roughness, jnp.asarray(COTS))
     light, by_own = _lifted(kind, q, slope2, lambda ndf: ndf.slope_density(slope2))
@@ -103,7 +107,7 @@ def _spline_table(kind: LobeKind, q: jax.Array) -> tuple[jax.Array, jax.Array]:
 
 
 def _by_norm(kind: LobeKind, q: jax.Array) -> jax.Array:
-    """Compute the derivatives of ln norm of a spline-modified lobe."""
+    """Compute the derivatives of ln(norm) of a spline-modified lobe, (lobe coordinates,)."""
 
     def log_norm(q: jax.Array) -> jax.Array:
         modified = kind._replace(shadows=0).ndf(q)
@@ -116,9 +120,12 @@ def _by_norm(kind: LobeKind, q: jax.Array) -> jax.Array:
 def _lifted(
     kind: LobeKind, q: jax.Array, slope2: jax.Array, light_of: Callable[[NDF], jax.Array]
 ) -> tuple[jax.Array, list[jax.Array]]:
-    """Compute light in proportion to D, and its derivatives with respect to the family, without those of the norm.
+    """Compute a quantity proportional to D, and its derivatives with respect to the coordinates of the family.
 
-    light_of: the light of a lobe without modification, at the squared slopes.
+    The derivatives do not include that of the norm of a spline modification.
+
+    slope2: squared slopes. light_of: function that computes the quantity of a lobe at these slopes; it is called with the lobe
+        without modification.
     """
     plain, own = kind._replace(spline_size=0, shadows=0), len(kind.family_names)
     pairs = [jax.jvp(lambda own: light_of(plain.ndf(own)), (q[:own],), (unit,)) for unit in np.eye(own)]
@@ -131,7 +138,7 @@ def _lifted(
 
 
 def _slice(operator: LobeOperator, lobe: _Lobe, bases: list[tuple[jax.Array, jax.Array]]) -> jax.Array:
-    """Compute the record of one slice and below it its derivatives, (1 + parameters, cells)."""
+    """Compute the record of one slice, followed by its derivatives, (1 + coordinates, cells)."""
     kind, q = lobe.kind, lobe.q
     weight = operator.weight
     for (basis, _), differences in zip(bases, operator.along, strict=True):
@@ -145,7 +152,7 @@ def _slice(operator: LobeOperator, lobe: _Lobe, bases: list[tuple[jax.Array, jax
         pulled = pull(weight * light)
 
         def along(direction: jax.Array) -> jax.Array:
-            """Compute the derivative of the record through its masking."""
+            """Compute the derivative of the record that the masking causes. direction: derivative of `lobe.masked_by`."""
             total = jnp.zeros(())
             for one, share in zip(directions, pulled, strict=True):
                 _, change = jax.jvp(lambda by, one=one: lobe.lambda_of(by, one), (lobe.masked_by,), (direction,))
@@ -156,7 +163,7 @@ def _slice(operator: LobeOperator, lobe: _Lobe, bases: list[tuple[jax.Array, jax
             by_logs = [share * (1 + own) for share, own in zip(pulled, lambdas, strict=True)]
             light_and_view = [by_entries(*pair).T for pair in zip(directions, by_logs, strict=True)]
             by_lambda = lobe.masked_slopes @ (light_and_view[0] + light_and_view[1])
-        elif kind.size > _FEW:  # each cell with coordinates of its own: one reverse pass for all
+        elif kind.size > _FEW:  # each cell has its own copy of the coordinates, so one reverse pass suffices
 
             def of_cells(own: jax.Array) -> list[jax.Array]:
                 return [jax.vmap(lobe.lambda_of)(own, one) for one in directions]
@@ -185,5 +192,8 @@ def _over_nodes(values: jax.Array) -> jax.Array:
 
 
 def _basis(points: jax.Array, shift: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Evaluate Lagrange's polynomials through points at a shift, and their derivatives."""
+    """Evaluate the Lagrange polynomials of some points, and their derivatives with respect to the position.
+
+    shift: position at which the polynomials are evaluated.
+    """
     return jax.jvp(lambda at: jnp.stack(lagrange_basis(points, at)), (shift,), (jnp.ones_like(shift),))

@@ -1,4 +1,4 @@
-"""Records of the lobes from which a search starts. They depend only on the rig, so they are computed once."""
+"""Records of the lobes from which a search starts. They depend only on the rig and are computed once for each rig."""
 
 from __future__ import annotations
 
@@ -17,18 +17,22 @@ from matcam.inverse.operator.lobe_operator import LobeOperator
 
 @dataclass(frozen=True)
 class StartRecords:
-    """Cache of the records of starts through an operator.
+    """Cache of the records of the lobes from which a search starts.
 
     Attributes:
-        operator: operator of the rig at its specified parameters.
-        workspace: store of the records for further materials and processes.
+        operator: operator of the rig.
+        workspace: store of the records, for other materials and processes.
     """
 
     operator: LobeOperator
     workspace: Workspace
 
     def of(self, kind: LobeKind, starts: np.ndarray) -> np.ndarray:
-        """Return the records at F = 1 of lobes at coordinates, (starts, slices, cells). starts: (starts, coordinates)."""
+        """Compute the records of lobes at F = 1, 1/sr, (starts, slices, cells).
+
+        The parameters of the rig have their specified values. kind: parametrisation of the lobes. starts: coordinates of the
+            lobes, (starts, coordinates).
+        """
         key = f"records of starts\n{self._name}\n{kind}\n{starts.tobytes().hex()}"
 
         def make() -> dict[str, np.ndarray]:
@@ -42,7 +46,7 @@ class StartRecords:
 
     @cached_property
     def _name(self) -> str:
-        """Compute a name of the operator from a hash of its values, which determine the records."""
+        """Compute a hash of the values of the operator, which identifies the operator in the cache."""
         numbers = hashlib.sha256()
         for leaf in jax.tree.leaves(self.operator):
             numbers.update(np.ascontiguousarray(leaf).tobytes())
@@ -50,4 +54,6 @@ class StartRecords:
 
 
 _KEPT = 40
-"""Number of stored files of records, less than a megabyte each. A rig has five: one per family, with and without camera."""
+"""Largest number of stored files of records, each smaller than 1 MB. One rig has five files: families, and fits with and
+without a camera, have separate files.
+"""

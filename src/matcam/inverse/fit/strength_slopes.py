@@ -1,10 +1,10 @@
-"""Slope of F over theta_d for strengths that are free in every slice.
+"""Derivative of ln F with respect to theta_d for strengths that are free in every slice.
 
-The record of a near rig requires the slope of ln F (`lobe_operator.py`), which free strengths do not define.
-Differences of neighbours would amplify their noise. A mixture of Fresnel curves with positive shares (Lawson & Hanson
-1974) approximates metals, dielectrics and Schlick's polynomial, and has only physical slopes. Up to 86 degrees its
-slope is accurate to 0.05 per rad, and to 0.2 for strengths with 1 % noise. In the nearest rigs the resulting error is
-at most 1e-4 and 3e-4 of a record.
+The record of a near rig depends on this derivative (`lobe_operator.py`), which free strengths do not define. Differences
+between neighbouring slices would amplify the noise of the strengths. A mixture of Fresnel curves with positive shares (Lawson &
+Hanson 1974) is fitted to the strengths instead. It approximates metals, dielectrics and Schlick's polynomial, and has only
+physical slopes. Up to 86 degrees the error of the slope is at most 0.05 per rad, and 0.2 per rad for strengths with 1 % noise.
+In the nearest rigs the resulting errors of a record are at most 1e-4 and 3e-4 respectively.
 """
 
 from __future__ import annotations
@@ -17,20 +17,23 @@ from matcam.core.programs import kept_program
 from matcam.inverse.fit.fit_parameters import FRESNEL_LATTICE, reflectance_at
 
 _LEAST_RELATIVE_STD = 0.01
-"""Smallest relative standard deviation of strengths, because no mixture equals the curve of a surface."""
+"""Smallest assumed relative standard deviation of strengths, because a mixture only approximates the F of a surface."""
 
 
 class StrengthSlopes:
-    """Slopes of free strengths. theta_d: difference angles of the slices, rad."""
+    """Estimator of the slopes of free strengths.
+
+    theta_d: difference angles of the slices, rad, (slices,).
+    """
 
     def __init__(self, theta_d: np.ndarray):
         self._curves, self._rises = (np.asarray(a) for a in _lattice(placed(theta_d)))
 
     def log_slopes(self, strength: np.ndarray, std: np.ndarray) -> np.ndarray:
-        """Compute the slope of ln F at the slices, 1/rad, (units, slices); 0 where no strength is positive.
+        """Compute the slope of ln F at the slices, 1/rad, (units, slices).
 
-        strength, std: strength of every unit and slice, and its standard deviation; infinite where nothing was
-        recorded.
+        It is 0 for units without positive strengths. strength: strengths, (units, slices). std: standard deviations of the
+            strengths; infinite for slices without values.
         """
         return np.stack([self._of_unit(*unit) for unit in zip(strength, std, strict=True)])
 
@@ -43,7 +46,7 @@ class StrengthSlopes:
 
 @kept_program
 def _lattice(theta: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Return the curves of the lattices of all models at angles, and their slopes, (curves, angles) each."""
+    """Compute the curves F(theta) of all lattice points, and their derivatives with respect to theta, (curves, angles) each."""
     pairs = []
     for model, points in FRESNEL_LATTICE.items():
 

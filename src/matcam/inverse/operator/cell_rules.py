@@ -1,7 +1,7 @@
-"""Operators of chosen cells as arrays: weights of a lobe at nodes, and their changes along the axes of the rig.
+"""Operators of chosen cells as arrays: weights of a lobe at nodes, and their changes along the axes of rig parameters.
 
-In front of a near camera or under a near lamp each node has its own theta_d. The differences from that of the cell give
-a second set of weights, the moments.
+With a near camera or lamp each node has its own theta_d. The weights times the deviation of theta_d from its value for
+the cell are a second set of weights, the moments.
 """
 
 from __future__ import annotations
@@ -39,13 +39,13 @@ from matcam.rigs import Rig
 
 
 class _Blurs(NamedTuple):
-    """Blurs of a rig, of points of its axes and of changes of its lens, with the effects of lamp and focus in the pixels.
+    """Blurs of a rig, at points of its parameter axes and for changes of its lens, with lamp and defocus in each pixel.
 
     Attributes:
-        blurs: list of blurs, first that of the rig, if it is included.
-        spreads: variances of each blur along x and y, (pixels,), px^2.
-        reaches: half sides of the window of each kernel, (2, pixels), px along the axes of the pixel.
-        discs: source disc of each blur, if it is not part of the spreads.
+        blurs: the blurs; the first is that of the rig, if it is included.
+        spreads: variances that are added to each blur along x and y, (pixels,) each, px^2.
+        reaches: half sides of the window of each kernel along the axes of the pixel, (2, pixels), px.
+        discs: source disc of each blur; None: a point source, or part of the spreads.
         lamps: radius of the source disc of each blur, rad.
         columns: index of each blur among all blurs whose rules are computed.
     """
@@ -59,7 +59,7 @@ class _Blurs(NamedTuple):
 
     @property
     def terms(self) -> tuple[int, ...]:
-        """Return the indices of the blurs' terms."""
+        """Return the indices of the terms of the blurs."""
         return self.blurs[0].terms
 
     def of(self, piece: slice) -> _Blurs:
@@ -72,9 +72,9 @@ class _Blurs(NamedTuple):
 
 
 class _Found(NamedTuple):
-    """Nodes of pixels with weights for each blur, and masking samples, arrays by name.
+    """Nodes of pixels, their weights for each blur, and the arrays of the masking samples by name.
 
-    moments: moments in the shape of the weights for a near rig; empty for a distant rig.
+    moments: for a near rig, moments in the shape of the weights; empty for a distant rig.
     """
 
     theta: np.ndarray
@@ -84,9 +84,10 @@ class _Found(NamedTuple):
 
 
 def rule_arrays(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[str, np.ndarray]:
-    """Compute nodes, weights and masking samples of cells by name; along0, along1 ... are the changes along the axes.
+    """Compute nodes, weights and masking samples of cells by name.
 
-    A near rig has moments in addition: moment, moment_along0, moment_along1 ...
+    along0, along1 ... are the changes of the weights along the axes. A near rig also has the moments and their changes,
+    moment, moment_along0, moment_along1 ...
     """
     directions = cells.x.shape[-1]
     flat = np.flatnonzero(np.repeat(cells.valid.ravel(), directions))
@@ -100,7 +101,7 @@ def rule_arrays(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[st
         lamp_angle = padded(view.lamp_angles(cells.theta_h, cells.theta_d[:, None], cells.phi_d).ravel()[flat])
     own = blur_of(rig, in_discs=True, whole=not view.line)
     moved, changes = [MovedBlur(own), *blurs_along(rig, own, axes)], change_kernels(own, axes)
-    if own.residual is None and own.stds.size == 1:  # a Gaussian and round changes of it share a program
+    if own.residual is None and own.stds.size == 1:  # a Gaussian and round changes of it share a compiled program
         ends = sum(not any(one.stretch) for one in changes)
         moved, changes = moved + changes[:ends], changes[ends:]
     count = len(moved) + len(changes)
@@ -113,7 +114,7 @@ def rule_arrays(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[st
     columns: list[dict[str, np.ndarray]] = []
     widths: list[_Blurs] = []
     groups = [group.terms for group in groups_of(own, rig.sample)]  # type: ignore[arg-type]
-    if view.line and float(own.lamp_radius) and not view.distant:  # grouped by the rule of one term
+    if view.line and float(own.lamp_radius) and not view.distant:  # each term has its own rule along the rows
         groups = [(term,) for terms in groups for term in terms]
     for terms in groups:
         parts = [one._replace(blur=one.blur.only(terms)) for one in moved]
@@ -150,9 +151,9 @@ def _gaussian_blurs(
     pixels: tuple[np.ndarray, np.ndarray, np.ndarray],
     lenses: list[float],
 ) -> _Blurs:
-    """Build Gaussians of one width under a source disc, which is approximated by a Gaussian where blurs are much wider.
+    """Build the Gaussians of a group of terms. A source disc much smaller than the blur is approximated by a Gaussian.
 
-    pixels: x, y and the lamp's angle. lenses: standard deviation of each blur's whole lens, px: its Gaussians may be
+    pixels: x, y and lamp angle. lenses: standard deviation of the whole lens of each blur, px. Single Gaussians may be
     narrower and of either sign, but their sum is not sharper.
     """
     x, y, lamp_angle = pixels
@@ -167,8 +168,8 @@ def _gaussian_blurs(
     if any(disc is not None for disc in discs) or (view.line and any(lamps)):
         blurs, chords = [blur if one else blur.of_point() for blur, one in zip(blurs, rough, strict=True)], 0
     elif view.azimuth and any(float(blur.lamp_radius) > 0 for blur in blurs):
-        chords = 0  # a small source disc and focus add Gaussians along turned axes
-    # one program for all; a common variance of all nodes halves the time
+        chords = 0  # a small source disc and defocus add Gaussians along rotated axes
+    # one compiled program for all blurs; a variance that is common to all nodes halves the computing time
     if np.any(stretch) or any(blur.varies for blur in exact):
         blurs = [dataclasses.replace(blur, varies=True, chords=chords) for blur in blurs]
     spreads = [_variances(view, rig, blur, pixels, more) for blur, more in zip(blurs, stretch, strict=True)]
@@ -178,7 +179,7 @@ def _gaussian_blurs(
         kernel_reach(half_width, np.sqrt(s**2 + np.maximum(*v))) + m + _widest_disc(view, blur, x, y, s)
         for s, v, m, blur in zip(widest, spreads, aside, blurs, strict=True)
     ]
-    if any(rough):  # they get no nodes of their own, which would be less accurate for the others
+    if any(rough):  # approximated discs do not widen the range of the nodes, so that the other blurs stay accurate
         seen = np.max([reach for reach, one in zip(reaches, rough, strict=True) if not one], axis=0)
         reaches = [np.minimum(reach, seen) for reach in reaches]
     return _Blurs(blurs, spreads, reaches, discs, lamps, tuple(range(len(blurs))))
@@ -187,9 +188,10 @@ def _gaussian_blurs(
 def _residual_blurs(
     view: SampleView, rig: Rig, moved: list[MovedBlur], pixels: tuple[np.ndarray, np.ndarray, np.ndarray]
 ) -> _Blurs:
-    """Build the residuals of the lenses beyond their Gaussians. They are small: lamp and focus widen them as Gaussians.
+    """Build the residuals of the lenses beyond their Gaussians.
 
-    Their changes along an axis are neglected. pixels: x, y and the lamp's angle.
+    The residuals are small. Source disc and defocus are approximated by Gaussians, and the changes along an axis are
+    neglected. pixels: x, y and lamp angle.
     """
     variances, reaches, blurs = [], [], [one.blur for one in moved]
     for blur in blurs:
@@ -208,23 +210,23 @@ def _variances(
     pixels: tuple[np.ndarray, np.ndarray, np.ndarray],
     more: tuple[float, float] = (0.0, 0.0),
 ) -> tuple[np.ndarray, ...]:
-    """Compute the variances that lamp, focus and a stretch add along x and y, px^2. more: those of the stretch."""
+    """Compute the variances that lamp, defocus and stretch add along x and y, px^2. more: variances due to the stretch."""
     x, y, lamp_angle = pixels
     spread = blur.spread(rig.sample, view.on_sphere.normals(x, y)[2], lamp_angle, rig.lamp.nearness)  # type: ignore[arg-type]
     return tuple(np.broadcast_to(v, x.shape) + one for v, one in zip(spread[:2], more, strict=True))
 
 
 def _finest(view: SampleView, widths: list[_Blurs]) -> float:
-    """Return the angle at which nodes for terms of several widths become even, rad; infinite for a single width."""
+    """Compute the scale of the nodes for groups of terms, rad, see `ThetaRange.finest`; infinite for a single group."""
     return np.inf if len(widths) == 1 else on_highlight(view.radius, float(np.min(widths[0].reaches[0])))
 
 
 def _in_pieces(
     view: SampleView, pixels: tuple[np.ndarray, ...], widths: list[_Blurs], finest: float, count: int
 ) -> list[_Found]:
-    """Compute the rules of pixels, piece by piece on all cores; a cylinder has two.
+    """Compute the rules of pixels in pieces on all cores: one rule on a sphere, or one for each arm of a cylinder.
 
-    pixels: see `_rules`. count: number of all blurs; the weights of those that are not in `widths` are 0.
+    pixels: see `_rules`. count: number of all blurs; blurs that are not in `widths` have weights of 0.
     """
     pieces = [slice(first, first + PIECE) for first in range(0, pixels[0].size, PIECE)]
 
@@ -250,7 +252,7 @@ def _in_columns(arrays: Sequence[np.ndarray], columns: list[int], count: int) ->
 
 
 def _joined(parts: tuple[_Found, ...]) -> _Found:
-    """Join the rules of all pixels of some pieces."""
+    """Concatenate the rules of pieces of pixels."""
     return _Found(
         np.concatenate([part.theta for part in parts]),
         [np.concatenate(weights) for weights in zip(*(part.weights for part in parts), strict=True)],
@@ -260,9 +262,10 @@ def _joined(parts: tuple[_Found, ...]) -> _Found:
 
 
 def _rules(view: SampleView, pixels: tuple[np.ndarray, ...], widths: list[_Blurs], finest: float) -> list[_Found]:
-    """Compute the rules of pixels, given by x, y, theta_d, the angle of the lamp, and the factor of the record.
+    """Compute the rules of pixels.
 
-    `widths`: blur of one width, or, on a sphere, of several widths with common nodes.
+    pixels: x, y, theta_d, lamp angle, and factor of the record. widths: one group of terms, or on a sphere several groups
+    with common nodes.
     """
     x, y, theta_d, lamp_angle, factor = pixels
     if not view.line:
@@ -279,7 +282,7 @@ def _rules(view: SampleView, pixels: tuple[np.ndarray, ...], widths: list[_Blurs
 
 
 def _widest_disc(view: SampleView, blur: Blur, x: np.ndarray, y: np.ndarray, std: float) -> np.ndarray:
-    """Compute the radius of the largest source disc outside the Gaussian approximation in the window of a pixel, px."""
+    """Compute the radius of the largest circle of confusion in the window of each pixel, px; 0 if defocus is Gaussian."""
     if not blur.chords:
         return np.zeros(x.shape)
 
@@ -293,7 +296,7 @@ def _widest_disc(view: SampleView, blur: Blur, x: np.ndarray, y: np.ndarray, std
 
 
 def _on_the_same_nodes(widths: list[_Blurs]) -> list[list[_Blurs]]:
-    """Divide the terms of a blur, from the narrowest: the core of a lens, its surroundings, and wide tails."""
+    """Divide the groups of terms, narrowest first, into the core of a lens, its surroundings, and wide tails."""
     reach = np.array([np.max(through.reaches[0]) for through in widths])
     ends = np.searchsorted(reach, np.maximum(_SURROUNDINGS, reach[0]), side="right")
     return [widths[a:b] for a, b in zip([0, *ends], [*ends, len(widths)], strict=True) if b > a]
@@ -302,7 +305,7 @@ def _on_the_same_nodes(widths: list[_Blurs]) -> list[list[_Blurs]]:
 def _sphere_rules(
     view: SampleView, windows: Windows, theta_d: np.ndarray, factor: np.ndarray, widths: list[_Blurs], finest: float
 ) -> _Found:
-    """Compute a rule on one set of nodes for terms of several widths. windows: the largest. finest: see `ThetaRange`."""
+    """Compute the rules of groups of terms on common nodes. windows: those of the widest group. finest: see `ThetaRange`."""
     sphere = view.on_sphere
     own = finest if np.min(widths[0].reaches[0]) > _SURROUNDINGS[0] else np.inf
     widest, onto = (one._replace(finest=finest) for one in sphere_range(sphere, windows))
@@ -313,7 +316,7 @@ def _sphere_rules(
         return sphere_rule(sphere, windows._replace(half=reach), kernel, circles, onto, theta_d, factor)
 
     def parts(through: _Blurs, n: int) -> list[SphereRule]:
-        """Compute the rules that add up to that of a blur, one for each angular range."""
+        """Compute one rule for each angular range; their sum is the rule of the blur."""
         seen = sphere_range(sphere, windows._replace(half=through.reaches[n]))[0]
         ranges = [seen._replace(finest=own)] if through.blurs[n].residual is None else seen.parts()
         return [rule(through, n, one, through.reaches[n]) for one in ranges]
@@ -321,7 +324,7 @@ def _sphere_rules(
     first = parts(widths[0], 0)
 
     def each(through: _Blurs) -> list[tuple[np.ndarray, ...]]:
-        """Return weights, and in a near rig moments, of all blurs of a width; blurs of one residual share theirs."""
+        """Compute weights, and in a near rig moments, of all blurs. Blurs with the same residual share them."""
         main, common = _summed(first if through is widths[0] else parts(through, 0)), through.blurs[0].residual
         same = [common is not None and blur.residual is common for blur in through.blurs[1:]]
         return [main, *(main if one else _summed(parts(through, n)) for n, one in enumerate(same, start=1))]
@@ -336,12 +339,12 @@ def _sphere_rules(
     weights, *moments = zip(*found, strict=True)
     lens = [through for through in widths if through.columns[0] == 0]
     if len(lens) == len(first) == 1 and own == finest and np.array_equal(lens[0].reaches[0], windows.half):
-        shown = first[0]  # the circles are those of the whole range
+        shown = first[0]  # its circles cover the whole range
     else:
         by = lens[0] if len(lens) == 1 else _standing_for(lens)
         shown = rule(by, 0, widest, lens[-1].reaches[0])
     theta = onto.nodes()[0]
-    # without the symmetry of an aligned, distant rig no polynomial fits G close to the limb
+    # only the symmetry of an aligned, distant rig allows polynomials to represent G close to the limb
     at = SAMPLED if view.distant and not view.azimuth else np.arange(NODES[0].size)
     sampled = dict(zip(_MASKED, masking_samples(shown.circles, theta, at), strict=True))
     return _Found(theta, list(weights), sampled, *(tuple(one) for one in moments))
@@ -354,10 +357,10 @@ def _summed(rules: list[SphereRule]) -> tuple[np.ndarray, ...]:
 
 
 def _standing_for(widths: list[_Blurs]) -> _Blurs:
-    """Build the Gaussian that replaces a blur as the weight of the azimuths of masking.
+    """Build the Gaussian that replaces a blur in the average over azimuths for masking.
 
-    The blur itself has negative shares, so means over it may lie outside the range. The widths agree where the transfer
-    function of the terms is one half.
+    The blur itself has negative weights, so averages could lie outside the range of their values. The transfer functions of
+    blur and Gaussian agree where they are one half.
     """
     own = [through.blurs[0] for through in widths]
     weights, stds = (np.concatenate([np.asarray(getattr(blur, name)) for blur in own]) for name in ("weights", "stds"))
@@ -383,9 +386,9 @@ def _line_rules(radius: float, pixels: ImagePositions, through: _Blurs) -> list[
 
 
 def _cylinder_rules(view: SampleView, pixels: LinePixels, through: _Blurs, theta_d: np.ndarray | None) -> list[_Found]:
-    """Compute the rules of the two arms of a cylinder where a single line and lamp direction are insufficient.
+    """Compute the rules of the two arms of a cylinder where a single row and lamp direction are insufficient.
 
-    theta_d: origin of the moments, rad; None: no moments.
+    theta_d: theta_d of the cells, rad, at which the moments are 0; None: no moments.
     """
     blurs, spreads, reaches, _, lamps, _ = through
     widest = np.max([along for along, _ in reaches], axis=0)
@@ -425,7 +428,7 @@ def _found(rules: list[CylinderRule]) -> _Found:
 
 
 def _pixel_nodes(blurs: list[Blur], n: int) -> int:
-    """Choose the number of nodes over a turned pixel for the n-th blur: more where a lens resolves the pixel's borders."""
+    """Choose the number of nodes over a rotated pixel for the n-th blur. A lens that resolves the pixel requires more."""
     if not blurs[n].varies or not blurs[n].stds.size:
         return 1
     sharpest = min(float(np.min(np.asarray(blur.stds))) for blur in blurs)
@@ -434,14 +437,14 @@ def _pixel_nodes(blurs: list[Blur], n: int) -> int:
 
 
 MOMENT_ALONG = "moment_along"
-"""Prefix of the changes of the moments along each axis, followed by the number of the axis."""
+"""Prefix of the names of the changes of the moments along each axis. The index of the axis follows."""
 _MASKED = "sample_theta", "sample_cos_psi", "sample_theta_d", "sample_share"
 """Names of the results of `masking_samples`."""
 _SURROUNDINGS = np.array([9.0, 45.0])
-"""Support radii of the terms of a lens that form its core and its surroundings, px."""
+"""Largest support radii of the terms that form the core of a lens and its surroundings, px."""
 _RESOLVED = 10
-"""Support radius of a blur over the smallest standard deviation that the azimuths of a rule resolve."""
+"""Ratio of the support radius of a blur to the smallest standard deviation that the azimuths of a rule resolve."""
 _INSIDE = 1 - 1e-9
-"""Share of the radius of a sample within which it is visible."""
+"""Largest distance from the centre of the sample, in radii, at which defocus is computed, just inside the limb."""
 _PIXEL_NODES = ((1.7, 5), (5.0, 10), (np.inf, 20))
-"""(half width of the pixel over the standard deviation of the lens, nodes); few counts, as each requires a program."""
+"""Pairs (largest ratio of pixel half width to lens standard deviation, nodes). Each number of nodes requires a program."""

@@ -1,9 +1,9 @@
-"""Cells of a table that a material is fitted to: a small set, no two of which come from one pixel.
+"""Choice of the cells of a table to which a material is fitted. No two cells come from one pixel.
 
 Near the peak about 75 cells of a MERL table come from one pixel and share its noise; elsewhere a cell is a pixel. A fit
 requires data with independent errors, so one cell is chosen per pixel. The likelihood of the chosen cells is then exact
-in each slice. Two kinds of cells are left out: neighbours in one pixel, which are redundant, and most of the pixels on
-the smooth flanks, which would improve values that are known to a fraction of a per cent.
+in each slice. Two kinds of cells are omitted. Neighbours in one pixel are redundant. Most pixels on the smooth flanks of a
+lobe would only improve values that are known to a fraction of a per cent without them.
 """
 
 from __future__ import annotations
@@ -27,24 +27,24 @@ from matcam.rigs import Rig
 
 NEAR_RINGS = 12
 NEAR_COSINE, FAR_COSINE = 0.06, 0.17
-"""Smallest cosine of light and view that is used, in the rings about the highlight and beyond them: at smaller cosines
-a cell depends on the last pixels of the sphere.
+"""Smallest cosines of incidence and viewing angle of chosen cells, in the `NEAR_RINGS` rings about the highlight and beyond
+them. Cells with smaller cosines depend on the pixels at the limb.
 """
 
 _CELLS = 112
-"""Largest number of cells of a slice, which gives all slices one shape."""
+"""Largest number of cells of a slice. The arrays of all slices are padded to this length."""
 _RINGS = np.concatenate([np.arange(12), np.arange(12, 26, 2), np.arange(26, 90, 5)])
 _MOST_IN_RING = 4
 
 
 class RealPixels(NamedTuple):
-    """Real pixels behind cells, not centred on the cells. Shapes: s slices, n cells, w pixels of a cell.
+    """Real pixels from which cells are read. They are not centred on the cells. Shapes: s slices, n cells, w pixels of a cell.
 
     Attributes:
         theta: (s, n, w), angle of each pixel's centre from the half vector, rad.
         psi: (s, n, w), azimuth of the centre about the half vector, rad.
         weight: (s, n, w), share of each pixel in its cell.
-        noise_share: (s, n), variance of a cell over that of a pixel.
+        noise_share: (s, n), ratio of the variance of a cell to that of a pixel.
     """
 
     theta: np.ndarray
@@ -54,7 +54,7 @@ class RealPixels(NamedTuple):
 
 
 class ChosenCells(NamedTuple):
-    """Cells of some theta_d slices and the two pixels behind each. Shapes: s slices, n cells; the last axis is the direction.
+    """Cells of some slices and the two pixels that show each. Shapes: s slices, n cells; the last axis is the direction.
 
     Attributes:
         slices: (s,), indices of theta_d.
@@ -64,13 +64,13 @@ class ChosenCells(NamedTuple):
         theta_h: (s, n), rad.
         phi_d: (s, n), rad.
         valid: (s, n), False where a slice has fewer cells.
-        x: (s, n, 2), the pixels' centres, px from the optical axis, the lamp towards +x.
-        y: (s, n, 2), centres of the pixels across this direction, px.
+        x: (s, n, 2), distance of the pixel centres from the optical axis, towards the lamp, px.
+        y: (s, n, 2), distance of the pixel centres from the optical axis, perpendicular to x, px.
         cos_i: (s, n, 2), cosine of the angle of incidence at each position.
         cos_o: (s, n, 2), cosine of the viewing angle.
         one_pixel: (s, n), True if both directions lie in the same pixel.
-        real: real pixels in which cells are looked up; x, y and the cosines are then those of the pixels, and their
-            last axis is over all pixels of a cell. None: each direction is a pixel at the position of the cell.
+        real: real pixels from which cells are read. x, y and the cosines are then those of the real pixels, and their last
+            axis is over all pixels of a cell. None: for each direction there is a pixel at the position of the cell.
     """
 
     slices: np.ndarray
@@ -88,7 +88,7 @@ class ChosenCells(NamedTuple):
     real: RealPixels | None = None
 
     def in_slices(self, part: slice) -> ChosenCells:
-        """Return the cells of some of the slices."""
+        """Select the cells of a range of slices."""
         own = {name: a[part] for name, a in zip(self._fields, self, strict=True) if isinstance(a, np.ndarray)}
         return self._replace(**own, real=self.real and RealPixels(*(a[part] for a in self.real)))
 
@@ -99,16 +99,19 @@ class ChosenCells(NamedTuple):
 
     @property
     def noise_share(self) -> np.ndarray:
-        """Return the variance of each cell over that of a pixel, (s, n): half, unless both directions share a pixel."""
+        """Return the ratio of the variances of each cell and a pixel.
+
+        It has shape (s, n). Without real pixels it is one half, or 1 if both directions share a pixel.
+        """
         return np.where(self.one_pixel, 1.0, 0.5) if self.real is None else self.real.noise_share
 
 
 def chosen_cells(
     view: SampleView, sampling: Sampling, slice_step: int = 1, pixels: PixelGrid | None = None
 ) -> ChosenCells:
-    """Choose cells in every `slice_step`-th slice of a table recorded from a sphere.
+    """Choose cells in every `slice_step`-th slice of a table.
 
-    pixels: the real grid in which cells are looked up; None: each cell has its own pixels.
+    pixels: grid of real pixels from which cells are read; None: each cell has its own pixels.
     """
     grid = merl_grid(sampling)
     slices = np.arange(slice_step // 2, GRID_SHAPE[1], slice_step)
@@ -125,13 +128,16 @@ def chosen_cells(
         x, y, weight, noise_share = (np.stack(parts) for parts in zip(*(c.behind for c in columns), strict=True))
         at = pixel_angles(view.radius, theta_d[:, None, None], x, y)
         real = RealPixels(at.theta_h, at.psi, weight, noise_share)
-        # padding of a slice and of a cell
+        # padding of slices and of cells
         cos_i, cos_o = (np.where(valid[..., None] & (weight > 0), c, 1.0) for c in (at.cos_i, at.cos_o))
     return ChosenCells(slices, theta_d, i, k, theta_h, phi_d, valid, x, y, cos_i, cos_o, one_pixel, real)
 
 
 def peak_cells(view: SampleView, theta_d: np.ndarray) -> ChosenCells:
-    """Choose one cell per slice, at its highlight. theta_d: theta_d of the slices, rad, (s,)."""
+    """Choose the cell at the highlight of each slice.
+
+    theta_d: theta_d of the slices, rad, (s,).
+    """
     none = np.zeros((theta_d.size, 1), dtype=int)
     positions = positions_in(view, 0.0 * none, theta_d[:, None], 0.0 * none)
     there = np.ones(none.shape, dtype=bool)
@@ -139,11 +145,11 @@ def peak_cells(view: SampleView, theta_d: np.ndarray) -> ChosenCells:
 
 
 def noise_shares(rig: Rig, sampling: Sampling) -> np.ndarray:
-    """Compute the variance of every cell of a table over that of a pixel, (90, 90, 180).
+    """Compute the ratio of the variances of each cell and a pixel.
 
-    It is half where the cell's two positions, on either side of the highlight of their image, lie in two pixels for
-    certain. Cells that are means of pixels have one over their count, and interpolated cells the sum of the squared
-    weights.
+    It has shape (90, 90, 180). It is one half if the two positions of a cell, on opposite sides of the highlight, certainly
+    lie in two pixels, and otherwise 1. For a mean of n pixels it is at most 1 / n. For interpolation between pixels it is
+    multiplied by the sum of the squared weights.
     """
     grid, view = merl_grid(sampling), sample_view(rig)
     directions = [
@@ -165,7 +171,10 @@ def noise_shares(rig: Rig, sampling: Sampling) -> np.ndarray:
 
 
 def positions_in(view: SampleView, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> CellPositions:
-    """Compute the two positions that show each cell, each in the image of its lamp (docs/model.md 10)."""
+    """Compute the two image positions that show each cell.
+
+    In a near rig they belong to different lamp positions, and thus to different images (docs/model.md 10).
+    """
     far = cell_positions(view.radius, theta_h, theta_d, phi_d)
     if view.distant:
         return far
@@ -185,7 +194,7 @@ class _SliceCells(NamedTuple):
         i: indices of theta_h.
         k: indices of phi_d.
         valid: False for padding.
-        behind: real pixels behind each cell; None: no real pixels.
+        behind: real pixels from which each cell is read; None: no real pixels.
     """
 
     i: np.ndarray
@@ -195,7 +204,7 @@ class _SliceCells(NamedTuple):
 
 
 def _slice_cells(view: SampleView, sampling: Sampling, slice_: int, pixels: PixelGrid | None) -> _SliceCells:
-    """Choose the cells of one slice, rings from the highlight outwards.
+    """Choose the cells of one slice, ring by ring from the highlight outwards.
 
     A cell is rejected if one of its pixels belongs to another cell.
     """
@@ -206,7 +215,7 @@ def _slice_cells(view: SampleView, sampling: Sampling, slice_: int, pixels: Pixe
     x, y, cos_i, cos_o = positions_in(view, theta_h[i], np.full(k.size, td), phi_d[k])
     seen = np.minimum(cos_i, cos_o).min(axis=-1) > np.where(i < NEAR_RINGS, NEAR_COSINE, FAR_COSINE)
     shift, behind = np.zeros(2), None
-    if pixels is not None:  # the pixels themselves must be recorded, too
+    if pixels is not None:  # the real pixels must also be lit and visible
         shift = pixels.of_slices(np.array([slice_]))[0]
         behind = pixels_behind(pixels, radius, td, slice_, i, k)
         at = pixel_angles(radius, td, behind.x, behind.y)
@@ -219,7 +228,7 @@ def _slice_cells(view: SampleView, sampling: Sampling, slice_: int, pixels: Pixe
     first = 0
     for ring, azimuths in zip(_RINGS, rings, strict=True):
         wanted = 5 if ring < NEAR_RINGS else _MOST_IN_RING if ring < 26 else 3
-        # in an order that spreads over the ring even if not all cells fit
+        # in an order in which any first few cells are spread over the ring
         for n in first + np.argsort((np.arange(azimuths.size) * 0.618) % 1):
             own = set(numbers[n])
             if wanted and seen[n] and not own & occupied and len(chosen) < _CELLS:
@@ -235,8 +244,11 @@ def _slice_cells(view: SampleView, sampling: Sampling, slice_: int, pixels: Pixe
 
 
 def _ring_azimuths(ring: int, radius: float, theta_d: float, count: int) -> np.ndarray:
-    """Return the indices of phi_d, of `count`, that are considered in a ring of `radius` px."""
-    # half its circumference in px, foreshortened in one direction
+    """Choose the indices of phi_d that are considered in a ring.
+
+    radius: radius of the ring in the image, px. count: number of phi_d of a table.
+    """
+    # half the circumference of the ring, px, foreshortened in one direction
     length = np.pi * radius * np.sqrt((1 + np.cos(theta_d) ** 2) / 2)
     positions = int(np.clip(np.ceil(2 * length), 1, 24)) if ring < NEAR_RINGS else _MOST_IN_RING
     share = (np.arange(positions) + (0.5 if ring % 2 else 0.2)) / positions

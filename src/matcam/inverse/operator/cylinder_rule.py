@@ -1,12 +1,12 @@
-"""Record of an isotropic lobe in one pixel of a cylinder under a source disc, or in a near rig.
+"""Quadrature rule for an isotropic lobe in one pixel of a cylinder, under a source disc or in a near rig.
 
-A single line and lamp direction (`line_rule.py`) are insufficient in that case: the closest angle to the half vector
-differs between points of a disc, and between rows in a near rig. Both are samples of one kind: a line, under a lamp,
-with a smallest angle to its half vector. Polynomials in asinh(theta_h / scale) transfer the weights of all samples, and
-the moments of theta_d, to few nodes in theta_h, as in `theta_nodes.py`.
+A single row and lamp direction (`line_rule.py`) are insufficient in these cases: the smallest angle between normals and
+half vector differs between points of a disc, and between rows in a near rig. The rule is a sum over samples. A sample is a
+row of the image under one lamp direction, and has one smallest angle. Polynomials in asinh(theta_h / scale) transfer the
+weights of all samples, and the moments of theta_d, to a few nodes in theta_h, as in `theta_nodes.py`.
 
-A disc is cut into chords along which the half vector turns across the cylinder alone. Over a chord the kernel is
-integrated in closed form. Samples are denser where a line may meet the half vector.
+A disc is divided into chords. Along a chord the half vector rotates about the axis of the cylinder only, and the kernel is
+integrated in closed form. Samples are denser where the smallest angle may be 0.
 """
 
 from __future__ import annotations
@@ -29,22 +29,26 @@ _ACROSS = np.polynomial.legendre.leggauss(10)
 _HALVES = np.array([0.5])
 _BLOCK = 8
 _LEAST = 1e-12
-"""Length of an arm outside the window, rad: its weights are 0."""
+"""Smallest length of an arm, rad. An arm outside the window has this length, and weights of 0."""
 _FINEST = 25.0
 _MEETS, _SLACK = 0.02, 0.02
-"""Share of the largest angle from the half vector below which the smallest is treated as 0; share added to their range."""
+"""Share of the largest angle from the half vector below which the smallest angle is treated as 0, and share by which the
+range between them is widened, because it is computed from single points.
+"""
 _SHORT = 1e-3
-"""Length of the image of a chord, in standard deviations of the blur, below which it is a point."""
+"""Length of the image of a chord, in standard deviations of the blur, below which the image is treated as a point. The
+closed form would lose digits.
+"""
 
 
 class LinePixels(NamedTuple):
-    """Pixels on a cylinder at height 0, arrays of one shape, each with its own lamp.
+    """Pixels at height 0 on a cylinder, each with its own lamp. All arrays have one shape.
 
     Attributes:
-        x: distance from the axis, px.
+        x: distance from the axis of the cylinder, px.
         lamp_angle: angle between lamp and optical axis, rad.
-        azimuth: azimuth of the lamp about it, rad.
-        factor: factor of the record.
+        azimuth: azimuth of the lamp about the optical axis, rad.
+        factor: factor by which the record is multiplied, no unit.
     """
 
     x: np.ndarray
@@ -54,13 +58,13 @@ class LinePixels(NamedTuple):
 
 
 class CylinderRule(NamedTuple):
-    """Rule of each pixel; arrays of shape (pixels, nodes).
+    """Quadrature rule in theta_h for one arm in each pixel. The arrays have shape (pixels, nodes).
 
     Attributes:
         theta: angle between normal and half vector, rad.
         weight: weight of each node.
-        circles: sums over nodes at about one turn from the position of the smallest angle.
-        moment: weights of the difference of theta_d from the cell's, rad; None: not requested.
+        circles: sums over the nodes of all samples at about the same angle from the normal closest to the half vector.
+        moment: `weight` times the deviation of theta_d from its value for the cell (`rise_of`), rad; None: not requested.
     """
 
     theta: jax.Array
@@ -70,12 +74,12 @@ class CylinderRule(NamedTuple):
 
 
 class _Samples(NamedTuple):
-    """Lines with their own lamps, arrays (pixels, samples).
+    """Rows of the image, each under one lamp direction. The arrays have shape (pixels, samples).
 
     Attributes:
-        light: lamps of the lines.
-        row: row of each line, px.
-        share: shares of the record.
+        light: lamp of each sample.
+        row: position of each row along the axis of the cylinder, px.
+        share: weight of each sample in the record.
         shift: differences of the closest normals at the two ends of a chord from that at its middle, rad, two arrays.
     """
 
@@ -86,7 +90,10 @@ class _Samples(NamedTuple):
 
 
 def lamp_of(pixels: LinePixels, nearness: float) -> PlacedLamps:
-    """Build the lamps of pixels, (pixels, 1). nearness: inverse of their distance, 1/radii; 0: distant."""
+    """Build the lamps of pixels, (pixels, 1).
+
+    nearness: inverse distance of the lamps, 1/radii; 0: distant.
+    """
     lamp = tuple(jnp.asarray(a)[:, None] for a in towards(pixels.lamp_angle, pixels.azimuth))
     near = jnp.full((pixels.x.size, 1), nearness) if nearness else None
     return PlacedLamps(lamp, near)  # type: ignore[arg-type]
@@ -95,9 +102,11 @@ def lamp_of(pixels: LinePixels, nearness: float) -> PlacedLamps:
 def line_window(
     cylinder: Cylinder, nearness: float, pixels: LinePixels, reach: np.ndarray, disc: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Compute the smallest and the largest angle from the half vector in the window of pixels, rad; small ones are set to 0.
+    """Compute the range of theta_h in the window of each pixel, rad.
 
-    reach: support radius of the kernel, (pixels,), px. disc: angular radius of the lamp, rad.
+    The result is the smallest and the largest angle, (pixels,) each. A smallest angle that is small compared with the
+    largest is set to 0. nearness: inverse distance of the lamps, 1/radii; 0: distant. reach: support radius of the
+    kernel, (pixels,), px. disc: angular radius of the source disc, rad.
     """
     turns = np.linspace(-1, 1, 9)
     light, bound = lamp_of(pixels, nearness), jnp.asarray(reach)[:, None]
@@ -105,7 +114,7 @@ def line_window(
     ends = ends_of_light(cylinder, light)
     own = jnp.asarray(pixels.x)[:, None]
     first, last = (jnp.clip(cylinder.across(own + s * bound, jnp.zeros(())), *ends) for s in (-1, 1))
-    # chords turn the closest normal across the cylinder, too
+    # along a chord the closest normal also moves across the cylinder
     first, last = (jnp.clip(at + side * disc, *ends) for at, side in ((first, -1), (last, 1)))
     misses, aside, angles = [], [], []
     for part in turns if disc else np.zeros(1):
@@ -138,21 +147,21 @@ def cylinder_rule(
     discs: bool,
     theta_d: jax.Array | np.ndarray | None = None,
 ) -> CylinderRule:
-    """Compute the rule of one arm for some terms of a blur.
+    """Compute the quadrature rule of one arm for terms of a blur.
 
     Args:
         cylinder: the cylinder.
-        blur: under a lamp without a disc.
-        variance: px^2, (pixels,), that the blur's spread adds.
+        blur: blur for a point source.
+        variance: variance that is added to the blur, (pixels,), px^2.
         terms: terms of the blur.
-        pixels: a multiple of the block, see `padded`.
+        pixels: the pixels. Their number is a multiple of `_BLOCK`, see `padded`.
         nearness: inverse of the lamp's distance, 1/radii; None: distant.
-        reach: half width of the window of a pixel, (pixels,), px.
+        reach: half width of the window of each pixel, (pixels,), px.
         disc: angular radius of the source disc, rad.
-        onto: smallest and largest theta_h between which the nodes lie, (pixels,), rad.
+        onto: smallest and largest theta_h of the nodes, (pixels,) each, rad.
         arm: one of `line_rule.ARMS`.
-        discs: True if the lamp has a disc.
-        theta_d: theta_d of the cells, (pixels,), rad, origin of the moments; None: no moments.
+        discs: True if the lamp is a disc, False for a point source.
+        theta_d: theta_d of the cells, (pixels,), rad, at which the moments are 0; None: no moments.
     """
 
     def block(arguments):  # type: ignore[no-untyped-def]
@@ -203,7 +212,7 @@ def cylinder_rule(
         weight = onto_nodes(position, share)
         moment = None if cell is None else onto_nodes(position, share * rise_of(at.theta_d, cell[:, None, None]))
         nodes = scale * jnp.sinh(first + (last - first) * (NODES[0] + 1) / 2)
-        # nodes of all samples at about one turn form a circle
+        # nodes of all samples at about the same angle from the closest normal form a circle
         cos_psi = (at.cos_i - at.cos_o) / jnp.maximum(2 * jnp.sin(at.theta_h) * jnp.sin(at.theta_d), 1e-300)
         cos_psi = jnp.clip(cos_psi, -1, 1)
         sums = [
@@ -228,7 +237,11 @@ def _samples(
     finest: jax.Array,
     disc: jax.Array | None,
 ) -> _Samples:
-    """Build lines with their own lamps. finest: angle from the half vector on which they become dense, rad, (pixels, 1)."""
+    """Build the samples of each pixel.
+
+    finest: angle from the half vector below which samples have a constant density, rad, (pixels, 1). disc: angular radius
+    of the source disc, rad; None: a point source.
+    """
     ends = ends_of_light(cylinder, light)
     half, zero = blur.pixel.half_width, jnp.zeros_like(reach)
     row, share = zero, jnp.ones_like(reach)
@@ -246,7 +259,7 @@ def _samples(
     middle, slope = _meeting(
         *(_miss(cylinder, _moved(light, disc, m * one, 0 * one)[0], row, ends) for m in (-1.0, 0.0, 1.0))
     )
-    # in angles whose sines are positions, so that the share of a chord is even in them
+    # the variable is the angle whose sine is the position of a chord, so that the share of a chord is smooth in it
     quarter = jnp.full_like(middle, jnp.pi / 2)
     flat = [a.reshape(-1, 1) for a in (jnp.arcsin(middle), quarter, finest / slope)]
     at, step = _crowded(flat[0], (-flat[1], flat[1]), flat[2])
@@ -265,21 +278,30 @@ def _beside(nearness, row):  # type: ignore[no-untyped-def]
 
 
 def _miss(cylinder: Cylinder, light: PlacedLamps, row: jax.Array, ends: tuple[jax.Array, jax.Array]) -> jax.Array:
-    """Compute the angle between a row and its half vector, positive where the latter is higher, rad."""
+    """Compute the smallest angle between the half vector and the normals in a row, rad.
+
+    It is positive where the half vector points upwards.
+    """
     u, miss = ridge_of(cylinder, light, row, *ends)
     element, lamp, _ = seen_at(cylinder, light, u, row)
     return jnp.where(lamp[1] + element.view[1] < 0, -miss, miss)
 
 
 def _meeting(first: jax.Array, middle: jax.Array, last: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Find the position in [-1, 1] at which an angle is closest to 0, and its slope, from its values at -1, 0 and 1."""
+    """Estimate the position in [-1, 1] at which an angle is closest to 0, and the magnitude of the slope of the angle.
+
+    first, middle, last: angles at -1, 0 and 1, rad.
+    """
     slope = (last - first) / 2
     safe = jnp.where(jnp.abs(slope) > _LEAST, slope, _LEAST)
     return jnp.clip(-middle / safe, -1, 1), jnp.abs(safe)
 
 
 def _crowded(middle: jax.Array, borders: tuple[jax.Array, ...], scale: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Return nodes between the first and the last border that are denser towards a position on a scale, and their weights."""
+    """Compute nodes between the first and the last border, and their weights. Nodes are denser towards `middle`.
+
+    scale: distance from `middle` below which the density of the nodes is constant.
+    """
     cuts = jnp.concatenate([jnp.arcsinh((at - middle) / scale) for at in (*borders, middle)], axis=1)
     cuts = jnp.sort(cuts, axis=1)
     low, high = cuts[:, :-1, None], cuts[:, 1:, None]
@@ -289,19 +311,19 @@ def _crowded(middle: jax.Array, borders: tuple[jax.Array, ...], scale: jax.Array
 
 
 def _moved(light: PlacedLamps, disc: ArrayLike, position: jax.Array, along: jax.Array) -> tuple[PlacedLamps, jax.Array]:
-    """Move the lamp to a point of its disc; return it with the light of the point over that of the middle.
+    """Move the lamp to a point of its disc, and compute the irradiance relative to that from the middle of the disc.
 
-    position: position in radii of the disc, in the direction in which the half vector turns along the cylinder. along: in
-    the other.
+    position, along: coordinates of the point in radii of the disc, in the directions in which the half vector rotates
+    towards the axis of the cylinder (`position`) and about this axis (`along`). disc: angular radius, rad.
     """
     x, y, z = light.towards
     across = jnp.maximum(jnp.hypot(x, z), 1e-12)
     first, second = (z / across, 0 * x, -x / across), (-x * y / across, across, -y * z / across)
     square = position**2 + along**2
-    if light.nearness is None:  # uniform over the solid angle of the disc
+    if light.nearness is None:  # the radiance is uniform over the solid angle of the disc
         sunk = square * 2 * jnp.sin(disc / 2) ** 2
         up, aside, length = 1 - sunk, np.sqrt(2) * jnp.sin(disc / 2) * jnp.sqrt(2 - sunk), jnp.ones_like(square)
-    else:  # a flat disc that faces the centre
+    else:  # a flat disc that faces the centre of the cylinder
         up, aside = jnp.ones_like(square), jnp.tan(disc) * jnp.ones_like(square)
         length = jnp.sqrt(1 + square * aside**2)
     lamp = [
@@ -323,9 +345,10 @@ def _angles(element, lamp) -> Directions:  # type: ignore[no-untyped-def]
 
 
 def _kernel(cylinder, blur: Blur, terms, variance, at, shift, rows: bool):  # type: ignore[no-untyped-def]
-    """Evaluate the kernel at nodes, 1/px or 1/px^2.
+    """Evaluate the kernel at nodes, 1/px, or 1/px^2 if `rows` is True.
 
-    shift: shift of the ends of a chord, over which the kernel is averaged; None: a point.
+    at: column of the pixel, px; angle, rad, and row, px, of the nodes. shift: shifts of the normal at the two ends of a
+    chord, over which the kernel is averaged, rad; None: a point source.
     """
     x, u, row = at
     spread = Spread(variance, variance, jnp.abs(blur.defocus(cylinder.radius, jnp.cos(u))))

@@ -1,15 +1,15 @@
-"""Source disc in the rule of a pixel: chords of the disc, over which the kernel of the pixel is integrated in closed form.
+"""Source disc in the quadrature rule of a pixel: the kernel is integrated in closed form over chords of the disc.
 
-The half vector of a point of the lamp differs from that of the lamp's centre by a rotation. The same rotation is applied
-to the normals, and the kernel is evaluated at their new positions (docs/model.md 3). This is exact for distant cameras
-and lamps; for near ones it is exact at the highlight.
+A rotation maps the half vector for the centre of the lamp to that for another point of the lamp. The same rotation is
+applied to the normals, and the kernel is evaluated at their new positions (docs/model.md 3). This is exact for distant
+cameras and lamps. For near cameras and lamps it is exact at the highlight.
 
-The images of the chords (`numerics/disc_chords.py`) lie along the second axis of the pixel. The point of a chord whose
-image is at the height of the pixel determines the distance of the image from the pixel along the first axis, and the
-length of the image per length of the chord.
+The images of the chords (`numerics/disc_chords.py`) lie along the second axis of the pixel. On each chord, the point whose
+image has the second coordinate of the pixel determines two quantities: the distance of the image from the pixel along the
+first axis, and the ratio of the lengths of the image and the chord.
 
-An image that is much smaller than the blur is nearly an ellipse. A sum of few Gaussians represents it
-(`numerics/disc_gaussians.py`) at a twentieth of the computing time.
+An image of the disc that is much smaller than the blur is nearly an ellipse. It is approximated by a sum of a few
+Gaussians (`numerics/disc_gaussians.py`), which takes a twentieth of the computing time.
 """
 
 from __future__ import annotations
@@ -29,13 +29,15 @@ from matcam.numerics.disc_gaussians import DISC_GAUSSIANS, LARGEST
 from matcam.sample.shape import highlight_between
 
 _GAUSSIAN = 0.45
-"""Ratio of the radius of the lamp's image to the standard deviation of the blur up to which the image is replaced by a
-Gaussian of the same variance, whose error is at most 1e-3.
+"""Largest ratio of the radius of the lamp's image to the standard deviation of the blur at which the image is replaced by a
+Gaussian of the same variance. The error is at most 1e-3.
 """
 DISC_RULE = (*CHORD_RULE, _GAUSSIAN, PIXELS_SHARE, LARGEST, len(DISC_GAUSSIANS))
-"""Parameters that set the number of chords. A stored rule is valid only for the same parameters."""
+"""Parameters that determine the number of chords. A stored rule is valid only for the same parameters."""
 _SMALLEST = 1e-5
-"""Smallest angular radius of a disc, rad. A point source is computed with this radius, so that its chords have a length."""
+"""Smallest angular radius of a disc, rad. A point source is computed with this radius, so that its chords are not of
+length 0.
+"""
 _SLACK = 1.1
 """Safety factor on the size of an image, which may be larger at the end of the kernel than at its middle."""
 _ALIGNED = 1e-9
@@ -49,8 +51,8 @@ _ROUND = np.pi * np.arange(16) / 8
 def _chords() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Tabulate the chords of a disc for each of `COUNTS`.
 
-    The tables are the distances from the centre, the half lengths and the shares of the light. They are padded with chords
-    whose share is 0.
+    The tables contain the distances from the centre, the half lengths, and the shares of the light of the disc. They are
+    padded with chords whose share is 0.
     """
     at, half, share = np.zeros((3, len(COUNTS), COUNTS[-1]))
     half += 1.0
@@ -63,15 +65,16 @@ _AT, _HALF, _SHARE = _chords()
 
 
 class LampDisc(NamedTuple):
-    """Disc of a lamp and the chords that each pixel needs.
+    """Source disc and its chords for each pixel.
 
     Attributes:
         radius: angular radius of the disc, rad, (pixels,).
         lamp_angle: angle between the lamp's centre and the optical axis, rad, (pixels,).
-        chord: direction of the chords along the plane of camera and lamp, and across it, (pixels, 2).
+        chord: components of the direction of the chords along the plane of camera and lamp and across it, (pixels, 2).
         rule: index into `COUNTS`, (pixels,).
         turn: cosine and sine of the angle between the plane of camera and lamp and the first axis of the pixel, (pixels, 2).
-        image: shift of the highlight per shift of the lamp along and across its plane, px/rad, (pixels, 2).
+        image: shift of the highlight per shift of the lamp along the plane of camera and lamp and across it, px/rad,
+            (pixels, 2).
         relative: ratio of half the larger width of the image to the standard deviation of the blur, (pixels,).
     """
 
@@ -87,22 +90,24 @@ class LampDisc(NamedTuple):
 def lamp_discs(
     view: SampleView, blurs: list[Blur], stds: list[float], lamp_angle: np.ndarray, x: np.ndarray, y: np.ndarray
 ) -> tuple[list[LampDisc | None], np.ndarray]:
-    """Compute the discs of some blurs, and the largest shifts of the image by each.
+    """Compute the source disc and the largest image shifts of each blur.
 
     Args:
         view: geometry of sphere, camera and lamp.
         blurs: the blurs.
-        stds: standard deviations of Gaussians that are as sharp as the blurs, px.
+        stds: standard deviation of a Gaussian that is as sharp as each blur, px.
         lamp_angle: lamp angle of the pixels, rad, (pixels,).
         x: distance of the pixels from the optical axis, towards the lamp, px, (pixels,).
-        y: the same across, px, (pixels,).
+        y: distance of the pixels from the optical axis, perpendicular to x, px, (pixels,).
 
     Returns:
-        Disc of each blur: None for a point source, and for all blurs if Gaussians of the same variances suffice. Shifts
-        along the axes of the pixels, px, (blurs, 2, pixels).
+        Disc of each blur: None for a point source, and for all blurs if Gaussians of the same variances suffice. Largest
+        shifts of highlight and pixel along the axes of the pixels, px, (blurs, 2, pixels).
     """
     half = float(blurs[0].pixel.half_width)
-    turn = view.azimuth - np.pi / 2 * np.round(view.azimuth / (np.pi / 2))  # a square has four axes
+    turn = view.azimuth - np.pi / 2 * np.round(
+        view.azimuth / (np.pi / 2)
+    )  # a square pixel is invariant under a quarter turn
     cosine, sine = np.cos(turn), np.sin(turn)
     moved = [_moved(view.on_sphere, view.azimuth, blur, lamp_angle, x, y) for blur in blurs]
     if all(
@@ -128,16 +133,17 @@ def lamp_discs(
 def lamp_kernel(
     view: SphereView, blur: Blur, terms: tuple[int, ...], disc: LampDisc, normal: tuple, at: tuple, variances: tuple
 ) -> jax.Array:
-    """Integrate the kernel over the disc of a lamp at nodes, 1/px^2, (groups, nodes).
+    """Integrate the kernel over the source disc at nodes, 1/px^2.
 
-    The integral is differentiable with respect to the radius of the disc.
+    The integral has shape (groups, nodes), with a group of nodes for each arc in a pixel. It is differentiable with
+    respect to the radius of the disc.
 
     Args:
         view: the sphere and the distances of camera and lamp.
         blur: the blur for a point source.
         terms: terms of the blur.
-        disc: disc of the pixel of each group.
-        normal: normals for the centre of the lamp, (groups, nodes) each.
+        disc: source disc for the pixel of each group.
+        normal: components of the normals for the centre of the lamp, (groups, nodes) each.
         at: position of the pixel along the plane of camera and lamp and across it, (groups, 1) each, px.
         variances: variances that are added to the blur along x and y, px^2, (groups, 1) each.
     """
@@ -170,13 +176,13 @@ def _by_gaussians(view, blur: Blur, terms, disc: LampDisc, normal, at, variances
 
 
 def _by_chords(view, blur: Blur, terms, disc: LampDisc, normal, at, variances):  # type: ignore[no-untyped-def]
-    """Integrate the kernel over a disc by its chords, along each in closed form."""
+    """Integrate the kernel over a disc as a sum over chords, in closed form along each chord."""
     cosine, sine = (a[:, None] for a in disc.turn.T)
     own_x, own_y = _rotated(at[0], at[1], cosine, sine)
     radius, lamp = jnp.maximum(disc.radius, _SMALLEST), disc.lamp_angle
     peak, own_light = _highlights(view, 0.0, 0.0, radius, lamp)
     from_ = [a[:, None] for a in peak]
-    # start, middle and end, and two points in between
+    # start, middle and end of a chord, and two points in between
     on_chord = np.array([-1.0, 0.0, 1.0, -0.5, 0.5])[:, None]
 
     def of_chord(total, chord):  # type: ignore[no-untyped-def]
@@ -187,15 +193,15 @@ def _by_chords(view, blur: Blur, terms, disc: LampDisc, normal, at, variances): 
         )
         to, light = _highlights(view, u, v, radius, lamp)
         run = _rotated(*_position(view, to), *disc.turn.T)[1]
-        # y of the image is a cubic of the position on the chord; `less` is the share of the third order in half the
-        # difference between the ends
+        # the y coordinate of the image is a cubic polynomial of the position on the chord; `less` is the third-order
+        # term as a share of half the difference between the ends
         less = ((4 - 8 * (run[4] - run[3]) / (run[2] - run[0])) / 3)[:, None]
         light = [(share * part / own_light)[:, None] for part in light[:3]]
         there = _turned(from_, [a[:3, :, None] for a in to], normal)
         x, y = _rotated(*_position(view, there), cosine, sine)
         x, (y_0, y_1, y_2) = x - own_x, y - own_y
         half, curvature = (y_2 - y_0) / 2, (y_2 + y_0) / 2 - y_1
-        # position on the chord, in [-1, 1], that meets the pixel
+        # position on the chord, in [-1, 1], whose image has the y coordinate of the pixel
         on = -y_1 / half
         on = jnp.clip(on - curvature * on**2 / half - less * (on**3 - on), -1, 1)
         seen = sum(
@@ -218,11 +224,11 @@ def _by_chords(view, blur: Blur, terms, disc: LampDisc, normal, at, variances): 
 def _moved(
     view: SphereView, azimuth: float, blur: Blur, lamp_angle: np.ndarray, x: np.ndarray, y: np.ndarray
 ) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
-    """Compute the shift of the highlight by points of the rim of the disc, px.
+    """Compute the shifts, px, between the centre of the disc and points on its rim.
 
     Returns:
-        Shifts along x and y, (rim, pixels) each; largest shifts of highlight and pixel along the axes of the pixels,
-        (2, pixels).
+        Shifts of the highlight along x and y, (points, pixels) each; largest shifts of highlight and pixel along the axes
+        of the pixels, (2, pixels).
     """
     farthest = np.zeros((2, *x.shape))
     if float(blur.lamp_radius) == 0:
@@ -246,7 +252,7 @@ def _moved(
 
 
 def _image(view: SphereView, lamp_angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Compute the shift of the highlight per shift of the lamp along and across, px/rad."""
+    """Compute the shift of the highlight per shift of the lamp, px/rad, along the plane of camera and lamp and across it."""
     step = 1e-4  # rad; the error of the differences is of second order
     ends = [_highlights(view, u, v, step, lamp_angle)[0] for u, v in ((1.0, 0.0), (-1.0, 0.0), (0.0, 1.0))]
     (x, _), (other, _), (_, y) = (_position(view, end) for end in ends)
@@ -254,16 +260,16 @@ def _image(view: SphereView, lamp_angle: np.ndarray) -> tuple[np.ndarray, np.nda
 
 
 def _highlights(view: SphereView, u: Any, v: Any, radius: Any, lamp_angle: Any) -> tuple[tuple, Any]:
-    """Compute the normals at the highlights of points of the disc, and the light of the points.
+    """Compute the normals at the highlights of points of the disc, and a factor proportional to the record of each point.
 
-    The light is proportional to the record of a point. NumPy computes NumPy arrays of lamp angles, because JAX would
-    compile each operation separately.
+    For NumPy arrays of lamp angles the computation uses NumPy, because JAX would compile each operation separately.
 
-    u, v: positions of the points along the plane of camera and lamp, and across it, in radii of the disc.
+    u, v: positions of the points along the plane of camera and lamp and across it, in radii of the disc. radius: angular
+        radius of the disc, rad. lamp_angle: lamp angle of the centre of the disc, rad.
     """
     xp: Any = np if isinstance(lamp_angle, np.ndarray) else jnp
     square = u**2 + v**2
-    # the light of a distant disc is uniform over its solid angle; a near disc is flat and faces the centre
+    # the radiance of a distant disc is uniform over its solid angle; a near disc is flat and faces the centre of the sphere
     sunk, distant = square * 2 * xp.sin(radius / 2) ** 2, view.lamp == 0
     up = xp.where(distant, 1 - sunk, 1.0)
     aside = xp.where(distant, np.sqrt(2) * xp.sin(radius / 2) * xp.sqrt(2 - sunk), xp.tan(radius))
@@ -296,7 +302,7 @@ def _turned(one: Any, other: Any, normal: Any) -> tuple:
 
 
 def _rotated(x: Any, y: Any, cosine: Any, sine: Any) -> tuple[Any, Any]:
-    """Rotate positions from the axes of the plane to those of the pixel."""
+    """Rotate positions from the axes of the plane of camera and lamp to those of the pixel."""
     return x * cosine - y * sine, x * sine + y * cosine
 
 
@@ -308,5 +314,5 @@ def _position(view: SphereView, normal: Any) -> tuple[Any, Any]:
 
 
 def _parabola(first: Any, middle: Any, last: Any, on: Any) -> Any:
-    """Evaluate the parabola through values at -1, 0 and 1."""
+    """Evaluate the parabola through values at -1, 0 and 1 at `on`."""
     return middle + on * ((last - first) / 2 + on * ((last + first) / 2 - middle))

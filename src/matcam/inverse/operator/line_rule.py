@@ -1,10 +1,10 @@
-"""Record of an isotropic lobe in one pixel of a cylinder, which shows the normals of one line (docs/model.md 3).
+"""Quadrature rule for an isotropic lobe in one pixel of a cylinder, whose normals lie in one plane (docs/model.md 3).
 
 Each cell has its own lamp azimuth, at which the normal of the cell is perpendicular to the axis of the cylinder
-(`forward/cylinder_cells.py`). Along the line the angle between normal and half vector decreases to a minimum and increases
-again. The two arms on either side of the minimum have their own nodes, at which the masking is exact. The nodes are
-equally spaced in asinh(turn / scale), where the turn is the angle from the minimum. A lobe is smooth in this variable for
-any distance of the line from the half vector.
+(`forward/cylinder_cells.py`). Across the cylinder the angle between normal and half vector decreases to a minimum and
+increases again. The two arms on either side of the minimum have separate nodes, at which masking is evaluated exactly.
+They are Gauss-Legendre nodes in asinh(turn / scale), where the turn is the angle from the minimum. A lobe is smooth in
+this variable for any angle between the half vector and the plane of the normals.
 """
 
 from __future__ import annotations
@@ -21,23 +21,25 @@ from matcam.inverse.operator.theta_nodes import NODES, onto_nodes, stretched
 _PANEL = np.polynomial.legendre.leggauss(24)
 """Gauss-Legendre nodes and weights of the panel between two neighbouring cuts of an arm."""
 _HALVES = np.array([0.5])
-"""Positions of additional cuts between the two ends of an arm, as shares of the distance of the ends."""
+"""Positions of additional cuts between the two ends of an arm, as shares of the distance between the ends."""
 _BLOCK = 128
 """Number of pixels that are computed at a time. It divides `PIECE`, and limits the memory of the arrays."""
 _LEAST = 1e-12
 """Smallest length of an arm, rad. An arm outside the window has this length, and weights of 0."""
 ARMS = (1.0, -1.0)
-"""Sides of the normal closest to the half vector: away from the axis, and towards it."""
+"""Signs of the two arms. From the normal closest to the half vector, the column increases on the first and decreases on the
+second.
+"""
 
 
 class ImagePositions(NamedTuple):
-    """Positions in the images of a sphere, at the same distance from the axis as on the cylinder; arrays of one shape.
+    """Image positions on a sphere, as far from the optical axis as pixels from the axis of a cylinder. Arrays of one shape.
 
     Attributes:
         x: distance from the optical axis towards the lamp, px.
-        y: distance from the optical axis across, px.
+        y: distance from the optical axis perpendicular to x, px.
         theta_d: difference angle, rad.
-        factor: factor of the record.
+        factor: factor by which the record is multiplied, no unit.
     """
 
     x: np.ndarray
@@ -47,7 +49,7 @@ class ImagePositions(NamedTuple):
 
 
 class LineRule(NamedTuple):
-    """Rule of one arm of each pixel; arrays of shape (pixels, nodes).
+    """Quadrature rule for one arm in each pixel. The arrays have shape (pixels, nodes).
 
     Attributes:
         theta: angle between normal and half vector, rad.
@@ -71,18 +73,19 @@ def line_rule(
     onto: jax.Array,
     arm: float,
 ) -> LineRule:
-    """Compute the rule of one arm for some terms of a blur.
+    """Compute the quadrature rule of one arm for terms of a blur.
 
-    The rule is differentiable with respect to the parameters.
+    The rule is differentiable with respect to its numerical arguments.
 
     Args:
         radius: radius of the cylinder in the image, px.
         blur: the blur.
         variance: variance that is added to the blur, px^2, (pixels,).
         terms: terms of the blur.
-        pixels: positions on a sphere with the lamp towards +x. Their number is a multiple of the block, see `padded`.
-        reach: half width of the window of a pixel, px, (pixels,).
-        onto: half width of the range of all nodes, px, (pixels,).
+        pixels: positions on a sphere with the lamp towards +x. Their number is a multiple of `_BLOCK`, see
+            `padded`.
+        reach: half width of the window of each pixel, px, (pixels,).
+        onto: half width of the range that the nodes cover, px, (pixels,).
         arm: one of `ARMS`.
     """
 
@@ -98,7 +101,10 @@ def line_rule(
         lit = jnp.maximum(-jnp.pi / 2, middle - jnp.pi / 2), jnp.minimum(jnp.pi / 2, middle + jnp.pi / 2)
 
         def turns(at: jax.Array) -> jax.Array:
-            """Compute the angle along the arm, from the minimum, of the normals at columns, rad."""
+            """Compute the angle from the minimum to normals along the arm, rad.
+
+            at: columns of the normals, px.
+            """
             u = jnp.clip(jnp.arcsin(jnp.clip(at / radius, -1, 1)), *lit)
             return jnp.maximum(arm * (u - closest), 0.0)
 
@@ -113,7 +119,7 @@ def line_rule(
         at = closest + arm * scale * jnp.sinh(t)
         offset = column - radius * jnp.sin(at)
         spread = Spread(variance, variance, jnp.abs(blur.defocus(radius, jnp.cos(at))))
-        # the light is uniform along the axis, so the kernel depends on the column of each chord only
+        # the radiance is uniform along the axis, so the kernel depends on the column of each chord only
         kernel = sum(blur.weights[j] * blur.through_disc(j, spread, lambda along, _: along(offset)) for j in terms)
         position = 2 * (t - first) / (last - first) - 1
         weight = onto_nodes(position, factor * radius / 4 * kernel * step)

@@ -1,16 +1,17 @@
-"""Record of D G in chosen cells: one compiled function of lobe and camera for all materials.
+"""Record of D G in chosen cells, as a compiled function of lobe and camera that is valid for all materials.
 
-`record` is the integral of docs/model.md 3 without F. The value of a table is F(theta_d) times this record, because a
-slice of a distant sphere under a distant lamp has one theta_d. The rule of each pixel depends on the rig only; it is
-computed once (`sphere_rule`) and stored.
+`record` is the integral of docs/model.md 3 without F. The value of a table is F(theta_d) times this record, because all
+nodes of a slice have the same theta_d if camera and lamp are distant. The quadrature rule of each pixel (`sphere_rule`)
+depends on the rig only. It is computed once and stored.
 
-With a near camera or lamp, theta_d differs between the nodes. The value of the table is then F A + F' B, where A is the
-record at F = 1, and B is the record of D G times the difference between theta_d of the node and of the cell (`rise_of`).
+With a near camera or lamp, theta_d differs between the nodes. The value of the table is then F A + F' B, where F' is
+the derivative of F with respect to theta_d. A is the record at F = 1, and B is the record of D G times the deviation of
+theta_d from its value for the cell (`rise_of`).
 The operator `moment` of B is the operator of A with other weights. The second-order term is below 3e-5 of the value for
 lamps at three radii.
 
 Uncertain parameters of the rig change the weights of the rule. Along the axis of each parameter (`rig_axes`) a polynomial
-interpolates between few values. The interaction of two parameters is a product of two small errors and is neglected.
+interpolates between a few values. The interaction of two parameters is a product of two small errors and is neglected.
 """
 
 from __future__ import annotations
@@ -48,7 +49,7 @@ from matcam.sample.curved import Cylinder, Sphere
 
 
 class LobeOperator(eqx.Module):
-    """Rule of all chosen cells. Masking is evaluated at fewer samples than the lobe.
+    """Quadrature rule of all chosen cells. Masking is evaluated at fewer samples than the lobe.
 
     Attributes:
         slope2: squared tangent of the angle between normal and half vector, (cells of all slices, directions, nodes).
@@ -56,14 +57,14 @@ class LobeOperator(eqx.Module):
         along: for each axis, differences of the weights at the points of the axis, (points, cells, directions, nodes).
         cos_i: cosine of the angle of incidence, (cells, directions, groups of nodes, samples, 2).
         cos_o: cosine of the viewing angle, in the shape of `cos_i`.
-        position_i: index of the angle of incidence in the table of a Lambda (`lambda_table`), in the shape of `cos_i`.
-        position_o: index of the viewing angle in that table, in the shape of `cos_i`.
+        position_i: fractional index of the angle of incidence in a table of Lambda (`lambda_table`), in the shape of `cos_i`.
+        position_o: fractional index of the viewing angle in this table, in the shape of `cos_i`.
         azimuth: azimuth between the directions of incidence and view, rad, in the shape of `cos_i`.
         through_samples: matrix that interpolates from the samples to the nodes of a group, (nodes of a group, samples).
-        points: points of each axis, (points,). They are arrays, so that one compiled program serves rigs of any values.
-        shape: number of slices, and of cells in each.
+        points: points of each axis, (points,). They are arrays, so that one compiled program serves all rigs.
+        shape: number of slices, and number of cells in each slice.
         share: shares of the two azimuths at which masking is evaluated, in the shape of `cos_i`; None: one half each.
-        moment: operator with these weights times the difference of theta_d from that of the cell, rad; None: no moment.
+        moment: operator whose weights are multiplied by the deviation of theta_d from that of the cell, rad; None: no moment.
     """
 
     slope2: jax.Array
@@ -82,7 +83,7 @@ class LobeOperator(eqx.Module):
 
     @property
     def orders(self) -> tuple[LobeOperator, ...]:
-        """Return the operator, and the operator of its moment if it has one."""
+        """Return the operator and, if it has one, that of the moment."""
         return (self,) if self.moment is None else (self, self.moment)
 
     def in_slices(self, part: slice) -> LobeOperator:
@@ -103,7 +104,10 @@ class LobeOperator(eqx.Module):
         return dataclasses.replace(self, along=along, points=points, moment=moment)
 
     def leaning(self, lean: np.ndarray) -> LobeOperator:
-        """Apply an F that is 1 at theta_d of the cells. lean: slope of ln F, 1/rad, (slices,)."""
+        """Include the variation of F within a slice in the weights.
+
+        F is 1 at theta_d of the cells. lean: derivative of ln F with respect to theta_d, 1/rad, (slices,).
+        """
         if self.moment is None:
             return self
         rise = jnp.repeat(jnp.asarray(lean), self.shape[1])[:, None, None]
@@ -116,9 +120,10 @@ class LobeOperator(eqx.Module):
         )
 
     def record(self, ndf: NDF, masking: Masking, shifts: jax.Array) -> jax.Array:
-        """Compute the record of D G over cos_i at F = 1, 1/sr, (slices, cells).
+        """Compute the record of D G divided by cos_i, 1/sr.
 
-        It is the mean of both directions. shifts: coordinates along the axes, (axes,).
+        F is 1. The result has shape (slices, cells) and is the mean of both directions. shifts: coordinates along the
+        axes, (axes,).
         """
         table = None if masking is None else quick_table(ndf)
         if table is None:
@@ -130,13 +135,17 @@ class LobeOperator(eqx.Module):
         return self.slice_by_slice(one)
 
     def directions(self, ndf: NDF, masking: Masking, shifts: jax.Array) -> jax.Array:
-        """Compute the record of each direction, (slices, cells, directions); `record` is their mean."""
+        """Compute the record of each direction, 1/sr, (slices, cells, directions).
+
+        `record` is their mean.
+        """
         return 2 * jnp.sum(self.weighted(ndf, masking, shifts), axis=-1).reshape(*self.shape, -1)
 
     def weighted(self, ndf: NDF, masking: Masking, shifts: jax.Array, table: jax.Array | None = None) -> jax.Array:
-        """Evaluate D G at the nodes, times their weights, (cells, directions, nodes).
+        """Evaluate D G at the nodes, multiplied by the weights.
 
-        table: table of Lambda. Default: None, it is computed if Lambda has no closed form.
+        The result has shape (cells, directions, nodes). shifts: coordinates along the axes, (axes,). table:
+        table of Lambda. Default: None, it is computed if Lambda has no closed form.
         """
         weight = self.weight
         for points, differences, shift in zip(self.points, self.along, shifts, strict=True):
@@ -147,29 +156,33 @@ class LobeOperator(eqx.Module):
         return weight * light
 
     def lambdas(self, ndf: NDF, table: jax.Array | None) -> tuple[jax.Array, jax.Array]:
-        """Evaluate Lambda at the angles of incidence and view. table: table of Lambda; None: Lambda has a closed form."""
+        """Evaluate Lambda at the angles of incidence and view.
+
+        table: table of Lambda; None: Lambda has a closed form.
+        """
         if table is None:
             return ndf.smith_lambda(self.cos_i), ndf.smith_lambda(self.cos_o)
         return lambda_at(table, self.position_i), lambda_at(table, self.position_o)
 
     def light(self, ndf: NDF) -> jax.Array:
-        """Evaluate D at the nodes, 1/sr: P22 / cos^4."""
+        """Evaluate D = P22 / cos^4 theta_h at the nodes, 1/sr."""
         return ndf.slope_density(self.slope2) * (1 + self.slope2) ** 2
 
     def joint_masking(self, masking: Masking, lambda_i: jax.Array, lambda_o: jax.Array) -> jax.Array:
-        """Evaluate G at the nodes from the values of Lambda at the samples."""
+        """Evaluate G at the nodes from Lambda at the samples."""
         both = g2(masking, lambda_i, lambda_o, self.azimuth)
         if self.share is None:
             mean = jnp.mean(both, axis=-1)
-        else:  # jnp.sum over the pair takes XLA five times as long
+        else:  # jnp.sum over the pair takes five times as long in XLA
             mean = both[..., 0] * self.share[..., 0] + both[..., 1] * self.share[..., 1]
         joint = mean @ self.through_samples.T
         return joint.reshape(self.slope2.shape)
 
     def slice_by_slice(self, function: Callable[[LobeOperator], jax.Array]) -> jax.Array:
-        """Apply a function to the operator of each slice, one after the other; shape (slices, ...).
+        """Apply a function to the operator of each slice in turn.
 
-        The arrays of all slices would require hundreds of MB. Those of one slice fit into the cache of the processor.
+        The result has shape (slices, ...). The arrays of all slices would require hundreds of MB. Those of
+        one slice fit into the cache of the processor.
         """
 
         def one(position: jax.Array) -> jax.Array:
@@ -265,10 +278,10 @@ def lobe_operator(
     workspace: Workspace | None = None,
     whole: WholeRule | None = None,
 ) -> tuple[ChosenCells, LobeOperator]:
-    """Build the chosen cells of every `slice_step`-th slice and their rule.
+    """Choose cells in every `slice_step`-th slice, and build their operator.
 
-    rig: the rig; None: a camera without blur. workspace: store of the rule for further calls with the same rig. whole: rule
-    of more slices or axes from which this one is selected. Default: None, it is computed separately.
+    rig: the rig; None: a camera without blur. workspace: store of the operator for further calls with the same rig. whole:
+    slices and axes of a larger rule from which the operator is selected. Default: None, its rule is computed separately.
     """
     if rig is None:
         return perfect_operator(sampling, slice_step, FAR_AWAY, workspace)
@@ -298,7 +311,10 @@ def lobe_operator(
 
 
 def rig_key(rig: Rig) -> tuple:
-    """Check a rig, and list all properties that its pixels depend on, in full precision."""
+    """Check a rig, and list the properties that determine its pixels.
+
+    All values are in full precision.
+    """
     check_rig(rig)
     camera = eqx.tree_at(lambda c: (c.uncertainty, c.sensor), rig.camera, (None, None), is_leaf=lambda x: x is None)
     parameters = {name: float(value) for name, value in camera.parameters().items()}
@@ -308,7 +324,7 @@ def rig_key(rig: Rig) -> tuple:
 
 
 def check_rig(rig: Rig) -> None:
-    """Raise ArgumentError for a rig to whose tables no lobe can be fitted."""
+    """Raise ArgumentError if a fit does not support the rig."""
     if not isinstance(rig, Rig):
         raise ArgumentError(f"rig must be a Rig such as rigs.merl(), or None, got {type(rig).__name__}")
     if not isinstance(rig.sample, Sphere | Cylinder):
@@ -328,9 +344,9 @@ def check_rig(rig: Rig) -> None:
 def operator_in(
     rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...], description: str, workspace: Workspace
 ) -> LobeOperator:
-    """Build the operator of any cells.
+    """Build the operator of given cells.
 
-    description: text of all quantities that the rule depends on; the workspace stores the rule on disk under this key.
+    description: string with all quantities on which the rule depends. It is the key of the rule in the files of the workspace.
     """
     if float(rig.lamp_radius) > 0 or any(axis.name == LAMP for axis in axes):
         description = f"{description}, discs by {DISC_RULE}"
@@ -359,9 +375,9 @@ def perfect_operator(
     workspace: Workspace | None = None,
     pixels: PixelGrid | None = None,
 ) -> tuple[ChosenCells, LobeOperator]:
-    """Build the rule of a camera without blur, in the cells that are chosen for a sphere.
+    """Choose cells, and build their operator for a camera without blur.
 
-    pixels: real grid from whose pixels the cells are read; None: each cell has its own pixels.
+    pixels: grid of real pixels from which the cells are read; None: each cell has its own pixels.
     """
 
     def make() -> tuple[ChosenCells, LobeOperator]:
@@ -373,7 +389,10 @@ def perfect_operator(
 
 
 def point_operator(cells: ChosenCells) -> LobeOperator:
-    """Build the rule of a camera without blur, with one node at each cell or pixel."""
+    """Build the operator of given cells for a camera without blur.
+
+    Each direction of a cell, or each real pixel of the cell, has one node.
+    """
     valid, count = cells.valid[..., None], cells.x.shape[-1]
     weight = np.where(valid, cells.weight / (4 * np.where(valid, cells.cos_i * cells.cos_o, 1.0)), 0.0)
     if cells.real is None:

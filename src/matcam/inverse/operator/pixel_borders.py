@@ -1,7 +1,7 @@
-"""Borders between values of neighbouring cells near the highlight, in a table and from a grid of pixels.
+"""Borders between the values of neighbouring cells near the highlight: those of a table, and those of a grid of pixels.
 
-Cells near the highlight lie a twentieth of a pixel apart. Cells that were read from one pixel have one value, to the
-last digit, so borders between values are borders of pixels (`pixel_phase`).
+Neighbouring cells near the highlight are a twentieth of a pixel apart. Cells that were read from one pixel have exactly the
+same value, so borders between values are borders of pixels (`pixel_phase`).
 """
 
 from __future__ import annotations
@@ -16,10 +16,12 @@ from matcam.forward.pixel_grid import pixel_angles, turned
 from matcam.inverse.operator.pixels_behind import cell_positions
 
 RINGS = 16
-"""Rings about the highlight whose cells are compared: up to 1.1 degrees, 5 px on the MERL rig's sphere."""
+"""Number of rings about the highlight whose cells are compared. They extend to 2.8 degrees, 13 px on the sphere of the MERL
+rig.
+"""
 SLICES = np.arange(3, 84, 6)
 UNKNOWN_STD = 0.3
-"""Standard deviation of an unknown phase, px: it may lie anywhere in a pixel."""
+"""Standard deviation of an unknown phase, px. It is that of a uniform distribution over a pixel, 1 / sqrt(12)."""
 _LEAST_OUTWARDS = 0.1
 _EQUAL = 1e-9
 _SIGNATURES = np.random.default_rng(0).random((64, 64))
@@ -30,9 +32,9 @@ class Repeats(NamedTuple):
     """Pairs of neighbouring cells near the highlight with equal values. Shapes: s slices, r rings, k azimuths.
 
     Attributes:
-        outwards: (s, r - 1, k), 1 where a cell repeats the value of its outer neighbour, 0 where not, -1 where a value
-            is missing.
-        around: (s, r, k - 1), the same along phi_d.
+        outwards: (s, r - 1, k), 1 where a cell and its outer neighbour have equal values, 0 where they differ, -1 where a
+            value is missing.
+        around: (s, r, k - 1), the same for neighbours along phi_d.
     """
 
     outwards: np.ndarray
@@ -40,7 +42,10 @@ class Repeats(NamedTuple):
 
     @property
     def share(self) -> float:
-        """Return the share of neighbours with equal values; 0 if only rings repeat, as for smooth lobes."""
+        """Return the share of neighbouring cells with equal values.
+
+        It is 0 if values repeat along the rings only, as they do for smooth lobes.
+        """
         known = np.concatenate([self.outwards.ravel(), self.around.ravel()])
         outwards = self.outwards[self.outwards >= 0]
         if not outwards.size or outwards.mean() < _LEAST_OUTWARDS:
@@ -49,7 +54,7 @@ class Repeats(NamedTuple):
 
 
 def repeats(table: xr.DataArray, slices: np.ndarray = SLICES) -> Repeats:
-    """Find the neighbouring cells near the highlight of a table with equal values."""
+    """Find neighbouring cells near the highlight that have equal values."""
     values = table.values[:RINGS][:, slices].transpose(1, 0, 2, 3)
 
     def same(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -62,7 +67,7 @@ def repeats(table: xr.DataArray, slices: np.ndarray = SLICES) -> Repeats:
 
 
 class Borders:
-    """Borders between values of some slices that the borders of a grid of pixels do not explain.
+    """Comparison of the borders between values of some slices with the borders of a grid of pixels.
 
     azimuth: azimuth of the lamp relative to the rows of the grid, rad.
     """
@@ -73,7 +78,10 @@ class Borders:
         self.count = int((shown.outwards == 0).sum() + (shown.around == 0).sum())
 
     def wrong(self, x: float, y: float) -> int:
-        """Count the unexplained borders for a grid of this phase, px."""
+        """Count the pairs of cells for which a grid contradicts the table.
+
+        x, y: phase of the grid, px.
+        """
         values = self._values(x, y)
         total = 0
         for axis, one in ((1, self.shown.outwards), (2, self.shown.around)):
@@ -81,12 +89,16 @@ class Borders:
         return total
 
     def _values(self, x: float, y: float) -> np.ndarray:
-        """Read cells from pixels of random values, (slices, rings, azimuths)."""
+        """Simulate cells that are read from pixels with random values, (slices, rings, azimuths)."""
         column, row = (np.rint(a - b).astype(int) for a, b in zip(self.positions, (x, y), strict=True))
         return _signature(column, row).mean(axis=-1)
 
     def width(self, best: tuple[float, float], fewest: int, step: float) -> float:
-        """Return the change of the phase that misses clearly more borders."""
+        """Estimate the standard deviation of the phase, px.
+
+        It is the smallest tested change of the phase that results in clearly more contradictions. best: phase with the
+        fewest contradictions, px. fewest: their number. step: smallest change, px.
+        """
         limit = fewest + 3 + np.sqrt(fewest)
         for size in step * 2.0 ** np.arange(10):
             turns = [(size, 0.0), (-size, 0.0), (0.0, size), (0.0, -size)]
@@ -96,7 +108,7 @@ class Borders:
 
 
 class MeanBorders(Borders):
-    """The same for cells that are means of the pixels inside."""
+    """Comparison of borders, as in `Borders`, for cells that are means of the pixels inside."""
 
     def __init__(self, radius: float, sampling: Sampling, slices: np.ndarray, shown: Repeats, azimuth: float = 0.0):
         super().__init__(radius, sampling, slices, shown, azimuth)
@@ -132,8 +144,9 @@ def _signature(column: np.ndarray, row: np.ndarray) -> np.ndarray:
 def shown_positions(
     radius: float, sampling: Sampling, slices: np.ndarray, rings: np.ndarray, every: int, azimuth: float = 0.0
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Compute the positions of cells, (slices, rings, azimuths, 2), along the axes of the pixels.
+    """Compute the image positions of cells along the pixel axes.
 
+    x and y, px, have shape (slices, rings, azimuths, 2), with two positions of each cell. every: step in azimuths.
     azimuth: azimuth of the lamp relative to the rows of pixels, rad.
     """
     grid = merl_grid(sampling)

@@ -1,14 +1,15 @@
-"""Positions of the pixels behind a table, estimated from the table alone (docs/correct.md, *Cells on real pixels*).
+"""Phase of the pixel grid from which a table was read, estimated from the table (docs/correct.md, *Cells on real pixels*).
 
-Cells that were read from the nearest pixel have exactly its value, so a border between values is a border of a pixel.
-Near the highlight, neighbouring cells are a twentieth of a pixel apart. The borders in few slices therefore determine the
+Cells that were read from the nearest pixel have exactly the value of this pixel, so a border between
+values is a border of a pixel.
+Near the highlight, neighbouring cells are a twentieth of a pixel apart. The borders in a few slices therefore determine the
 phase of the grid to a few thousandths of a pixel, for any material and noise.
 
 Cells that are means of the pixels inside are mostly too small to contain a pixel, and then have the value of the nearest
-one. A cell that contains one pixel has the value of this pixel, although it may not be the nearest. Its borders therefore
-differ from those of cells that were read from the nearest pixel.
+pixel. A cell that contains one pixel has the value of this pixel, although this pixel may not be the nearest. The borders
+of such cells therefore differ from those of cells that were read from the nearest pixel.
 
-Cells that were interpolated are linear functions of the values of few pixels. With the correct phase, a few dozen values
+Cells that were interpolated are linear functions of the values of a few pixels. With the correct phase, a few dozen values
 explain hundreds of cells exactly.
 """
 
@@ -54,7 +55,7 @@ _MOST_REPEATS = 0.95
 _MOST_WRONG = 0.1
 """Largest share of the borders between values that a grid may leave unexplained."""
 _STRIDE = 1 << 16
-"""Number of pixels per row in the number of a pixel. It exceeds the width of any image."""
+"""Difference between the numbers of neighbouring pixels in a row. It exceeds the height of any image."""
 _FEW_RINGS, _FEW_AZIMUTHS = 7, 6
 """Number of rings, and step in azimuths, of the cells that determine the phase of an interpolated table."""
 _SIGN_RINGS, _SIGN_AZIMUTHS = 11, 4
@@ -62,9 +63,9 @@ _SIGN_RINGS, _SIGN_AZIMUTHS = 11, 4
 _FLAT = 1e-10
 """Relative variance of cells below which they are a constant, which any grid interpolates."""
 _CORNERS = np.array([[0.0, 0.0], [0.04, 0.0], [0.0, 0.04]])
-"""Offsets of the corners of the first simplex from its start, px. They are less than half the distance of the starts."""
+"""Offsets of the corners of the first simplex from its start, px. They are less than half the distance between starts."""
 _FIRST_TRIES, _TRIES = 25, 90
-"""Largest number of phases that are tried to detect a grid of pixels, and to locate it."""
+"""Largest number of phases that are tried to detect a grid of pixels, and to determine its phase."""
 _FALLS = 0.2
 """Ratio of the residual after the first tries to that of the start, below which a grid is detected."""
 _LARGEST_RESIDUAL = 1e-6
@@ -78,12 +79,12 @@ READ_FROM: dict[CellValue, str] = {
 
 
 class FoundPhase(NamedTuple):
-    """Position of the pixels behind a table.
+    """Phase of the pixel grid from which the cells of a table were read.
 
     Attributes:
-        phase: phase of the grid in x and y, px, or such a pair for each slice.
-        std: standard deviation of each of the two, px.
-        unexplained: share of the table's borders between values, or of its variance, that the grid does not explain.
+        phase: phase of the grid in x and y, px, or a pair of phases for each slice.
+        std: standard deviation of the phase in x and in y, px.
+        unexplained: share of the borders between values, or of the variance of the table, that the grid does not explain.
     """
 
     phase: PixelPhase
@@ -102,7 +103,9 @@ class FoundPhase(NamedTuple):
         """Describe the position of the pixels' centres."""
         phases = np.atleast_2d(self.phase)
         if len(phases) == 1:
-            return f"lie at ({phases[0, 0]:+.3f}, {phases[0, 1]:+.3f}) +- {self.std:.1g} px from the sphere's"
+            return (
+                f"lie at ({phases[0, 0]:+.3f}, {phases[0, 1]:+.3f}) +- {self.std:.1g} px from the centre of the sphere"
+            )
         return f"differ between the images, with a standard deviation of {self.std:.1g} px for each"
 
 
@@ -111,7 +114,7 @@ class LocatedRig(NamedTuple):
 
     Attributes:
         rig: the rig, with the phase of the pixels if cells were read from real pixels.
-        std: standard deviation of a phase that was estimated from the table, px. Default: 0, the phase was specified.
+        std: standard deviation of a phase that was estimated from the table, px. Default: 0, no phase was estimated.
         remarks: remarks on the table. Default: none.
         unexplained: True if cells have equal values that no grid of pixels explains. Default: False.
     """
@@ -123,7 +126,9 @@ class LocatedRig(NamedTuple):
 
 
 def located_rig(rig: Rig, table: xr.DataArray) -> LocatedRig:
-    """Determine the cell rule and the lamp azimuth of a rig, as specified or from the table.
+    """Determine the cell rule and the lamp azimuth of a rig.
+
+    Both are those of the rig, if it specifies them, or those of the table.
 
     Raises:
         FitError: the cells contradict the rig.
@@ -157,22 +162,23 @@ def _with_cells(rig: Rig, rule: CellValue, phase: PixelPhase | None) -> Rig:
 def _repeats_remark(repeated: float, radius: float) -> Remark:
     return Remark(
         "cells-repeat",
-        f"{repeated:.0%} of the neighbours near the highlight have equal values, as if read from the nearest pixel, but no "
-        f"grid of pixels on a sphere of radius {radius:g} px explains them: specify the sphere's radius; cells are assumed to "
-        "be centred on their pixels",
+        f"{repeated:.0%} of the neighbouring cells near the highlight have equal values, as if read from the nearest pixel, "
+        f"but no grid of pixels on a sphere of radius {radius:g} px explains them: specify the sphere's radius; cells are "
+        "assumed to be centred on their pixels",
     )
 
 
 def nearest_phase(table: xr.DataArray, radius: float) -> FoundPhase:
-    """Estimate the phase of a table whose cells were read from the nearest pixel.
+    """Estimate the phase for cells that were read from the nearest pixel.
 
-    If no phase fits all images, each image has its own, because sphere or lamp were not exactly at their nominal positions.
+    If no common phase fits all images, each image has its own phase. In that case the sphere or the lamp was not exactly at
+    its nominal position.
     """
     shown = repeats(table)
     if shown.share < _LEAST_REPEATS:
         raise FitError(
-            f"only {shown.share:.0%} of the neighbours near the highlight have equal values, as cells that were read from the "
-            "nearest pixel do: specify pixel_phase, or another cell_value"
+            f"only {shown.share:.0%} of the neighbouring cells near the highlight have equal values, too few for cells that "
+            "were read from the nearest pixel: specify pixel_phase, or another cell_value"
         )
     sampling = sampling_of(table)
     common = _common_phase("nearest", table, radius, shown)
@@ -190,8 +196,8 @@ def nearest_phase(table: xr.DataArray, radius: float) -> FoundPhase:
     unexplained = float(np.median([found.unexplained for found in own.values()])) if own else 1.0
     if unexplained > _MOST_WRONG:
         raise FitError(
-            f"no grid of pixels on a sphere of radius {radius:g} px explains the borders between equal values of the table "
-            f"({unexplained:.0%} of them differ): specify the sphere's radius, or another cell_value"
+            f"no grid of pixels on a sphere of radius {radius:g} px explains the borders between the values of the table "
+            f"({unexplained:.0%} of them are unexplained): specify the sphere's radius, or another cell_value"
         )
     known = [j for j, found in own.items() if found.unexplained <= _MOST_WRONG]
     nearest = [min(known, key=lambda k: abs(k - j)) for j in every]
@@ -200,14 +206,14 @@ def nearest_phase(table: xr.DataArray, radius: float) -> FoundPhase:
 
 
 def mean_phase(table: xr.DataArray, radius: float) -> FoundPhase:
-    """Estimate the common phase of all images of a table whose cells are means of pixels."""
+    """Estimate the common phase for cells that are means of pixels."""
     shown = repeats(table)
     found = _common_phase("mean", table, radius, shown)
     if shown.share < _LEAST_REPEATS or found.unexplained > _COMMON:
         raise FitError(
-            f"no grid of pixels on a sphere of radius {radius:g} px, averaged in cells, explains the borders between equal "
-            f"values ({found.unexplained:.0%} of them differ): specify pixel_phase and the sphere's radius, or another "
-            "cell_value"
+            f"no grid of pixels on a sphere of radius {radius:g} px, averaged in cells, explains the borders between "
+            f"values ({found.unexplained:.0%} of them are unexplained): specify pixel_phase and the sphere's radius, or "
+            "another cell_value"
         )
     return found
 
@@ -240,7 +246,7 @@ def _upright(found: FoundPhase, cells: list[_NearCells], azimuth: float) -> Foun
     """Choose between a phase and its mirror image across the plane of camera and lamp.
 
     The choice depends on the values of cells, because both phases have the same borders. A cell is the mean of two positions
-    on either side of the plane, and only for the correct phase are all cells means of few pixels. If the plane is not
+    on opposite sides of the plane. All cells are means of a few pixels for the correct phase only. If the plane is not
     parallel to the rows, columns or diagonals of the pixels, the mirror image of a grid is not a grid of the same
     orientation, and the phase is returned unchanged.
     """
@@ -258,7 +264,7 @@ class _NearCells(NamedTuple):
 
     Attributes:
         x: the two positions of each cell along the rows of the pixels, px, (cells, 2).
-        y: the same along the columns.
+        y: the two positions of each cell along the columns of the pixels, px, (cells, 2).
         values: values of the cells, (cells,).
     """
 
@@ -284,12 +290,12 @@ def _near_cells(table: xr.DataArray, radius: float, slices: np.ndarray, rings: i
 
 
 def _residual(rule: CellValue, phase: tuple[float, float], cells: list[_NearCells]) -> float:
-    """Compute the mean share of the variance of slices that a grid does not explain."""
+    """Compute the share of the variance of a slice that a grid does not explain, mean over slices; 1 without cells."""
     return float(np.mean([_interpolation_residual(rule, one, phase) for one in cells])) if cells else 1.0
 
 
 def bilinear_phase(table: xr.DataArray, radius: float) -> FoundPhase:
-    """Estimate the phase of a table whose cells were interpolated between pixels."""
+    """Estimate the phase for cells that were interpolated between pixels."""
     cells = _near_cells(table, radius, SLICES[::3], _FEW_RINGS, _FEW_AZIMUTHS)
 
     def log_residual(phase: Sequence[float]) -> float:
@@ -345,8 +351,8 @@ class CellRule(NamedTuple):
         rule: "nearest", "bilinear" or "mean"; None: there is no evidence that cells share pixels.
         found: phase of the pixels; None: no grid on a sphere of this radius explains the cells.
         repeated: share of neighbouring cells near the highlight that have equal values.
-        values: number of distinct values near the highlight, mean over slices. For "nearest" it is the number of pairs of
-            pixels.
+        values: number of distinct values near the highlight, mean over slices. For "nearest" it is the number of distinct
+            pairs of pixels.
     """
 
     rule: CellValue | None
@@ -356,7 +362,7 @@ class CellRule(NamedTuple):
 
 
 def cell_rule(table: xr.DataArray, radius: float) -> CellRule:
-    """Determine the rule by which cells of a table were read from real pixels.
+    """Determine the rule by which cells were read from real pixels.
 
     radius: radius of the sphere, px.
     """
@@ -382,7 +388,7 @@ _PHASES: dict[CellValue, Callable[[xr.DataArray, float], FoundPhase]] = {
 
 
 def _distinct(table: xr.DataArray) -> float:
-    """Count the distinct values near the highlight, mean over the slices that have any."""
+    """Compute the number of distinct values near the highlight, mean over the slices with values."""
     values = table.values[:RINGS][:, SLICES, :, 0].transpose(1, 0, 2).reshape(SLICES.size, -1)
     counts = [np.unique(np.round(np.log(row[row > 0]), 9)).size for row in values]
     return float(np.mean([count for count in counts if count] or [0]))

@@ -1,4 +1,4 @@
-"""Pixels behind the cells of one image of a distant sphere, few for each cell (docs/model.md 3, *Cells on real pixels*).
+"""Pixels from which the cells of one image of a distant sphere are read (docs/model.md 3, *Cells on real pixels*).
 
 A fit models a cell as a weighted mean over at most eight positions in the image, four on either side of the plane of
 camera and lamp. Cells that are read from the nearest pixel, or interpolated between four pixels, are such means. A cell
@@ -17,7 +17,7 @@ from matcam.forward.pixel_grid import PixelGrid, looked_up, phase_of_slices, sli
 from matcam.inverse.operator.sample_view import BOTH_DIRECTIONS
 
 _STRIDE = 1 << 16
-"""Number of pixels per row in the number of a pixel. It exceeds the width of any image."""
+"""Difference between the numbers of neighbouring pixels in a row. It exceeds the height of any image."""
 _POINTS = 4
 """Number of positions that represent the pixels of a cell on one side: two opposite pairs represent any covariance."""
 _GAUSS = 0.5 + np.array([-1.0, 1.0]) / np.sqrt(12)
@@ -25,11 +25,11 @@ _GAUSS = 0.5 + np.array([-1.0, 1.0]) / np.sqrt(12)
 
 
 class CellPositions(NamedTuple):
-    """Two positions on a sphere that show a cell, on a last axis.
+    """Two positions on a sphere that show a cell. The last axis is over the two positions.
 
     Attributes:
         x: distance from the optical axis towards the lamp, px.
-        y: distance from the optical axis across, px.
+        y: distance from the optical axis, perpendicular to x, px.
         cos_i: cosine of the angle of incidence.
         cos_o: cosine of the viewing angle.
     """
@@ -41,11 +41,11 @@ class CellPositions(NamedTuple):
 
 
 class PixelsBehind(NamedTuple):
-    """Pixels behind cells. The last axis is over the pixels of a cell in both directions.
+    """Pixels from which cells are read. The last axis is over the pixels of a cell in both directions.
 
     Attributes:
-        x: distance of the centres from that of the sphere, towards the lamp, px.
-        y: the same across, px.
+        x: distance of the pixel centres from the centre of the sphere, towards the lamp, px.
+        y: distance of the pixel centres from the centre of the sphere, perpendicular to x, px.
         weight: share of each pixel in the value of its cell; 0 for padding.
         noise_share: ratio of the variance of a cell to that of a pixel, without the last axis.
     """
@@ -57,7 +57,10 @@ class PixelsBehind(NamedTuple):
 
 
 def cell_positions(radius: float, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> CellPositions:
-    """Compute the two positions at which a distant camera and lamp show each cell (docs/model.md 3)."""
+    """Compute the two image positions that show each cell.
+
+    Camera and lamp are distant (docs/model.md 3).
+    """
     psi = np.pi - phi_d[..., None] + np.array([0.0, np.pi])
     th, td = theta_h[..., None], theta_d[..., None]
     mean, half = np.cos(th) * np.cos(td), np.sin(th) * np.sin(td) * np.cos(psi)
@@ -66,13 +69,19 @@ def cell_positions(radius: float, theta_h: np.ndarray, theta_d: np.ndarray, phi_
 
 
 def pixel_numbers(x: np.ndarray, y: np.ndarray, phase: np.ndarray, azimuth: float = 0.0) -> np.ndarray:
-    """Number the pixels that contain positions. azimuth: azimuth of the lamp relative to the rows of pixels, rad."""
+    """Number the pixels that contain positions.
+
+    phase: phase of the pixel grid, px. azimuth: azimuth of the lamp relative to the rows of pixels, rad.
+    """
     x, y = turned(x, y, azimuth)
     return np.rint(x - phase[..., 0]) * _STRIDE + np.rint(y - phase[..., 1])
 
 
 def pixel_counts(radius: float, theta_d: np.ndarray) -> np.ndarray:
-    """Compute the mean number of pixels in each cell in both directions, (90, slices, 1)."""
+    """Compute the mean number of pixels in each cell in both directions.
+
+    The result has shape (90, slices, 1). radius: radius of the sphere, px. theta_d: theta_d of the slices, rad.
+    """
     edges = theta_h_edges()
     theta_h = (edges[1:] + edges[:-1]) / 2
     solid = np.sin(theta_h) * np.diff(edges) * np.pi / GRID_SHAPE[2]
@@ -82,7 +91,7 @@ def pixel_counts(radius: float, theta_d: np.ndarray) -> np.ndarray:
 def pixels_behind(
     pixels: PixelGrid, radius: float, theta_d: float, j: int, i: np.ndarray, k: np.ndarray
 ) -> PixelsBehind:
-    """Find the pixels behind cells of a slice.
+    """Find the pixels from which cells of a slice are read.
 
     Args:
         pixels: grid of pixels from which the cells are read.

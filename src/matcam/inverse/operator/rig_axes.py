@@ -1,8 +1,9 @@
 """Parameters of a rig that a fit may change, each along its own axis, and their priors.
 
 The square of a width (of the lens, the lamp or the registration) adds to the variance of all other blurs. The coordinate
-of a width is half the logarithm of this total variance, because the record of a pixel is smooth in it down to a width of
-0. For parameters that are known to a few per cent or are not widths, the coordinate is ln(value / value of the rig).
+of a width is half the logarithm of this total variance, relative to that of the rig. The record of a pixel is a smooth
+function of this coordinate down to a width of 0. For parameters that are known to a few per cent or are not widths, the
+coordinate is ln(value / value of the rig).
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from matcam.rigs import Rig
 from matcam.sample.curved import Cylinder
 
 LENS = "optics.sigma_px"
-"""Name of the width of a Gaussian lens."""
+"""Name of the parameter for the width of a Gaussian lens."""
 LAMP, APERTURE = "lamp_radius", "aperture"
 """Names of the angular radius of the source disc and of the relative aperture of the rig."""
 WIDTH = "lens_width"
@@ -42,12 +43,14 @@ STRETCH = "lens_stretch"
 by the variance.
 """
 WIDTHS = (LAMP, "jitter", APERTURE)
-"""Fields of `Rig` that widen a highlight."""
+"""Names of the fields of `Rig` that widen a highlight."""
 
 _FREE_RANGE = 0.5
 """Half the range of ln(value / value of the rig) of a free parameter that is not a width."""
 _WIDEST_LENS, _WIDEST = 0.5, 0.2
-"""Largest coordinate of the free width of a lens, and of another free width, whose blur varies over the image."""
+"""Largest coordinate of the free width of a lens, and of any other free width. The second is smaller, because the blur of
+lamp and defocus varies over the image.
+"""
 _NEARBY = 0.03
 """Largest coordinate of the radius of a lamp that is fitted only near the value of the rig."""
 _SHARPEST = 0.1
@@ -57,28 +60,30 @@ nodes of the rules do not resolve.
 _NARROWEST = 1e-3
 """Smallest width of a lens, px. It is above 0, so that the logarithm of the width exists."""
 _PRIOR_RANGE = 5.0
-"""Half the range of a parameter with a prior, in standard deviations. A fit beyond it contradicts the prior."""
+"""Half the range of a parameter with a prior, in standard deviations. A fitted value outside contradicts the prior."""
 _GUESS = 0.25
-"""Relative standard deviation of the width of a lens above which the width is a guess, and may be 0."""
+"""Smallest relative standard deviation of the width of a lens that is treated as a guess. A guessed width may be 0."""
 _LENS_WIDTHS = ("sigma_px", "f_number", "blur_diameter_px")
-"""Names of the parameters of lenses that scale their kernel."""
+"""Names of the lens parameters that scale the kernel."""
 ASSUMED = 0.1
 """Relative standard deviation that is assumed for the width of a lens if its profile has no uncertainty."""
 _STEP = 0.4
-"""Relative step in variance between the Gaussians of a finite difference. A smaller step would amplify their errors."""
+"""Relative step in variance between the Gaussians of a finite difference. A smaller step would amplify the errors of their
+quadrature rules.
+"""
 _COUNTS = ((0.03, 3), (0.15, 5), (np.inf, 9))
-"""Largest half range of an axis for each number of its points, (half range, number)."""
+"""Pairs (largest half range of an axis, number of its points). A wider range requires a polynomial of higher degree."""
 
 
 class KernelChange(NamedTuple):
     """Change of the kernel of a lens along a coordinate.
 
-    It is the polynomial through given points and 0. The change at a point is a sum of Gaussians. Their variances are given
-    relative to that of the Gaussian that is as wide as the lens.
+    It is the polynomial through the changes at given points and 0 at coordinate 0. The change at a point is a sum of
+    Gaussians. Their variances are relative to that of the Gaussian that is as wide as the lens.
 
     Attributes:
-        points: for each coordinate, (variance along the plane of camera and lamp, variance across it, share) of each Gaussian,
-            no unit. The shares add up to 0.
+        points: Gaussians for each coordinate, as (variance along the plane of camera and lamp, variance across it, share), no
+            unit. The shares add up to 0.
         std: prior standard deviation of the coordinate.
         low: smallest coordinate.
         high: largest coordinate.
@@ -91,9 +96,9 @@ class KernelChange(NamedTuple):
 
 
 def _difference(factor: float, *shares: int) -> dict[float, tuple[tuple[float, float, float], ...]]:
-    """Build a finite difference in the variance, of round Gaussians at -2 to 2 steps.
+    """Build a finite difference with respect to the variance, from round Gaussians at -2 to 2 steps.
 
-    factor: factor of the shares. shares: shares of the five Gaussians.
+    shares: shares of the five Gaussians, which are multiplied by `factor`.
     """
     scales = (1 + step * _STEP for step in range(-2, 3))
     return {1.0: tuple((scale, scale, factor * share) for scale, share in zip(scales, shares, strict=True) if share)}
@@ -143,23 +148,25 @@ class Axis(NamedTuple):
     by_variance: bool = False
 
     def value(self, coordinate: float) -> float:
-        """Return the parameter at a coordinate."""
+        """Compute the value of the parameter at a coordinate."""
         if self.name in CHANGES:
             return coordinate
         return float(np.sqrt(self.square(coordinate, 0.0)[0]))
 
     def square(self, coordinate: float, std: float) -> tuple[float, float]:
-        """Compute the square of the parameter and its standard deviation.
+        """Compute the squared parameter and the standard deviation of the square.
 
-        Blurs add in quadrature, so the square is linear in the coordinate near a width of 0.
+        Blurs add in quadrature, so the square is linear in the coordinate near a width of 0. std: standard deviation of
+        the coordinate.
         """
         total = float((self.base**2 + self.softening**2) * np.exp(2 * coordinate))
         return max(total - self.softening**2, 0.0), 2 * total * std
 
     def slope(self, coordinate: float, std: float) -> float:
-        """Compute d value / d coordinate as the slope of a secant.
+        """Compute the derivative of the value with respect to the coordinate.
 
-        The secant ends one standard deviation above the coordinate. The derivative itself is infinite at a width of 0.
+        It is approximated by a secant that ends one standard deviation `std` above the coordinate, because the derivative
+        is infinite at a width of 0.
         """
         if self.name in CHANGES:
             return 1.0
@@ -168,7 +175,7 @@ class Axis(NamedTuple):
 
 
 def shape_axes(rig: Rig) -> tuple[tuple[Axis, ...], tuple[float, ...]]:
-    """Return the axes of the unknown shape of a lens's kernel, and their standard deviations.
+    """Build the axes of the lens shape, and their prior standard deviations.
 
     A cylinder has no axis of the stretch, because its images depend on the kernel in one direction only.
     """
@@ -177,19 +184,19 @@ def shape_axes(rig: Rig) -> tuple[tuple[Axis, ...], tuple[float, ...]]:
 
 
 def change_axis(name: str) -> Axis:
-    """Return the axis of a change of the kernel of the lens."""
+    """Build the axis of a change of the kernel of the lens."""
     change = CHANGES[name]
     return Axis(name, 0.0, 0.0, change.low, change.high, tuple(sorted((0.0, *change.points))))
 
 
 class KnownLens(NamedTuple):
-    """Prior knowledge of a camera's lens.
+    """Prior of the lens of a camera.
 
     Attributes:
         uncertainty: uncertainty of the camera's parameters; None: no uncertainty is specified and the lens has no width
             parameter, or a width of 0.
         words: description of the uncertainty, for messages.
-        assumed: True if no uncertainty was specified, and a tenth of the width is assumed.
+        assumed: True if no uncertainty is specified, and `ASSUMED` is used.
         exact: True if the lens is specified as exact, or has a width of 0.
     """
 
@@ -200,7 +207,10 @@ class KnownLens(NamedTuple):
 
 
 def known_lens(camera: Camera) -> KnownLens:
-    """Return the prior of the lens of a camera, from its profile or by default."""
+    """Determine the prior of the lens of a camera.
+
+    The prior is the uncertainty of the camera if it is specified, and a default otherwise.
+    """
     if camera.uncertainty is not None and camera.uncertainty.names:
         if any(std > 0 for std in camera.uncertainty.std().values()):
             return KnownLens(camera.uncertainty, "specified", assumed=False, exact=False)
@@ -223,7 +233,10 @@ def _is_lens_width(name: str) -> bool:
 
 
 def is_guess(name: str, relative: float) -> bool:
-    """Check whether a width with this relative standard deviation is a guess, which requires `free_axis`."""
+    """Check whether a parameter is a guessed width of a lens.
+
+    A guess requires `free_axis`. relative: relative standard deviation of the parameter.
+    """
     return name == LENS and relative >= _GUESS
 
 
@@ -237,18 +250,26 @@ def guess_std(axis: Axis, relative: float) -> float:
 
 
 def prior_axis(name: str, base: float, std: float) -> Axis:
-    """Build the axis of a parameter with a prior. std: relative standard deviation of the parameter."""
+    """Build the axis of a parameter with a prior.
+
+    base: value of the rig. std: relative standard deviation of the parameter.
+    """
     half = round(float(np.clip(_PRIOR_RANGE * std, 0.02, _FREE_RANGE)), 6)
     return Axis(name, base, 0.0, -half, half, _points(-half, half))
 
 
 def widths_of(rig: Rig) -> tuple[str, ...]:
-    """List the names of the widths that may be free. The source disc of a cylinder is fixed."""
+    """List the names of the widths that may be free.
+
+    With a cylinder the radius of the source disc is fixed.
+    """
     return tuple(name for name in WIDTHS if name != LAMP or not isinstance(rig.sample, Cylinder))
 
 
 def free_axis(name: str, rig: Rig, *, nearby: bool = False) -> Axis:
-    """Build the axis of a parameter without a prior. ArgumentError if the rig does not have the parameter.
+    """Build the axis of a parameter without a prior.
+
+    ArgumentError if the rig does not have the parameter, or if it is 0 and cannot be free.
 
     nearby: True if the radius of the lamp is fitted only near the value of the rig, and a point source is widened as a
     Gaussian. This suffices if rig and data agree, and is faster than the integration over discs.
@@ -278,7 +299,10 @@ def free_axis(name: str, rig: Rig, *, nearby: bool = False) -> Axis:
 
 
 def rig_with(rig: Rig, values: Mapping[str, float]) -> Rig:
-    """Return the rig with other values of these parameters."""
+    """Return the rig with other values of parameters.
+
+    values: value of each parameter by name, as in `Axis`.
+    """
     camera = rig.camera.with_parameters({name: value for name, value in values.items() if name not in WIDTHS})
     rig = eqx.tree_at(lambda r: r.camera, rig, camera)
     if LAMP in values:
@@ -303,7 +327,10 @@ class MovedBlur(NamedTuple):
 
 
 def blurs_along(rig: Rig, own: Blur, axes: Sequence[Axis]) -> list[MovedBlur]:
-    """Compute the blurs at the points of the axes of parameters of the rig. own: blur of the rig."""
+    """Compute the blurs at the points of the parameter axes.
+
+    Changes of the lens are not included, see `change_kernels`. own: blur of the rig.
+    """
     # the dependence of the residual on lens parameters is second order and is neglected
     residual = own.residual if own.residual is not None and own.residual.even else None
     whole = own.residual is not None
@@ -315,7 +342,10 @@ def blurs_along(rig: Rig, own: Blur, axes: Sequence[Axis]) -> list[MovedBlur]:
 
 
 def change_kernels(own: Blur, axes: Sequence[Axis]) -> list[MovedBlur]:
-    """Compute the Gaussians of the changes of the lens along axes. own: blur of the rig."""
+    """Compute the Gaussians of the changes of the lens along axes.
+
+    own: blur of the rig.
+    """
     variance = own.std_of_half**2
     kernels = []
     for along, across in _change_variances(axes):
@@ -327,7 +357,7 @@ def change_kernels(own: Blur, axes: Sequence[Axis]) -> list[MovedBlur]:
 
 
 def _change_variances(axes: Sequence[Axis]) -> list[tuple[float, float]]:
-    """List the variances of the Gaussians of the changes along axes without duplicates, round Gaussians first."""
+    """List the distinct variances of the Gaussians of the changes along axes, round Gaussians first."""
     changes = (CHANGES[axis.name] for axis in axes if axis.name in CHANGES)
     terms = (term for change in changes for terms in change.points.values() for term in terms)
     variances = dict.fromkeys((along, across) for along, across, _ in terms)
@@ -335,10 +365,10 @@ def _change_variances(axes: Sequence[Axis]) -> list[tuple[float, float]]:
 
 
 def along_axes(axes: tuple[Axis, ...], name: str, along: str, values: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
-    """Compute the values of a rig and their differences at points of all axes, by name.
+    """Compute the differences of values at the points of all axes.
 
-    name: name of the values. along: start of the names of the differences. values: values for the rig, for each of
-    `blurs_along`, and for each of `change_kernels`.
+    The result contains the values of the rig and the differences by name. name: name of the values. along: prefix of the
+    names of the differences. values: values for the rig, for each of `blurs_along`, and for each of `change_kernels`.
     """
     own, *others = values
     variances = _change_variances(axes)
@@ -359,7 +389,10 @@ def along_axes(axes: tuple[Axis, ...], name: str, along: str, values: Sequence[n
 
 
 def axis_selection(axes: Sequence[Axis], among: Sequence[Axis]) -> np.ndarray:
-    """Return the (axes, among) matrix that maps coordinates along some axes to those along more."""
+    """Build the matrix that maps coordinates along some axes to more axes.
+
+    It has shape (axes, among), and is 1 where the two axes are the same, otherwise 0.
+    """
     return np.array([[axis == other for other in among] for axis in axes], dtype=float).reshape(len(axes), len(among))
 
 
@@ -382,7 +415,7 @@ def _softening(name: str, rig: Rig) -> float:
 
 
 def _points(low: float, high: float) -> tuple[float, ...]:
-    """Compute Chebyshev points; the point closest to 0 is moved to 0."""
+    """Compute Chebyshev points between `low` and `high`. The point closest to 0 is replaced by 0."""
     half = (high - low) / 2
     count = next(count for largest, count in _COUNTS if half <= largest)
     points = (low + high) / 2 + half * np.cos(np.pi * np.arange(count) / (count - 1))

@@ -19,11 +19,11 @@ from matcam.sample.curved import Cylinder, Sphere
 from matcam.sample.shape import Position
 
 BOTH_DIRECTIONS = np.array([0.0, np.pi])
-"""Angles that are added to phi_d: an image shows a cell on the side of the lamp and on the opposite side."""
+"""Angles that are added to phi_d, rad, for the two positions of a cell on opposite sides of the highlight of its image."""
 
 
 class SampleView(NamedTuple):
-    """Geometry of a curved sample, a camera and a lamp, as numbers, so that views can be compared.
+    """Geometry of a curved sample, a camera and a lamp, as Python numbers, so that views can be compared.
 
     Attributes:
         radius: radius of the limb in the image, px.
@@ -31,9 +31,9 @@ class SampleView(NamedTuple):
         lamp: inverse of the lamp's distance, 1/radii; 0: distant.
         azimuth: azimuth of the plane of camera and lamp relative to the rows of pixels, rad; in [0, pi/2) for an
             isotropic lens, which is invariant under a quarter turn, otherwise in [0, 2 pi).
-        line: whether the sample is a cylinder instead, which shows the normals of one line. Each cell then has its own
-            lamp (`forward/cylinder_cells.py`); its position is that on the sphere, whose distance from the axis is the
-            column.
+        line: True if the sample is a cylinder, whose normals lie in one plane. Each cell then has its own lamp position
+            (`forward/cylinder_cells.py`). Its image position is computed on a sphere: the distance from the optical axis
+            is the distance from the axis of the cylinder.
     """
 
     radius: float
@@ -54,16 +54,16 @@ class SampleView(NamedTuple):
 
     @property
     def sphere(self) -> Sphere:
-        """Return the sphere."""
+        """Return the sphere with radius and camera distance of the view."""
         return Sphere(self.radius) if self.camera == 0 else Sphere(self.radius, 1 / self.camera)
 
     @property
     def cylinder(self) -> Cylinder:
-        """Return the cylinder of the size of the sphere."""
+        """Return the cylinder with radius and camera distance of the view."""
         return Cylinder(self.radius) if self.camera == 0 else Cylinder(self.radius, 1 / self.camera)
 
     def position(self, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> Position:
-        """Compute the image position and the lamp of half and difference angles."""
+        """Compute image position and lamp angle of half and difference angles, rad."""
         angles = np.broadcast_arrays(theta_h, theta_d, phi_d)
         count = angles[0].size
         size = 1 << max(count - 1, 1).bit_length()  # few sizes, because each is a program
@@ -71,24 +71,35 @@ class SampleView(NamedTuple):
         return Position(*(np.asarray(a)[:count].reshape(angles[0].shape) for a in position))  # type: ignore[arg-type]
 
     def lamp_angles(self, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> np.ndarray:
-        """Compute the angle between lamp and optical axis at which each of the two positions of a cell shows it, rad."""
+        """Compute the lamp angles for the two positions of each cell, rad.
+
+        They are on a trailing axis of length 2.
+        """
         return self.position(theta_h[..., None], theta_d[..., None], phi_d[..., None] + BOTH_DIRECTIONS).lamp_angle  # type: ignore[return-value]
 
     def irradiance(self, cos_i: np.ndarray) -> np.ndarray:
-        """Compute the irradiance of a surface that faces the lamp, relative to the centre of the sphere.
+        """Compute the relative irradiance of a surface that faces the lamp.
+
+        It is relative to the irradiance at the centre of the sphere.
 
         cos_i: cosine of the angle of incidence on the sphere at the position of the surface.
         """
         return 1.0 if self.lamp == 0 else np.asarray(closeness(self.lamp, jnp.asarray(cos_i))) ** 2  # type: ignore[return-value]
 
     def highlight(self, lamp_angle: np.ndarray) -> np.ndarray:
-        """Compute the angle between the normal of the highlight and the optical axis, rad."""
+        """Compute the angle from optical axis to normal of the highlight, rad.
+
+        lamp_angle: lamp angle, rad.
+        """
         return np.asarray(_highlight(self.sphere, lamp_angle, self.lamp))
 
     def from_highlight(
         self, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Compute the image position of half and difference angles relative to the highlight, px along x and y."""
+        """Compute image positions relative to the highlight, px.
+
+        theta_h, theta_d, phi_d: half and difference angles, rad. The result is (x, y).
+        """
         if self.distant:
             x = self.radius * (
                 np.sin(theta_d) * (np.cos(theta_h) - 1) - np.sin(theta_h) * np.cos(phi_d) * np.cos(theta_d)
@@ -102,7 +113,10 @@ class SampleView(NamedTuple):
         return np.asarray(highlight_x(self.sphere, jnp.asarray(lamp_angle), jnp.asarray(self.lamp)))
 
     def highlight_area(self, theta_d: np.ndarray) -> np.ndarray:
-        """Compute the flux of a highlight of F = 1 over that at the centre, times 4, px^2: radius^2 of a distant sphere."""
+        """Compute four times the integral of a highlight over the image, px^2.
+
+        The integrand is the record times cos_i at F = 1 (`sphere_rule.py`). In a distant rig the result is radius^2.
+        """
         if self.distant:
             return np.full(np.shape(theta_d), self.radius**2)
         along, across = (np.asarray(a) for a in self.sphere.px_per_rad(jnp.asarray(theta_d), self.lamp))
@@ -110,20 +124,25 @@ class SampleView(NamedTuple):
 
     @property
     def on_sphere(self) -> SphereView:
-        """Return the sphere and the distances without the azimuth."""
+        """Return radius and inverse distances, without the azimuth."""
         return SphereView(self.radius, self.camera, self.lamp)
 
 
 _ONE_AZIMUTH = 1e-6
-"""Sine of half a difference below which two azimuths are equal."""
+"""Sine of half the difference below which two azimuths are treated as equal. It exceeds rounding errors."""
 _ALIGNED = 1e-9
-"""Sine of a multiple of an azimuth below which the image has the axes of the plane of camera and lamp."""
+"""Sine of a multiple of the azimuth below which the axes of the pixels are treated as aligned with the plane of camera and
+lamp. It exceeds rounding errors.
+"""
 FAR_AWAY = SampleView(256.0)
-"""Sphere of the MERL rig, whose pixels are used where no rig is given."""
+"""View of the sphere of the MERL rig, which is used if no rig is given."""
 
 
 def sample_view(rig: Rig | None) -> SampleView:
-    """Build the view of the sphere or cylinder of a rig; without a rig, of the sphere of the MERL rig."""
+    """Build the view of the sphere or cylinder of a rig.
+
+    Without a rig it is `FAR_AWAY`.
+    """
     if rig is None:
         return FAR_AWAY
     sample, lamp, azimuth = rig.sample, rig.lamp.nearness, rig.lamp_azimuth or 0.0
@@ -135,13 +154,13 @@ def sample_view(rig: Rig | None) -> SampleView:
 
 
 def rig_behind(table: xr.DataArray, rig: Rig) -> Rig:
-    """Return the rig with the azimuth of the lamp in a table's images, as specified by the rig or by the table.
+    """Return the rig with the lamp azimuth of a table.
 
-    ArgumentError where they specify different azimuths or samples.
+    The rig or the table specifies the azimuth. ArgumentError if they specify different azimuths or samples.
     """
     kind = sample_of(table)
     if kind not in (None, rig.sample.kind):
-        known = "a flat sample's table is not blurred" if kind == "flat" else f"attrs['sample'] = '{kind}'"
+        known = "a flat sample, whose table is not blurred" if kind == "flat" else f"attrs['sample'] = '{kind}'"
         raise ArgumentError(f"sample must be the table's own, {known}, got a {rig.sample.kind}")
     stated, own = azimuth_of(table), rig.lamp_azimuth
     if own is None:

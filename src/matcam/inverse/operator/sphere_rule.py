@@ -1,17 +1,18 @@
-"""Record of an isotropic lobe in one pixel of a sphere, as a rule that is linear in the lobe.
+"""Quadrature rule for the record of an isotropic lobe in one pixel of a sphere.
 
 A pixel records the integral over the visible, lit part of the sphere, in polar coordinates about the normal of the highlight,
 
     R cos_i = 1/4 integral of  k(x - x(n)) F D(theta_h) G |v| |l|^-2 (1 - q n_z)^-3 s^2  over the solid angle of normals n  ,
 
-with the kernel k, the scale s of the image, the nearness q of the camera, and the lengths |v| and |l| of the vectors to
-camera and lamp in units of their distances (docs/model.md 3 and 10; all factors but s are 1 in a distant rig). Nodes
-lie on arcs of circles about the highlight inside the window of the pixel (`forward/sampler/arcs.py`). Their weights are
-transferred to few nodes in theta_h (`theta_nodes.py`), at which a lobe is evaluated. Everything else depends on the rig
-alone.
+with the kernel k, the scale s of the image, px, the inverse distance q of the camera, 1/radii, and the lengths |v| and |l|
+of the vectors to camera and lamp in units of their distances (docs/model.md 3 and 10). In a distant rig q is 0, and |v| and
+|l| are 1. The integration nodes lie on arcs of circles about the highlight inside the window of the pixel
+(`forward/sampler/arcs.py`). Their weights are transferred to a few nodes in theta_h (`theta_nodes.py`), at which a lobe is
+evaluated. The weights depend on the rig only.
 
-In a distant rig a circle has one theta_h. Near a camera or lamp each node has a theta_h, a theta_d and an irradiance of its
-own. Weights times the difference of theta_d from the cell's (`rise_of`) then give F at each node's theta_d.
+In a distant rig all nodes on a circle have the same theta_h. With a near camera or lamp, theta_h, theta_d and irradiance
+differ between the nodes. The weights times the deviation of theta_d from its value for the cell (`rise_of`) then represent
+the variation of F over the nodes.
 """
 
 from __future__ import annotations
@@ -39,17 +40,23 @@ from matcam.inverse.operator.theta_nodes import (
 from matcam.numerics.elementary import sine
 
 _ARC = np.polynomial.legendre.leggauss(24)
-"""Gauss-Legendre nodes on an arc."""
+"""Gauss-Legendre nodes and weights on an arc."""
 _ARC_OF_RINGS = np.polynomial.legendre.leggauss(48)
-"""Gauss-Legendre nodes on an arc that resolve the diffraction rings of a lens."""
+"""Gauss-Legendre nodes and weights on an arc that resolve the diffraction rings of a lens."""
 _CALL, _BLOCK = 4096, 256
-"""Arcs of one call of the compiled program, and of its blocks, whose arrays fit into a cache."""
+"""Number of arcs in one call of the compiled program, and in one of its blocks. The arrays of a block fit into the cache of
+a processor.
+"""
 _REACH = 6.2
-"""Support radius of a Gaussian, in standard deviations: highlights are 1e6 times brighter than their surroundings."""
+"""Support radius of a Gaussian, in standard deviations. The Gaussian is 5e-9 of its maximum there, because highlights are up
+to 1e6 times brighter than their surroundings.
+"""
 _SLACK = 0.02
-"""Share by which the range of angles on the border of a window is widened."""
+"""Share by which the range of angles is widened, because the border of a window is sampled at single points."""
 _OUTSIDE = 1.1
-"""Largest position beyond the nodes, in [-1, 1], at which a weight is kept."""
+"""Largest magnitude of the position of a weight. The nodes lie in [-1, 1], and more distant weights are moved to this
+position.
+"""
 
 
 class Kernel(NamedTuple):
@@ -58,9 +65,11 @@ class Kernel(NamedTuple):
     Attributes:
         blur: the blur.
         terms: indices of the terms.
-        variances: added along the plane of camera and lamp and across it by lamp and focus, two arrays (pixels,), px^2.
-        disc: disc of the lamp; None: a point, or part of the variances.
-        pixel_nodes: nodes over a pixel that is turned relative to the plane, see `Blur.turned_kernel`; 0: not turned.
+        variances: variances that lamp and defocus add along the plane of camera and lamp and across it, two arrays (pixels,),
+            px^2.
+        disc: source disc; None: a point source, or a disc that is part of the variances.
+        pixel_nodes: number of nodes over a pixel that is rotated relative to the plane of camera and lamp, see
+            `Blur.turned_kernel`; 0: not rotated.
     """
 
     blur: Blur
@@ -70,23 +79,27 @@ class Kernel(NamedTuple):
     pixel_nodes: int = 0
 
     def at(self, index: np.ndarray) -> tuple[tuple[np.ndarray, ...], LampDisc | None]:
-        """Return variances and disc at indices of pixels."""
+        """Select the variances and the disc of pixels by index."""
         disc = self.disc and LampDisc._make(np.asarray(a)[index] for a in self.disc)
         return tuple(np.asarray(v)[index] for v in self.variances), disc
 
 
 def kernel_reach(half_width: float, stds: np.ndarray) -> np.ndarray:
-    """Compute the half side of the window of a pixel for Gaussians of these standard deviations, px."""
+    """Compute the half side of the window of a pixel, px.
+
+    half_width: half width of the pixel, px. stds: standard deviations of the Gaussians of the blur, px.
+    """
     return half_width + _REACH * stds
 
 
 class SphereRule(NamedTuple):
-    """Rule of each pixel.
+    """Quadrature rule in theta_h for each pixel.
 
     Attributes:
         weight: weights at the nodes of theta_h, (pixels, 40), no unit.
         circles: sums over the circles, which give the azimuths for masking.
-        moment: weights of the difference of theta_d from the cell's, as `weight`, rad; None in a distant rig.
+        moment: `weight` times the deviation of theta_d from its value for the cell (`rise_of`), rad, (pixels, 40). None in a
+            distant rig.
     """
 
     weight: np.ndarray
@@ -95,9 +108,10 @@ class SphereRule(NamedTuple):
 
 
 def sphere_range(view: SphereView, windows: Windows) -> tuple[ThetaRange, ThetaRange]:
-    """Compute the ranges of the angle from the normal of the highlight, and of theta_h, in windows.
+    """Compute the ranges of angles in the windows of pixels.
 
-    The extremes lie on the border of a window, or on the limb where it leaves the sphere.
+    The first range is that of the angle from the normal of the highlight. The second is that of theta_h. The extremes
+    lie on the border of a window, or on the limb if the window extends beyond the sphere.
     """
     normals, frame = windows.border(view), about_highlight(windows)
     inside = windows.contains(view, frame.axis)
@@ -115,7 +129,16 @@ def _between(angle: np.ndarray, inside: np.ndarray) -> ThetaRange:
 
 
 class Directions(NamedTuple):
-    """Directions to camera and lamp at normals: lengths over their distances, cosines, and half and difference angle."""
+    """Directions to camera and lamp at normals of a sample.
+
+    Attributes:
+        view: length of the vector to the camera, divided by the distance of the camera from the centre.
+        light: length of the vector to the lamp, divided by the distance of the lamp from the centre.
+        cos_i: cosine of the angle of incidence.
+        cos_o: cosine of the viewing angle.
+        theta_h: half angle, rad.
+        theta_d: difference angle, rad.
+    """
 
     view: Any
     light: Any
@@ -128,14 +151,14 @@ class Directions(NamedTuple):
 def directions(normal: Any, sin: Any, cos: Any, q: Any, w: Any) -> Directions:
     """Compute the directions at normals of a sphere.
 
-    sin, cos: sine and cosine of the lamp angle. q, w: nearness of camera and lamp.
+    sin, cos: sine and cosine of the lamp angle. q, w: inverse distances of camera and lamp, 1/radii.
     """
     xp: Any = np if isinstance(normal[0], np.ndarray) else jnp
     n_x, n_y, n_z = normal
     up = n_x * sin + n_z * cos
     view, light = xp.sqrt(1 + q**2 - 2 * q * n_z), xp.sqrt(1 + w**2 - 2 * w * up)
     cos_o, cos_i = (n_z - q) / view, (up - w) / light
-    # half vector x normal, which vanishes at the highlight without loss of digits
+    # cross product of half vector and normal, without loss of digits near the highlight, where it is 0
     cross = -n_y / view - cos * n_y / light, n_x / view + (cos * n_x - sin * n_z) / light, sin * n_y / light
     theta_h = xp.arctan2(xp.sqrt(cross[0] ** 2 + cross[1] ** 2 + cross[2] ** 2), cos_i + cos_o)
     v = -q * n_x / view, -q * n_y / view, (1 - q * n_z) / view
@@ -153,16 +176,16 @@ def sphere_rule(
     theta_d: np.ndarray,
     factor: np.ndarray,
 ) -> SphereRule:
-    """Compute the rule of pixels.
+    """Compute the quadrature rule in theta_h for each pixel.
 
     Args:
         view: the sphere and the distances of camera and lamp.
         windows: windows of the pixels, which contain the support of the kernel.
         kernel: the kernel.
-        circles: angles from the highlight's normal between which the circles lie.
-        onto: theta_h between which the nodes lie.
+        circles: range of the angle from the normal of the highlight in which the circles lie.
+        onto: range of theta_h in which the nodes lie.
         theta_d: theta_d of the cells, (pixels,), rad.
-        factor: factors of the records, (pixels,), no unit.
+        factor: factors by which the records are multiplied, (pixels,), no unit.
     """
     angle, step = circles.nodes()
     arcs = _circle_arcs(view, windows, angle)
@@ -202,7 +225,7 @@ def sphere_rule(
 
 
 def _circle_arcs(view: SphereView, windows: Windows, circles: np.ndarray) -> Arcs:
-    """Find the arcs of circles about the highlight, (pixels, circles), in windows."""
+    """Find the arcs of circles about the highlight in windows. circles: angles from the highlight, rad, (pixels, circles)."""
     starts, lengths = [], []
     for begin in range(0, circles.shape[0], CHUNK):
         part = slice(begin, begin + CHUNK)
@@ -216,7 +239,7 @@ def _circle_arcs(view: SphereView, windows: Windows, circles: np.ndarray) -> Arc
 
 
 def _nothing(angle: np.ndarray, near: bool) -> SphereRule:
-    """Return the rule of pixels outside the image of the sphere."""
+    """Build the rule of pixels outside the image of the sphere, with weights of 0."""
     zero = np.zeros_like(angle)
     return SphereRule(zero, CircleSums(zero, np.zeros((3, *angle.shape)), zero, zero, zero), zero if near else None)
 
@@ -237,7 +260,11 @@ def _arc_sums(
     near: bool,
     pixel_nodes: int,
 ) -> tuple[jax.Array, ...]:
-    """Sum over the nodes of arcs: powers, (4 or 7, arcs), and in a near rig Legendre's polynomials, (40, arcs) twice."""
+    """Compute the sums over the nodes of each arc.
+
+    The first array, (4, arcs), or (7, arcs) in a near rig, contains the sums of `CircleSums`. A near rig also has sums of
+    Legendre polynomials for weights and for moments, (40, arcs) each.
+    """
     view = SphereView(*of_view) if near else SphereView(of_view[0], 0.0, 0.0)
     node, node_weight = _ARC if blur.residual is None else _ARC_OF_RINGS
 
@@ -266,7 +293,7 @@ def _arc_sums(
             if pixel_nodes and not blur.is_residual(term):
                 added = Spread(var_x, var_y, out_of_focus)
                 return blur.turned_kernel(*in_plane(*offset), term, added, (cosine, sine_), pixel_nodes)
-            # the residual of a lens is small: on a turned pixel its widening is treated as isotropic
+            # the residual of a lens is small: in a rotated pixel its widening is treated as isotropic
             widths = ((var_x + var_y) / 2,) * 2 if pixel_nodes else (var_x, var_y)
             return blur.at(term, Spread(widths[0], widths[1], out_of_focus), *offset)
 
@@ -278,7 +305,7 @@ def _arc_sums(
         if not near:
             return ([jnp.sum(share * one, axis=1) for one in (1.0, cos_a, cos_a**2, cos_a**3)],)
         at = directions(normal, jnp.sin(lamp), jnp.cos(lamp), view.camera, view.lamp)
-        # area in the image over the cosine of the viewing angle, times the irradiance across the light
+        # area in the image divided by the cosine of the viewing angle, times the irradiance of a surface that faces the lamp
         share = share * at.view / depth**3 / at.light**2
         position = 2 * (jnp.arcsinh(at.theta_h / scale) - first) / (last - first) - 1
         position = jnp.clip(position, -_OUTSIDE, _OUTSIDE)
@@ -297,4 +324,4 @@ def _arc_sums(
 
 
 _arc_sums_of_disc = jax.jit(_arc_sums.__wrapped__, static_argnames=("terms", "near", "pixel_nodes"))  # type: ignore[attr-defined]
-"""The same, compiled with all optimisation passes: the Gaussians of a disc take a third of the time."""
+"""`_arc_sums`, compiled with all optimisation passes. The Gaussians of a disc then take a third of the computing time."""

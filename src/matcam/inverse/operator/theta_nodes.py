@@ -1,8 +1,8 @@
-"""Nodes in the angle theta_h between normal and half vector, at which the rule of a pixel reads a lobe.
+"""Nodes in the angle theta_h between normal and half vector, at which the quadrature rule of a pixel evaluates a lobe.
 
-Nodes are even in asinh(theta_h / scale), so that they resolve a lobe a thousandth of a radian wide as well as a broad
-one. The masking G varies slowly: it is evaluated at fewer nodes, at two azimuths of each, which represent the azimuths
-in the window of the pixel.
+They are Gauss-Legendre nodes in asinh(theta_h / scale), which resolve lobes with a width of 1e-3 rad as well as broad
+lobes. The masking G varies slowly with theta_h. It is evaluated at fewer nodes and at two azimuths for each node. The two
+azimuths represent all azimuths in the window of the pixel.
 """
 
 from __future__ import annotations
@@ -17,31 +17,33 @@ from matcam.numerics.approximation import lagrange_basis
 
 NODES = np.polynomial.legendre.leggauss(40)
 _LOCAL = 10
-"""Number of neighbouring nodes that share a weight between them; at more distant nodes the masking may differ."""
+"""Number of neighbouring nodes to which a weight is distributed. At more distant nodes the masking may differ."""
 NODE_RULE = f"weights on {_LOCAL} nodes"
-"""Name of the transfer of weights to other nodes, for the description of a stored rule."""
+"""Name of the transfer of weights to nodes, in the description of a stored rule."""
 _RING_WINDOWS = 4
-"""Number of parts of a window whose nodes resolve the diffraction rings of a lens."""
+"""Number of parts into which a window is divided, so that the nodes of each part resolve the diffraction rings of a lens."""
 _FINEST = 25.0
-"""Ratio of the largest angle to the scale of the nodes."""
+"""Ratio of the largest angle to the scale of the nodes. Below the scale the nodes are linear in the angle."""
 _MOST_SKEW = 1e3
-"""Largest skewness of the azimuths of a circle."""
+"""Largest skewness of the azimuths on a circle. Larger values are clipped."""
 _BLOCK = 128
-"""Number of pixels that are transferred at a time: their arrays fit into a processor's cache."""
+"""Number of pixels whose weights are transferred at a time. Their arrays fit into the cache of a processor."""
 PIECE = 2 * _BLOCK
-"""Number of pixels of one call: one program serves any number of them, and several cores share them."""
+"""Number of pixels in each call. With a fixed number one compiled program serves all calls, and the calls run on several
+cores.
+"""
 SAMPLED = np.round(np.linspace(0, NODES[0].size - 1, 20)).astype(int)
-"""Nodes at which the masking of a distant rig is evaluated.
+"""Indices of the nodes at which the masking of a distant rig is evaluated.
 
-Cubics through them keep the kink of G at the limb in its position.
+Cubic polynomials through neighbouring nodes preserve the position of the kink of G at the limb.
 """
 _CUBIC = 4
 _STEEPNESS = 7.0
 """Rate, 1/rad, of the exponential in theta_d by which F rises towards grazing angles."""
 RISE = f"exp({_STEEPNESS:g} theta_d)"
-"""Name of the function of theta_d in which F is taken as linear, for the description of a stored rule."""
+"""Name of the function of theta_d in which F is assumed to be linear, in the description of a stored rule."""
 _LEAST_STD = 1e-7
-"""Standard deviation of the cosine of an azimuth below which all azimuths of a circle are equal."""
+"""Standard deviation of the cosine of an azimuth below which all azimuths of a circle are treated as equal."""
 
 
 def _local_barycentric() -> np.ndarray:
@@ -54,7 +56,7 @@ _BARYCENTRIC = _local_barycentric()
 
 
 def _sample_cubics() -> np.ndarray:
-    """Compute Lagrange's cubic through the four samples about each node, at that node, (nodes, samples)."""
+    """Compute the matrix of interpolation from samples to nodes by cubics through four samples, (nodes, samples)."""
     through = np.zeros((NODES[0].size, SAMPLED.size))
     for node, position in enumerate(NODES[0]):
         first = int(np.clip(np.searchsorted(SAMPLED, node, "right") - _CUBIC // 2, 0, SAMPLED.size - _CUBIC))
@@ -67,12 +69,12 @@ THROUGH_SAMPLES = _sample_cubics()
 
 
 class ThetaRange(NamedTuple):
-    """Range of angles over which nodes are laid; arrays of shape (pixels,).
+    """Range of angles that the nodes cover. The arrays have shape (pixels,).
 
     Attributes:
         low: smallest angle, rad.
         high: largest angle, rad.
-        finest: largest angle at which nodes about a highlight become even, rad; infinite: that of the range itself.
+        finest: upper limit of the scale of the nodes about a highlight, rad; infinite: the range determines the scale.
     """
 
     low: np.ndarray
@@ -80,21 +82,24 @@ class ThetaRange(NamedTuple):
     finest: np.ndarray | float = np.inf
 
     def parts(self) -> list[ThetaRange]:
-        """Divide the range into parts whose nodes resolve the rings of a lens."""
+        """Divide the range into parts whose nodes resolve diffraction rings."""
         at = [self.low + (self.high - self.low) * n / _RING_WINDOWS for n in range(_RING_WINDOWS + 1)]
         return [self._replace(low=low, high=high) for low, high in pairwise(at)]
 
     def nodes(self) -> tuple[np.ndarray, np.ndarray]:
-        """Compute the nodes and their weights as a rule in theta, (pixels, nodes) each, rad."""
+        """Compute nodes and weights of a quadrature rule in theta, rad.
+
+        Both arrays have shape (pixels, nodes).
+        """
         scale, first, last = (np.asarray(a)[:, None] for a in stretched(self.low, self.high, self.finest))
         t = first + (last - first) * (NODES[0] + 1) / 2
         return scale * np.sinh(t), scale * np.cosh(t) * (last - first) / 2 * NODES[1]
 
     def carry(self, theta: np.ndarray, weight: np.ndarray) -> np.ndarray:
-        """Transfer weights at angles to the nodes, (pixels, nodes).
+        """Transfer weights at angles to the nodes.
 
-        The sum is exact for polynomials through neighbouring nodes. Only the lobe must be smooth on their scale, not
-        the kernel.
+        The new weights have shape (pixels, nodes). Weighted sums of polynomials through neighbouring nodes are preserved.
+        The lobe must be smooth on the scale of the nodes; the kernel need not be. theta: angles of the weights, rad.
         """
         return np.asarray(_carry(theta, weight, self.low, self.high, np.broadcast_to(self.finest, self.low.shape)))
 
@@ -120,42 +125,52 @@ def _carry(theta: Any, weight: Any, low: Any, high: Any, finest: Any) -> jax.Arr
 
 
 def stretched(low, high, finest=np.inf):  # type: ignore[no-untyped-def]
-    """Compute (scale, first, last): nodes are even in asinh(theta / scale) between first and last. Arrays of NumPy or
-    JAX.
+    """Compute the scale of the nodes and the ends of their range.
 
-    finest: see `ThetaRange`; the distance from the highlight, if it is larger.
+    The nodes are Gauss-Legendre nodes in asinh(theta / scale), from `first` to `last`. They are linear in theta below the
+    scale, and logarithmic above it. The result is (scale, first, last), arrays of NumPy or JAX as the arguments.
+
+    low, high: ends of the range of angles, rad. finest: see `ThetaRange`. If `low` exceeds `finest`, `low` is
+        the limit.
     """
     xp = np if isinstance(low, np.ndarray) else jnp
-    # the highlight itself is inside only if the range begins at 0
+    # the range includes the highlight only if it begins at 0
     scale = xp.where(low > 0, xp.maximum(high / _FINEST, 0.15 * (high - low)), high / _FINEST)
     scale = xp.minimum(scale, xp.maximum(low, finest))
     return scale, xp.arcsinh(low / scale), xp.arcsinh(high / scale)
 
 
 def on_highlight(radius: float, reach: float) -> float:
-    """Compute the angle at which nodes about a highlight become even, rad. reach: half side of the kernel's window, px."""
+    """Compute the scale of the nodes about a highlight, rad.
+
+    radius: radius of the limb, px. reach: half side of the window of the kernel, px.
+    """
     return float(np.sqrt(2) * reach / radius / _FINEST)
 
 
 def onto_nodes(positions: jax.Array, share: jax.Array) -> jax.Array:
-    """Compute weights at Gauss nodes that integrate polynomials as shares at positions do, (pixels, nodes).
+    """Transfer weights at any positions to the Gauss nodes.
 
-    The polynomial through Gauss nodes is a sum of Legendre polynomials, whose coefficients are sums over the nodes.
+    The new weights have shape (pixels, nodes). Weighted sums of polynomials are preserved. The polynomial through the
+    values at the Gauss nodes is a sum of Legendre polynomials, whose coefficients are sums over the nodes.
 
     Args:
         positions: positions in [-1, 1], (pixels, ...).
-        share: their shares, of the same shape.
+        share: weights at the positions, of the same shape.
     """
     positions, share = (a.reshape(a.shape[0], -1) for a in (positions, share))
     return legendre_sums(positions, (share,))[0].T @ FROM_MOMENTS.T
 
 
 def legendre_sums(position: jax.Array, shares: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
-    """Sum shares times Legendre polynomials of the position over the last axis: arrays (degrees, ...)."""
+    """Compute the sums of weights times Legendre polynomials of the position.
+
+    The sums are over the last axis, and have shape (degrees, ...). position: in [-1, 1]. shares: arrays of weights.
+    """
 
     def next_degree(state, k):  # type: ignore[no-untyped-def]
         before, now = state
-        sums = tuple((share * now) @ ones for share in shares)  # XLA takes four times as long for jnp.sum
+        sums = tuple((share * now) @ ones for share in shares)  # jnp.sum takes four times as long in XLA
         return (now, ((2 * k + 1) * position * now - k * before) / (k + 1)), sums
 
     ones = np.ones(position.shape[-1])
@@ -169,23 +184,24 @@ FROM_MOMENTS *= np.arange(NODES[0].size) + 0.5
 
 
 def rise_of(theta_d: jax.Array, cell: jax.Array) -> jax.Array:
-    """Compute the difference of theta_d from that of the cell in a variable in which F is nearly linear, rad.
+    """Transform the deviation of theta_d from that of the cell, rad.
 
-    F rises as exp(7 theta_d) towards grazing angles, where it is steep. Small differences stay themselves.
+    F rises as exp(7 theta_d) towards grazing angles, and is nearly linear in the transformed deviation. Small deviations
+    are unchanged.
     """
     return jnp.expm1(_STEEPNESS * (theta_d - cell)) / _STEEPNESS
 
 
 class CircleSums(NamedTuple):
-    """Sums over the parts of circles about the highlight in the window of a pixel, arrays of shape (pixels, circles).
+    """Sums over the parts of circles about the highlight in the window of a pixel. Arrays have shape (pixels, circles).
 
     Attributes:
         total: sum of the weights.
-        cosine: sum of the weights times powers 1 to 3 of the cosine of the azimuth about the half vector, (3, pixels,
+        cosine: sums of the weights times powers 1 to 3 of the cosine of the azimuth about the half vector, (3, pixels,
             circles).
         position: sum of the weights times the position among the nodes, in [-1, 1].
         theta_d: sum of the weights times theta_d, rad.
-        product: sum of the weights times theta_d times the cosine, rad.
+        product: sum of the weights times theta_d times the cosine of the azimuth, rad.
     """
 
     total: np.ndarray
@@ -196,9 +212,10 @@ class CircleSums(NamedTuple):
 
 
 def masking_samples(circles: CircleSums, theta: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Compute theta, cosine of the azimuth, theta_d and share of the two azimuths at which masking is evaluated.
+    """Compute the angles at which masking is evaluated, and their shares.
 
-    They come from the circles next to each node, or from the nearest circle inside the window.
+    There are two azimuths at each node. They are interpolated between the circles next to the node, or are
+    those of the nearest circle inside the window.
 
     Args:
         circles: sums over circles.
@@ -206,7 +223,8 @@ def masking_samples(circles: CircleSums, theta: np.ndarray, at: np.ndarray) -> t
         at: indices of the nodes at which masking is evaluated.
 
     Returns:
-        Arrays (pixels, samples), and three of (pixels, samples, 2).
+        theta, rad, (pixels, samples). Cosine of the azimuth, theta_d, rad, and share of the two azimuths, (pixels, samples,
+        2) each.
     """
     seen = circles.total != 0
     safe = np.where(seen, circles.total, 1.0)
@@ -234,10 +252,12 @@ def masking_samples(circles: CircleSums, theta: np.ndarray, at: np.ndarray) -> t
 
 
 def skewed_pair(skew: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Compute two nodes, in standard deviations from the mean, and their shares, on a trailing axis.
+    """Compute the two-point Gauss rule of a skewed distribution.
 
-    They are a Gauss rule, exact to the third moment: close to the limb a circle is visible at two ends, of unequal
-    light. skew: skewness of the distribution that they represent.
+    The nodes, in standard deviations from the mean, and their shares have a trailing axis. The rule is exact up to the
+    third moment. Close to the limb a circle is visible at two ends with unequal weights, which such a rule represents.
+
+    skew: skewness of the distribution.
     """
     lean = np.clip(skew, -_MOST_SKEW, _MOST_SKEW) / 2
     root = np.sqrt(lean**2 + 1)
@@ -246,7 +266,7 @@ def skewed_pair(skew: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def nearest_seen(seen: np.ndarray) -> np.ndarray:
-    """Return the index of the nearest element that is True along axis 1."""
+    """Find the index of the nearest True element along axis 1."""
     index = np.arange(seen.shape[1])
     before = np.maximum.accumulate(np.where(seen, index, -1), axis=1)
     after = np.minimum.accumulate(np.where(seen, index, index.size)[:, ::-1], axis=1)[:, ::-1]
@@ -255,5 +275,5 @@ def nearest_seen(seen: np.ndarray) -> np.ndarray:
 
 
 def padded(array: np.ndarray) -> np.ndarray:
-    """Pad an array of pixels with its last element to a multiple of `PIECE`."""
+    """Pad an array with its last element to a multiple of `PIECE`."""
     return np.concatenate([array, np.repeat(array[-1:], -array.size % PIECE)])

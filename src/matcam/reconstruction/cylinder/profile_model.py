@@ -31,7 +31,7 @@ class ProfileModel(eqx.Module):
         blur: kernel of the camera, with a lens that is a sum of Gaussians.
         positions: positions on the source disc, as rotations of the direction to the lamp, rad, (points, 2).
         weights: weights of these positions, (points,); their sum is 1.
-        turns: angle of each strip's material, rad, (strips,).
+        turns: angle from the direction around the cylinder to the x axis of the material, for each strip, rad, (strips,).
         rows: rows of each strip at which the model is evaluated, px, (strips, rule).
         row_weights: weights of these rows, (rule,); their sum is 1.
     """

@@ -19,7 +19,7 @@ _MOST = 2048
 _LIMB = 3.0  # px from the outline within which the rule of a single column does not resolve the border
 _OUTSIDE = 1.5  # px beyond the outline up to which a window is read: the background is not modelled
 _LIT = 0.1  # smallest cosine to the lamp: near the terminator the rule of a column is inaccurate
-_MARGIN = 4.5  # px about the columns of a window
+_MARGIN = 4.5  # margin of the nodes about the columns of a window, px
 _TURNS = 40
 _NODES = 224
 

@@ -25,7 +25,7 @@ T = TypeVar("T")
 _CLIPPED_OUT = 30.0  # standard deviations above which a clipped pixel has no effect
 _HUBER = 4.0
 _STEPS, _ATTEMPTS = 25, 9
-_SETTLED = 1e-3  # of a standard deviation
+_SETTLED = 1e-3  # largest step at convergence, as a share of a standard deviation
 _SLIGHT, _LOOK_BACK = 10.0, 3
 """Factor of the threshold below which a step is small, and number of steps without progress after which the iteration ends."""
 _NO_CHANGE, _ALL_LOST = 1e-12, 1e-6

@@ -146,7 +146,10 @@ def json_schema() -> dict[str, Any]:
 
 
 def check_document(document: Any, where: str | Path) -> None:
-    """Check a document against the schema. FileFormatError names the first wrong field."""
+    """Check a document against the schema.
+
+    The message of a FileFormatError contains the first wrong field.
+    """
     _checked(document, where)
 
 

@@ -152,7 +152,11 @@ def mean_outline_frame(
 
 
 def _dark(reader: MosaicReader, capture: Capture, frame: CaptureFrame, region: Region | None) -> np.ndarray | float:
-    """Compute the mean dark code of the exposure of a frame, or of any exposure; 0 without dark frames."""
+    """Compute the dark level of a frame, DN, from the dark frames of its exposure.
+
+    Dark frames of all exposures are used if there are none of this exposure. Without readable dark frames the specified
+    black level is used, or 0.
+    """
     frames = capture.of("dark", exposure=frame.exposure) or capture.of("dark")
     stack = []
     for one in frames[:8]:
