@@ -6,8 +6,9 @@ coat again has the BRDF (Weidlich & Wilkie 2007, section 3)
     R D G / (4 cos_i cos_o) (1 - F(theta_i)) (1 - F(theta_o)) .
 
 D and G are those of a GGX surface with the roughness of the base, and F is that of a coat of refractive index 1.5. Refraction
-is neglected, so the roughness of the base is its apparent roughness from outside the coat. The lobe of the base is so broad
-that its blur by the camera is neglected.
+is neglected, so the roughness of the base is its apparent roughness from outside the coat. A fit computes the record of D G by
+the operator of its camera; the transmittances are smooth, so they are those of each cell. A corrected table neglects the small
+difference between the record of a base and its BRDF.
 """
 
 from __future__ import annotations
@@ -82,6 +83,15 @@ def _base_lobe(roughness: AnyArray, theta_h: AnyArray, theta_d: AnyArray, phi_d:
     facets = lobe.d(theta_h) * g2(
         "smith", lobe.smith_lambda(cos_i), lobe.smith_lambda(cos_o), azimuth_difference(theta_h, theta_d, phi_d)
     )
+    return facets / (4 * cos_i * cos_o) * _transmittance(cos_i, cos_o)
+
+
+def transmittance(theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> np.ndarray:
+    """Compute the transmittance of the coat, into it and out of it, in the shape of the angles, rad."""
+    return np.asarray(_transmittance(*(jnp.maximum(cos, STEEPEST) for cos in cosines(theta_h, theta_d, phi_d))))
+
+
+def _transmittance(cos_i: AnyArray, cos_o: AnyArray) -> jax.Array:
     coat = Dielectric(_INDEX)
-    crossed_i, crossed_o = (1 - coat.at(jnp.arccos(jnp.minimum(cos, _ALONG))) for cos in (cos_i, cos_o))
-    return facets / (4 * cos_i * cos_o) * crossed_i * crossed_o
+    into, out = (1 - coat.at(jnp.arccos(jnp.minimum(cos, _ALONG))) for cos in (cos_i, cos_o))
+    return into * out

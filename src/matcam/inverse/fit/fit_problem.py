@@ -25,9 +25,9 @@ import numpy as np
 from matcam.camera.sensor import PixelNoise
 from matcam.core.jax import jax, jnp, placed
 from matcam.core.programs import kept_program
-from matcam.inverse.fit.base_lobe import NARROWEST_PX, base_and_slope
+from matcam.inverse.fit.base_lobe import NARROWEST_PX, transmittance
 from matcam.inverse.fit.fit_data import FitData, Whitening, whitening
-from matcam.inverse.fit.fit_parameters import FresnelModel, Layout, reflectance_at
+from matcam.inverse.fit.fit_parameters import FresnelModel, Layout, LobeKind, reflectance_at
 from matcam.inverse.fit.lobe_slopes import RecordAndSlopes, record_and_slopes
 from matcam.inverse.fit.strength_slopes import StrengthSlopes
 from matcam.inverse.operator.chosen_cells import ChosenCells
@@ -35,6 +35,9 @@ from matcam.inverse.operator.lobe_operator import LobeOperator
 from matcam.inverse.operator.rig_axes import Axis
 from matcam.material.ndf.free_lobe import KNOTS, SHADOWS, STIFFER, slope_of_knot, spline_smoothness
 from matcam.numerics.approximation import smoothness
+
+_BASE = LobeKind("ggx", "smith")
+"""Lobe of a base."""
 
 
 class Prior(NamedTuple):
@@ -174,6 +177,7 @@ class FitProblem:
     ):
         self.data, self.cells, self.operator = data, cells, operator
         self.layout, self.prior, self.radius = layout, prior, radius
+        self._last_base: tuple[bytes, RecordAndSlopes] | None = None
         self._last: dict[int, tuple[bytes, list[RecordAndSlopes]]] = {}
 
     def with_layout(self, layout: Layout) -> FitProblem:
@@ -215,10 +219,11 @@ class FitProblem:
         for u, position in enumerate(layout.of_units("diffuse")):
             derivative[position, u] = 1 / np.pi
         if layout.base:
-            of_base, slope = base_and_slope(p[layout.base_width][0], cells.theta_h, cells.theta_d[:, None], cells.phi_d)
+            of_base, slopes = self._base_record(p)
             reflectance = self.of_units("base", p)[:, None, None]
             value = value + reflectance * of_base
-            derivative[layout.base_width.start] = reflectance * slope
+            derivative[layout.base_width.start] = reflectance * slopes[0]
+            derivative[layout.rig] = reflectance * slopes[1:, None]
             for u, position in enumerate(layout.of_units("base")):
                 derivative[position, u] = of_base
         return Body(value, derivative)
@@ -238,7 +243,7 @@ class FitProblem:
             by_lobe = _combined([one.slopes for one in orders[index]], model.log_slope[u])
             slope = model.strength[u][None, :, None] * by_lobe
             derivative[layout.lobe(index), u] = slope[: layout.kind.size]
-            derivative[layout.rig, u] = slope[layout.kind.size :]
+            derivative[layout.rig, u] += slope[layout.kind.size :]
             position = layout.unit(u)
             derivative[position.start : position.start + layout.fresnel_size, u] = by_fresnel[u]
         return model._replace(derivative=derivative)
@@ -313,6 +318,21 @@ class FitProblem:
         """
         parts = [of(operator) for operator in self.operator.orders]
         return np.stack([_combined(parts, slope) for slope in model.log_slope])
+
+    def _base_record(self, p: np.ndarray) -> RecordAndSlopes:
+        """Compute the record of a base of reflectance 1, and its derivatives with respect to ln roughness and the rig."""
+        q = np.concatenate([p[self.layout.base_width], p[self.layout.rig]])
+        if self._last_base is None or self._last_base[0] != q.tobytes():
+            found = record_and_slopes(self.operator, _BASE, q)
+            crossed = self._transmittance
+            self._last_base = q.tobytes(), RecordAndSlopes(found.record * crossed, found.slopes * crossed)
+        return self._last_base[1]
+
+    @cached_property
+    def _transmittance(self) -> np.ndarray:
+        """Return the transmittance of a coat in the chosen cells, (s, n)."""
+        cells = self.cells
+        return transmittance(cells.theta_h, cells.theta_d[:, None], cells.phi_d)
 
     def _records_and_slopes(self, index: int, p: np.ndarray) -> list[RecordAndSlopes]:
         """Compute the record of a lobe, and in a near rig the moment of the record.
