@@ -98,9 +98,9 @@ def test_a_run_s_zarr_with_a_large_description(tables, tmp_path, monkeypatch):
     document = json.loads(described.read_text())
     described.write_text(json.dumps(document | {"attributes": dict.fromkeys(map(str, range(300_000)), 0)}))
     for read in (row_names, lambda store: read_row(store, 0)):
-        with pytest.raises(FileFormatError, match="values are too many"):
+        with pytest.raises(FileFormatError, match="values exceed the limit"):
             read(described.parent)
-    with pytest.raises(OutputError, match=r"^output .*is not the Zarr of a run: .*values are too many"):
+    with pytest.raises(OutputError, match=r"^output .*is not the Zarr of a run: .*values exceed the limit"):
         corrected([tables], tmp_path / "out", zarr=True)
 
 

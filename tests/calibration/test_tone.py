@@ -61,7 +61,7 @@ def test_measured_from_patches():
     np.testing.assert_allclose(tone_from_patches(colour, patches, light, channel=0), table)
     for changed, words in (
         ({"light": light[::-1]}, "must be monotone"),
-        ({"light": light[:4]}, "a light for each"),
+        ({"light": light[:4]}, "one linear value of light for each"),
         ({"patches": patches[:2], "light": light[:2]}, "at least 3 patches"),
         ({"patches": [*patches[:-1], (340, 0, 30, 30)]}, "inside the image of 360 x 40"),
         ({"patches": [*patches[:-1], patches[0]]}, "same code"),

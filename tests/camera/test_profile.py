@@ -275,7 +275,7 @@ def test_unreadable_positions(tmp_path):
     huge = tmp_path / "huge.json"
     with huge.open("wb") as file:
         file.truncate(1 << 30)
-    with pytest.raises(FileFormatError, match="bytes are too many"):
+    with pytest.raises(FileFormatError, match="bytes exceed the limit"):
         Camera.load(huge)
 
 

@@ -141,9 +141,12 @@ METAL = Microfacet(GGX(0.1), 0.9)
         (lambda: ColourOptics(LENS, LENS, LENS, red_shift=1.0), "red_shift must be two numbers"),
         (lambda: Camera(ColourOptics(LENS, LENS, LENS)).psf(0.0, 0.0), "use Camera(optics.red, pixel)"),
         (lambda: Camera(SeidelOptics(*PARTS, unit=9.0)).mtf(0.1), "use Camera(optics.at(x, y), pixel)"),
-        (lambda: HaloOptics(LENS, 0.1, 9.0).mtf(0.1), "the same blur in all directions"),
-        (lambda: gaussian_sum(LENS), "`picture` and tables of a sphere support it"),
-        (lambda: matcam.measure(METAL, Rig(Camera(LENS), matcam.Cylinder(60.0))), "the same blur in all directions"),
+        (lambda: HaloOptics(LENS, 0.1, 9.0).mtf(0.1), "does not depend on direction, colour or position"),
+        (lambda: gaussian_sum(LENS), "`picture` and tables of a sphere support other lenses"),
+        (
+            lambda: matcam.measure(METAL, Rig(Camera(LENS), matcam.Cylinder(60.0))),
+            "does not depend on direction, colour or position",
+        ),
         (
             lambda: matcam.measure(METAL, Rig(Camera(SeidelOptics(*PARTS, unit=9.0)), Sphere(60.0))),
             "SeidelOptics has several",
@@ -157,13 +160,13 @@ METAL = Microfacet(GGX(0.1), 0.9)
         ),
         (
             lambda: matcam.peak_response(Rig(Camera(LENS), Sphere(60.0)), GGX(0.1), 0.3),
-            "the same blur in all directions",
+            "does not depend on direction, colour or position",
         ),
         (
             lambda: matcam.forward.highlight_stamps(Camera(LENS), 8, matcam.forward.Highlights(1.0, 0, 0, 1, 1)),
             "stamps need",
         ),
-        (lambda: matcam.forward.texture_contrast(Rig(Camera(LENS), Flat()), 0.1, 0.3), "a texture needs a lens"),
+        (lambda: matcam.forward.texture_contrast(Rig(Camera(LENS), Flat()), 0.1, 0.3), "a texture requires a lens"),
         (lambda: matcam.calibrate([], model="zernike"), "model must be one of"),
     ],
 )

@@ -131,7 +131,7 @@ def test_bad_input_is_one_line_and_code_2(calibrate, chart, tmp_path):
         ("chart.tif", "--tone", "film"): "--tone must be auto, linear, srgb, gamma:NUMBER or a file",
         ("chart.tif", "--tone", "gamma:x"): "a number must follow gamma:",
         ("chart.tif", "--tone", "srgb", "--tone-patches", "patches.txt"): "give one of them",
-        ("chart.tif", "--tone-patches", "patches.txt"): "patches.txt: a tone curve needs at least 3 patches",
+        ("chart.tif", "--tone-patches", "patches.txt"): "patches.txt: a tone curve requires at least 3 patches",
         ("chart.tif", "--half-width", "0.7"): "--half-width must lie in",
         ("chart.tif", "--channel", "X"): "--channel must be one of",
         ("chart.tif", "-o", "chart.tif"): "is the input itself",

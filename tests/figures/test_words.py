@@ -32,7 +32,7 @@ def test_titles_of_predictions_are_words(tmp_path):
     for name in ("a.svg", "b.svg"):
         written = re.findall(r"<text[^>]*>([^<]*)</text>", (tmp_path / name).read_text())
         title = next(text for text in written if "px radius" in text)
-        assert title.startswith("Share of the peak that is kept")
+        assert title.startswith("Recorded share of the peak")
         assert not any("Sphere(" in text or "Loss" in text for text in written)
 
 

@@ -137,7 +137,7 @@ BAD_ROWS = {
     "no lamp": (row("frames/x.tif", "", "20", "0", "E1", "1"), "x.tif: a frame needs a lamp", True),
     "lamp moved": (
         row("frames/x.tif", "L1", "25", "90", "E3", "1"),
-        "x.tif: lamp L1 has another position than in an earlier line",
+        "x.tif: lamp L1 has a different position from that in an earlier line",
         True,
     ),
     "name": (row("frames/x.tif", "L 1;", "25", "90", "E3", "1"), "x.tif: lamp must consist of letters", True),

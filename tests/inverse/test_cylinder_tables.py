@@ -221,6 +221,6 @@ def test_a_table_says_what_it_was_recorded_from(tmp_path):
     matcam.io.write_netcdf(path, table.to_dataset())
     command = ["fit", str(path), "--slice-step", "30", "--json"]
     refused = CliRunner().invoke(app, command)
-    assert str(refused.exception) == "--sample must be the table's own, attrs['sample'] = 'cylinder', got a sphere"
+    assert str(refused.exception) == "--sample must be that of the table (attrs['sample'] = 'cylinder'), got a sphere"
     done = CliRunner().invoke(app, [*command, "--sample", "cylinder"])
     assert json.loads(done.stdout)["params"]["alpha"] == found.params["alpha"]

@@ -116,7 +116,7 @@ def test_where_the_lamp_stood_is_said_once():
         (
             (table,),
             0.4,
-            r"lamp_azimuth must be the table's own, attrs\['lamp_azimuth'\] = 0.5 rad, or None, got 0.4 rad",
+            r"lamp_azimuth must be that of the table, attrs\['lamp_azimuth'\] = 0.5 rad, or None, got 0.4 rad",
         ),
         ((table, other), None, r"attrs\['lamp_azimuth'\] = 0.6 rad, or None, got 0.5 rad"),
         ((bad,), None, r"attrs\['lamp_azimuth'\] of a BRDF table must lie in \[-2 pi, 2 pi\] rad, got 30.0"),

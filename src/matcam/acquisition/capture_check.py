@@ -138,17 +138,19 @@ def coverage_remarks(lamps: dict[str, LampGuess]) -> list[Remark]:
         found.append(
             Remark(
                 "angles-missed",
-                f"no lamp position has theta_d below {theta_d[0]:.0f} degrees: add one below {_FIRST:.0f}",
+                f"no lamp position has theta_d below {theta_d[0]:.0f} degrees: add a position below {_FIRST:.0f} degrees",
             )
         )
     if theta_d[-1] < _LAST:
-        text = f"the lamp positions end at theta_d = {theta_d[-1]:.0f} degrees: add one above {_LAST:.0f} to measure F there"
+        text = f"the lamp positions end at theta_d = {theta_d[-1]:.0f} degrees: add a position above {_LAST:.0f} "
+        text += "degrees to measure F there"
         found.append(Remark("angles-missed", text))
     for low, high in pairwise(theta_d):
         if high - low > _GAP:
             found.append(
                 Remark(
-                    "angles-missed", f"no lamp position has theta_d between {low:.0f} and {high:.0f} degrees: add one"
+                    "angles-missed",
+                    f"no lamp position has theta_d between {low:.0f} and {high:.0f} degrees: add a position",
                 )
             )
     return found

@@ -76,7 +76,10 @@ class ExposureRatios(NamedTuple):
 def first_guess(
     samples: Sequence[BracketSample], count: int, top: float, noise: float, nominal: np.ndarray
 ) -> np.ndarray:
-    """Estimate relative exposures from ratios of the light in neighbouring exposures; nominal ratios without overlap."""
+    """Estimate relative exposures from ratios of the light in neighbouring exposures.
+
+    The nominal ratio is used if two neighbouring exposures have no common well-exposed pixels.
+    """
     guess = np.ones(count)
     for k in range(1, count):
         ratios = []

@@ -91,8 +91,8 @@ def find_highlight(picture: MergedPicture, ball: MirrorBall, *, blur: float = 0.
     area = first[3] / np.count_nonzero(on)
     if area > _BROADEST:
         raise FitError(
-            f"{picture.name}: the brightest spot covers {area:.0%} of the sphere, more than a highlight; specify the lamp's "
-            "direction"
+            f"{picture.name}: the brightest spot covers {area:.0%} of the sphere, which is too large for a highlight; specify "
+            "the lamp's direction"
         )
     remarks = []
     others = tuple((s[0] + picture.origin[0], s[1] + picture.origin[1], s[2] / first[2]) for s in spots[1:])

@@ -195,7 +195,7 @@ def measure_radiometry(
     remarks += [
         Remark(
             "missing-frame",
-            f"lamp{'s' * (len(of) > 1)} {some_of(of)}: no usable frame of exposure {', '.join(lacking)}; add one",
+            f"lamp{'s' * (len(of) > 1)} {some_of(of)}: no usable frame of exposure {', '.join(lacking)}; add such a frame",
         )
         for lacking, of in missing.items()
     ]
@@ -432,7 +432,8 @@ def _gain_without_brackets(
     remarks.append(
         Remark(
             "gain-unknown",
-            "neither the frames nor a profile determine the gain: 1 DN per electron is assumed; give a profile with a sensor",
+            "the gain is unknown from the frames, and no profile specifies it: 1 DN per electron is assumed; give a profile "
+            "with a sensor",
         )
     )
     return Stated(float("nan"), float("inf"))

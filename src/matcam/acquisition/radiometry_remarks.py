@@ -89,7 +89,7 @@ def exposure_remarks(names: Sequence[str], ratios: ExposureRatios, nominal: np.n
     for name, error, std in zip(names, wrong, ratios.std(), strict=True):
         if np.isfinite(std) and abs(error) > max(_WRONG_TIME, 4 * std):
             text = f"exposure {name}: its light relative to {names[0]} is {1 + error:.3f} +- {std:.3f} times the nominal ratio"
-            found.append(Remark("times-wrong", text + ", and is used instead: check time_s in frames.csv"))
+            found.append(Remark("times-wrong", text + "; the measured ratio is used: check time_s in frames.csv"))
     slope = float(np.polyfit(np.log(said), np.log(ratios.value), 1)[0]) if said[-1] > 1.5 else 1.0
     proof = tone_curve_proof(tone_exponent(ratios, nominal))
     if proof is not None:

@@ -79,7 +79,7 @@ class PlanView:
         self.layout = row(self._knobs(), self._pictures(), sizing_mode="stretch_width", spacing=8, name="plan")
 
     def start(self) -> None:
-        """Compile the programs, with a progress line, and start to compute."""
+        """Compile the previews, with a progress line, and show the first ones."""
         self._fast.ask(self._warmed, self._started)
 
     def close(self) -> None:

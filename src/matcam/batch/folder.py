@@ -46,8 +46,8 @@ class RunFolder:
     def locked(self) -> Iterator[None]:
         """Create the folder if needed and lock it against other runs.
 
-        The system releases the lock when this process dies. OutputError if another run holds it, or the folder cannot
-        be created.
+        The system releases the lock when this process dies. An OutputError is raised if another run holds it, or the
+        folder cannot be created.
         """
         lock = filelock.FileLock(self.path / _LOCK)
         try:
@@ -81,8 +81,8 @@ class RunFolder:
         """Find the tables in `paths`, and the output file of each table in this folder.
 
         A folder represents its *.binary files, in order of their names; duplicates are omitted. Returns {input: output},
-        and the rejected inputs: those that share a name, or have the name of a file of the run. ArgumentError if
-        there is no table; OutputError if this folder contains an input.
+        and the rejected inputs: those that share a name, or have the name of a file of the run. An ArgumentError is
+        raised if there is no table; an OutputError is raised if this folder contains an input.
         """
         given = [Path(path) for path in paths]
         found: dict[Path, Path] = {}

@@ -207,7 +207,7 @@ class Fingerprint(NamedTuple):
 
 
 def fingerprint(path: Path) -> Fingerprint:
-    """Compute the fingerprint of a file. FileFormatError if it cannot be read."""
+    """Compute the fingerprint of a file. A FileFormatError is raised if it cannot be read."""
     with reading(path, "a table"):
         status = path.stat()
         with path.open("rb") as file:

@@ -179,7 +179,7 @@ _KNOWN = 0.25
 def fit_shared_camera(recipe: Recipe, inputs: Sequence[Path]) -> Camera:
     """Fit the blur of the camera of the recipe to these tables, with its variance.
 
-    FitError if all tables are unreadable, or the tables do not determine the blur to 25 %.
+    A FitError is raised if all tables are unreadable, or the tables do not determine the blur to 25 %.
     """
     chosen = _narrowest(inputs, recipe.sampling)
     tables = [table for _, table in chosen]

@@ -57,7 +57,7 @@ class StoreRow(NamedTuple):
     row: int
 
     def write(self, data: xr.Dataset) -> None:
-        """Write a corrected table to this row. OutputError if that fails."""
+        """Write a corrected table to this row. An OutputError is raised if that fails."""
         try:
             group = _zarr().open_group(self.store, mode="r+", zarr_format=3, use_consolidated=False)
             group[_DONE][self.row] = False
@@ -72,7 +72,8 @@ class StoreRow(NamedTuple):
 def open_rows(store: Path, names: Sequence[str], sampling: Sampling) -> dict[str, StoreRow]:
     """Return the row of each material in a store, which is created or extended as needed.
 
-    ArgumentError if zarr is not installed; OutputError if the store is not the Zarr of a run, or cannot be written.
+    An ArgumentError is raised if zarr is not installed; an OutputError is raised if the store is not the Zarr of a run,
+    or cannot be written.
     """
     zarr = _zarr()
     try:
@@ -142,7 +143,10 @@ def _stored(store: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
 
 
 def _bytes_of(store: Path, names: Sequence[str], row: int | None = None) -> int:
-    """Compute the total size of the chunks of arrays, or of one row, bytes. FileFormatError if a chunk is a link."""
+    """Compute the total size of the chunks of arrays, or of one row, bytes.
+
+    A FileFormatError is raised if a chunk is a link.
+    """
     total = 0
     for name in names:
         chunks = store / name / "c"
@@ -156,14 +160,14 @@ def _bytes_of(store: Path, names: Sequence[str], row: int | None = None) -> int:
 
 
 def _check_readable(store: Path) -> None:
-    """Check that a store has the arrays of a run. FileFormatError if it does not."""
+    """Check that a store has the arrays of a run. A FileFormatError is raised if it does not."""
     _check_arrays(store)
     if not is_file(store / _ROW / DESCRIPTION):
         raise FileFormatError(f"{store}: is not the Zarr of a run: it has no array {_ROW}")
 
 
 def _check_arrays(store: Path) -> None:
-    """Check the arrays of a store before decoding. FileFormatError if the store is not from a run."""
+    """Check the arrays of a store before decoding. A FileFormatError is raised if the store is not from a run."""
     for described in sorted([*store.glob(DESCRIPTION), *store.glob(f"*/{DESCRIPTION}")]):
         name = described.parent.name
         try:

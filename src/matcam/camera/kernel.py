@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 _FAR = 40.0  # distance beyond which the normal density underflows to 0, standard deviations
 _SLIVER = 0.05  # short half width / std below which quadrature replaces the second difference
 _FREQUENCIES = np.linspace(0, 2, 4001)
-"""Frequencies at which MTF50 is searched, cycles/px. Their step is below the standard deviation of any calibration."""
+"""Frequencies among which MTF50 is searched for, cycles/px. Their step is below the standard deviation of any calibration."""
 _THINNEST = 1e-3  # smallest short half width of `edge_and_slopes`, px: it adds a blur of 2e-7 px^2 and loses no digits
 
 

@@ -57,7 +57,10 @@ def _part_schema(name: str) -> type[Part]:
 
 
 def _one_of(names: Iterable[str]) -> Any:
-    """Build the type of a part that has any of these models; its inner lens may have any of them, too."""
+    """Build the union of the schemas of the named models.
+
+    A lens inside another lens may be any of these models, too.
+    """
     schemas: Any = tuple(_part_schema(name) for name in names)
     union = Annotated[Union[schemas], Field(discriminator="model")]  # noqa: UP007
     for schema in schemas:

@@ -1,4 +1,4 @@
-"""`matcam predict`: share of a highlight that a rig keeps, by roughness and angle."""
+"""`matcam predict`: response and loss angle of a rig, by roughness and viewing angle."""
 
 from __future__ import annotations
 
@@ -86,7 +86,10 @@ def command(
     force: Force = False,
     json: AsJson = False,
 ) -> None:
-    """Predict the share of a highlight that a rig keeps, and the angle up to which it loses less than 5 %.
+    """Predict the response of a rig at the peak of a lobe, and the loss angle.
+
+    The response is the recorded peak divided by the true peak. Below the loss angle, the loss relative to normal view is
+    less than 5 %.
 
     With --glare, also predict the false haze and the false diffuse reflection of each material.
 
@@ -111,7 +114,7 @@ def command(
         lobes = [family_ndf(ndf, value, power) for value in values]
         data = predicted(rig, lobes, dims, exact)
     false = _false_light(rig, lobes) if glare else []
-    title = f"{ndf}{f' {power:g}' if power else ''} lobe on a {sample}: share of the peak kept at 0°, and loss relative to 0°"
+    title = f"{ndf}{f' {power:g}' if power else ''} lobe on a {sample}: response at 0°, and loss relative to 0°"
     if json:
         show.as_json(
             {
@@ -191,7 +194,7 @@ def _map(rig: Any, ndf: str, power: float | None, how: tuple[int, bool], path: P
         data = predicted(rig, [family_ndf(ndf, value, power) for value in np.geomspace(3e-4, 0.3, 49)], *how)
         write_columns(path.with_suffix(".csv"), data.columns(), force=force)
         save(
-            plane_figure(data, f"Share of the peak that is kept, relative to 0°: {rig.sample.in_words()}"),
+            plane_figure(data, f"Recorded share of the peak, relative to 0°: {rig.sample.in_words()}"),
             path,
             force=force,
         )
@@ -214,7 +217,7 @@ def _write(data: Any, rig: Any, output: Path, force: bool) -> None:
     parameters = ", ".join(_PARAMETERS.get(name, f"{name} {{:g}}").format(value) for name, value in numbers)
     write_columns(output.with_suffix(".csv"), data.columns(), force=force)
     save(
-        prediction_figure(data, f"Share of the peak that is kept: {rig.sample.in_words()}, {parameters}"),
+        prediction_figure(data, f"Recorded share of the peak: {rig.sample.in_words()}, {parameters}"),
         output,
         force=force,
     )

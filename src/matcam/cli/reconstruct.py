@@ -56,8 +56,8 @@ def command(
     Unusable frames are left out and listed; the results are written, and the exit code is 1. An interrupted run resumes
     after the frames that it has read.
 
-    A cylinder has no pinhole table. An anisotropic material is only in the .nc file, because only this format has the
-    azimuth of the half vector. The maps of a flat sample are also in the .nc file.
+    For a cylinder, no table without lens correction is written. An anisotropic material is only in the .nc file, because
+    only this format has the azimuth of the half vector. The maps of a flat sample are also in the .nc file.
 
     Example: `matcam reconstruct shots/ -o chrome.binary`
     """

@@ -43,7 +43,7 @@ T = TypeVar("T")
 def number(name: str, value: ArrayLike | npt.ArrayLike) -> jax.Array:
     """Convert `value` to a float64 array of finite numbers.
 
-    ArgumentError if the value is not numeric or not finite.
+    An ArgumentError is raised if the value is not numeric or not finite.
     """
     if _trusted.get() or not is_concrete(value):
         return xp.asarray(value, dtype=xp.float64)
@@ -56,7 +56,7 @@ def number(name: str, value: ArrayLike | npt.ArrayLike) -> jax.Array:
 def numbers(name: str, value: ArrayLike | npt.ArrayLike) -> jax.Array:
     """Convert `value` to a float64 array, which may contain NaN.
 
-    ArgumentError if the value is not numeric.
+    An ArgumentError is raised if the value is not numeric.
     """
     return _kept(_as_float64(name, value), value) if is_concrete(value) else xp.asarray(value, dtype=xp.float64)
 
@@ -201,7 +201,7 @@ def instances(name: str, values: Any, kind: type[T]) -> list[T]:
 def broadcastable(**values: ArrayLike) -> tuple[jax.Array, ...]:
     """Convert values to finite float64 arrays whose shapes broadcast.
 
-    ArgumentError if a value is not finite, or if the shapes do not broadcast.
+    An ArgumentError is raised if a value is not finite, or if the shapes do not broadcast.
     """
     arrays = {name: number(name, value) for name, value in values.items()}
     broadcast_shape(**arrays)
@@ -211,7 +211,7 @@ def broadcastable(**values: ArrayLike) -> tuple[jax.Array, ...]:
 def broadcast_shape(**arrays: jax.Array) -> tuple[int, ...]:
     """Compute the common shape of arrays.
 
-    ArgumentError if the arrays do not broadcast; the message contains their names and shapes.
+    An ArgumentError is raised if the arrays do not broadcast; the message contains their names and shapes.
     """
     shapes = [np.shape(array) for array in arrays.values()]
     try:
@@ -228,7 +228,7 @@ def extra(what: str, name: str, module: str) -> None:
     Args:
         what: feature that requires it, for the message.
         name: extra of this package that installs it, such as "render".
-        module: the module, which is searched and not imported.
+        module: name of the module, which is located but not imported.
 
     Raises:
         ArgumentError: the module is not installed; the message contains the command that installs it.
@@ -249,7 +249,7 @@ def not_masked(name: str, value: Any) -> None:
 def plain_array(name: str, value: Any) -> np.ndarray:
     """Convert a value to an array of any type.
 
-    ArgumentError for a masked array, and for rows of different lengths.
+    An ArgumentError is raised for a masked array, and for rows of different lengths.
     """
     not_masked(name, value)
     try:

@@ -37,8 +37,8 @@ _PICTURES = (".png", ".pdf", ".svg")
 def check_output(path: str | Path, *, force: bool = False, inputs: Iterable[str | Path] = ()) -> Path:
     """Check that an output can be written without overwriting a file.
 
-    OutputError if `path` is a folder, has a file as parent, is one of `inputs` (even with `force`), or exists and
-    `force` is not set; ArgumentError if `force` is neither True nor False.
+    An OutputError is raised if `path` is a folder, has a file as parent, is one of `inputs` (even with `force`), or
+    exists and `force` is not set; an ArgumentError is raised if `force` is neither True nor False.
     """
     path = Path(path)
     if type(force).__name__ not in ("bool", "bool_"):  # also of NumPy; a string would be true
@@ -71,7 +71,7 @@ def _check_position(path: Path, inputs: Iterable[str | Path]) -> None:
 def check_output_folder(path: Path) -> None:
     """Check that a path can be a folder of outputs.
 
-    OutputError if the path is a file, or if the folder cannot be created.
+    An OutputError is raised if the path is a file, or if the folder cannot be created.
     """
     if is_there(path) and not is_folder(path):
         raise OutputError(f"output {path} is a file: give a folder")
@@ -107,7 +107,7 @@ class Outputs:
         self._process = os.getpid()
 
     def make_folder(self, path: Path) -> None:
-        """Create a folder and its parents. OSError if that fails."""
+        """Create a folder and its parents. An OSError is raised if that fails."""
         for folder in (*reversed(path.parents), path):
             with uninterrupted():
                 if not folder.exists():
@@ -115,7 +115,7 @@ class Outputs:
                     self._folders.append(folder)
 
     def temporary(self, path: Path) -> Path:
-        """Create an empty file beside `path`. OSError if that fails."""
+        """Create an empty file beside `path`. An OSError is raised if that fails."""
         stem = path.stem if len(os.fsencode(path.name)) <= _LONGEST_NAME else path.stem[: _LONGEST_NAME // 8]
         while True:
             temporary = path.with_name(f".{stem}-{secrets.token_hex(4)}{path.suffix}")
@@ -306,7 +306,7 @@ def uninterrupted() -> Iterator[_Waiting]:
 def make_folder(path: Path) -> None:
     """Create a folder for outputs.
 
-    The folder is removed if the outputs are not published. OutputError if the folder cannot be created.
+    The folder is removed if the outputs are not published. An OutputError is raised if the folder cannot be created.
     """
     try:
         with all_or_nothing() as outputs:
@@ -401,8 +401,8 @@ def user_cache_folder() -> Path:
 def write_json(path: str | Path, document: dict[str, Any], *, force: bool = False) -> None:
     """Write a document as indented JSON.
 
-    ValueError or TypeError for values that JSON cannot represent, before writing; OutputError if the file cannot be
-    written.
+    A ValueError or TypeError is raised for values that JSON cannot represent, before writing; an OutputError is raised if
+    the file cannot be written.
     """
     text = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
     with replacing(path, force=force) as temporary:

@@ -119,7 +119,7 @@ class _Folder(NamedTuple):
 
 @contextlib.contextmanager
 def _opened(path: Path) -> Iterator[_Folder]:
-    """Open a folder that no other user may change. OSError if another user may change it."""
+    """Open a folder that no other user may change. An OSError is raised if another user may change it."""
     if not _BY_FOLDER:
         yield _Folder(None, path)
         return

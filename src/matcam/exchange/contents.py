@@ -141,7 +141,7 @@ def write(path: str | Path, thing: Any, *, force: bool = False) -> None:
 def contents_of(thing: Any) -> Contents:
     """Wrap a table, a result or an image as contents.
 
-    ArgumentError for anything else.
+    An ArgumentError is raised for anything else.
     """
     if isinstance(thing, Contents):
         return thing
@@ -163,7 +163,7 @@ def contents_of(thing: Any) -> Contents:
 def write_contents(path: str | Path, contents: Contents, *, force: bool = False) -> None:
     """Write contents in the format of the suffix.
 
-    ArgumentError if the format does not support them.
+    An ArgumentError is raised if the format does not support them.
     """
     path = Path(path)
     form = format_for(path)
@@ -180,7 +180,7 @@ def write_contents(path: str | Path, contents: Contents, *, force: bool = False)
 def read_contents(path: str | Path, sampling: Sampling = "centre") -> Contents:
     """Read a file of any format that contains measurements.
 
-    FileFormatError for any other file.
+    A FileFormatError is raised for any other file.
 
     Args:
         path: file to read.
@@ -263,7 +263,7 @@ def _labelled(path: Path, name: str, data: xr.Dataset) -> Contents:
 def material_of(contents: Contents) -> Material:
     """Build the material from the contents of a file.
 
-    ArgumentError if they do not define a material.
+    An ArgumentError is raised if they do not define a material.
     """
     if contents.table is not None:
         return Tabulated(contents.table)

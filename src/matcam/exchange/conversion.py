@@ -28,7 +28,7 @@ from matcam.material.measured import Adaptive, Tabulated
 
 _PAIRS, _FARTHEST = 4096, np.radians(80)
 _MIRRORED = 46
-"""Number of mirror directions in which the peak is searched: one per degree, the width of a cell of a table."""
+"""Number of mirror directions among which the peak is searched for: one per degree, the width of a cell of a table."""
 _FLOOR = 1e-6
 """Share of the peak below which a value is not used as a divisor. A camera of 16 bits resolves 1.5e-5."""
 
@@ -218,7 +218,10 @@ def _as_table(contents: Contents, sampling: Sampling) -> tuple[Contents, dict[st
     """Resample RGL's fields to the MERL grid."""
     material = material_of(contents)
     if isinstance(material, Adaptive) and material.mirrored:
-        raise ArgumentError("this RGL file is anisotropic: a table on the MERL grid cannot represent it")
+        raise ArgumentError(
+            "this RGL file is anisotropic, but a table on the MERL grid is isotropic: give an isotropic file, or another "
+            "output format"
+        )
     table = true_table(material, sampling)
     negative = float((table < 0).mean())  # tables of RGL are negative where data are missing
     table = table.clip(min=0).assign_attrs(table.attrs)

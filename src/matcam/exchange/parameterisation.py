@@ -117,9 +117,14 @@ def adaptive_grid(material: Material, *, description: str = "", square: int = SQ
     if not isinstance(material, Material):
         raise ArgumentError(f"material must be a Material such as Tabulated(table), got {type(material).__name__}")
     if isinstance(material, Microfacet) and not isinstance(material.ndf, NDF):
-        raise ArgumentError(f"only isotropic materials are resampled, but {material.ndf!r} is not")
+        raise ArgumentError(
+            f"only isotropic materials can be resampled, but {material.ndf!r} is anisotropic: give a material with an "
+            "isotropic NDF"
+        )
     if isinstance(material, Adaptive) and material.mirrored:
-        raise ArgumentError("only isotropic materials are resampled, but this RGL file is anisotropic")
+        raise ArgumentError(
+            "only isotropic materials can be resampled, but this RGL file is anisotropic: give an isotropic file"
+        )
     if type(square) is not int or square % 2 or not 8 <= square <= 512:
         raise ArgumentError(f"square must be an even number from 8 to 512, got {square!r}")
     return resampled_grid(material, _FINEST._replace(square=square), description)

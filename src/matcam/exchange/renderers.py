@@ -115,7 +115,9 @@ def pbrt_material(material: Microfacet, name: str | None = None) -> str:
     if not isinstance(material.ndf, GGX | AnisotropicGGX):
         raise ArgumentError(f"pbrt supports only GGX facets, not {material.ndf!r}: give GGX facets")
     if not isinstance(material.fresnel, Conductor) or np.any(np.asarray(material.diffuse) > 0):
-        raise ArgumentError("pbrt's conductor can only be a metal without a diffuse part")
+        raise ArgumentError(
+            "pbrt's conductor supports only metals without a diffuse part: give a Conductor as the Fresnel term, and diffuse=0"
+        )
     if name is not None and (not name or any(c in name for c in '"\\\n')):
         raise ArgumentError(f"name must not be empty or contain quotes, backslashes or line breaks, got {name!r}")
     along, across = _alphas(material)

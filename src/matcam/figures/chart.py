@@ -66,7 +66,7 @@ def chart_figure(chart: Chart) -> Figure:
 def check_raster(chart: Chart, dpi: float) -> None:
     """Check the resolution of a raster of a chart.
 
-    ArgumentError if the raster is too coarse for a chart, or too large for memory.
+    An ArgumentError is raised if the raster is too coarse for a chart, or too large for memory.
     """
     checks.within("dpi", dpi, 50, 10_000)
     pixels = chart.page[0] * chart.page[1] * (dpi / _INCH) ** 2

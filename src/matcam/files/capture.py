@@ -82,18 +82,18 @@ class Capture:
         return sorted(times, key=lambda name: (math.isnan(times[name]), times[name]))
 
     def time(self, exposure: str) -> float:
-        """Return the nominal time of an exposure, s; NaN: unknown."""
+        """Return the nominal time of an exposure, s; NaN if it is unknown."""
         return next((f.time for f in self.frames if f.exposure == exposure and not math.isnan(f.time)), math.nan)
 
     @property
     def profile(self) -> Path | None:
-        """Return the file of the camera profile; None: not given."""
+        """Return the file of the camera profile; None if it is not specified."""
         name = self.settings["camera"]["profile"]
         return None if name is None else self.folder / name
 
     @property
     def mask(self) -> Path | None:
-        """Return the file of the mask of the sphere; None: not given."""
+        """Return the file of the mask of the sphere; None if it is not specified."""
         name = self.settings["outline"]["mask"]
         return None if name is None else self.folder / name
 
@@ -101,7 +101,7 @@ class Capture:
     def circle(self) -> tuple[tuple[float, float], Stated] | None:
         """Return centre (column, row) and radius of the sphere's outline, px.
 
-        None: not given.
+        The value is None if the outline is not specified.
         """
         section = self.settings["outline"]
         if section["radius_px"] is None:
@@ -111,13 +111,13 @@ class Capture:
 
     @property
     def radius_mm(self) -> Stated | None:
-        """Return the radius of the sample, mm; None: not given."""
+        """Return the radius of the sample, mm; None if it is not specified."""
         return _as_stated(self.settings["sample"]["radius_mm"])
 
     def stated(self, name: str) -> Stated | None:
         """Return a value of [sample] by the name of its field.
 
-        None: not given.
+        The value is None if it is not specified.
         """
         return _as_stated(self.settings["sample"][name])
 
@@ -125,7 +125,7 @@ class Capture:
     def camera_radii(self) -> Stated | None:
         """Return the distance of the camera, in radii of the sample.
 
-        The distance is from the centre of the sample; None: not given.
+        The distance is from the centre of the sample, and None if it is not specified.
         """
         return self._in_radii("camera_mm")
 
@@ -133,7 +133,7 @@ class Capture:
     def lamp_radii(self) -> Stated | None:
         """Return the distance of the lamp, in radii of the sample.
 
-        The distance is from the centre of the sample; None: not given.
+        The distance is from the centre of the sample, and None if it is not specified.
         """
         return self._in_radii("lamp_mm")
 
@@ -146,7 +146,7 @@ class Capture:
     def reference_region(self) -> Region | None:
         """Return the region of the reference in every frame.
 
-        None: the reference is not in the frames.
+        The value is None if the reference is not in the frames.
         """
         section = self.settings["reference"]
         return None if section is None or section["apart"] else self.reference_position
@@ -155,7 +155,7 @@ class Capture:
     def reference_position(self) -> Region | None:
         """Return the region of the reference in its images.
 
-        These are the frames of the sample or separate images. None: not given.
+        These are the frames of the sample or separate images. The value is None if it is not specified.
         """
         section = self.settings["reference"]
         return None if section is None or section["region_px"] is None else tuple(section["region_px"])
@@ -168,7 +168,7 @@ class Capture:
 
     @property
     def region(self) -> Region | None:
-        """Return the used region of the frames; None: the whole frame."""
+        """Return the used region of the frames; None for the whole frame."""
         box = self.settings["sample"]["region_px"]
         return None if box is None else tuple(box)
 
@@ -240,7 +240,7 @@ def _check_light(folder: Path, settings: dict[str, Any], lamps: dict[str, LampGu
     said, path = settings["lamp"]["intensity"], folder / SETTINGS
     lacking = [name for name, guess in lamps.items() if not guess.intensity]
     if said == "reference" and settings["reference"] is None:
-        raise FileFormatError(f"{path}: lamp.intensity is {said!r}, but there is no [reference]: add one")
+        raise FileFormatError(f"{path}: lamp.intensity is {said!r}, but there is no [reference]: add this section")
     if said == "table":
         if lacking:
             raise FileFormatError(
@@ -282,7 +282,7 @@ def json_schema() -> dict[str, Any]:
 
 
 def _inside(folder: Path, name: str) -> Path:
-    """Return the path of a file of the folder; FileFormatError if it is outside."""
+    """Return the path of a file of the folder; a FileFormatError is raised if it is outside."""
     return listed_file(folder, name, "the capture's folder")
 
 
@@ -381,11 +381,11 @@ def _frame(
         known = lamps.get(lamp)
         if known is not None and not np.allclose(known[:2], guess[:2], atol=1e-9, rtol=0, equal_nan=True):
             raise FileFormatError(
-                f"{path}: lamp {lamp} has another position than in an earlier line: give each position its own lamp"
+                f"{path}: lamp {lamp} has a different position from that in an earlier line: give each position its own lamp"
             )
         if known is not None and known.intensity != guess.intensity:
             raise FileFormatError(
-                f"{path}: lamp {lamp} has another intensity than in an earlier line: give one value for each lamp"
+                f"{path}: lamp {lamp} has a different intensity from that in an earlier line: give one value for each lamp"
             )
     return CaptureFrame(name, kind, lamp, row["exposure"], values["time_s"]), guess
 

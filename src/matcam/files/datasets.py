@@ -217,7 +217,7 @@ def _check_dataset(data: object) -> None:
 
 
 def _storage() -> Any:
-    """Import zarr; ArgumentError if it is not installed."""
+    """Import zarr; an ArgumentError is raised if it is not installed."""
     try:
         from zarr import storage
     except ImportError:

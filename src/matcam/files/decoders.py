@@ -245,7 +245,9 @@ def check_codecs(path: Path, name: str, document: dict[str, Any]) -> None:
     if document["chunk_grid"]["name"] != "regular":
         raise FileFormatError(f"{path}: {name!r:.60} must have regular chunks")
     if document.get("storage_transformers"):
-        raise FileFormatError(f"{path}: {name!r:.60} has storage transformers, which are not supported")
+        raise FileFormatError(
+            f"{path}: {name!r:.60} has storage transformers, which are not supported: write the array without them"
+        )
     for codec in document["codecs"]:
         used = codec["name"] if isinstance(codec, dict) else codec
         if used not in _CODECS:

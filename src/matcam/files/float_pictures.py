@@ -44,8 +44,8 @@ _LONGEST_HEADER = 1 << 20  # bytes
 def as_float32(picture: ArrayLike) -> np.ndarray:
     """Convert an image to contiguous float32.
 
-    NaN (missing) and infinite values are accepted. ArgumentError for a wrong shape, for complex numbers or text, and for values
-    beyond float32.
+    NaN (missing) and infinite values are accepted. An ArgumentError is raised for a wrong shape, for complex numbers or
+    text, and for values beyond float32.
     """
     given = checks.plain_array("picture", picture)
     labels = [str(label) for label in np.atleast_1d(getattr(picture, "coords", {}).get("channel", ()))]
@@ -295,10 +295,12 @@ def _described(path: Path, attributes: dict[str, bytes], size: int) -> tuple[tup
                 f"{path}: channel {name!r:.40} contains {stored}, but only 32-bit floats are supported"
             )
         if sampling != [1, 1]:
-            raise FileFormatError(f"{path}: channel {name!r:.40} is subsampled, which is not supported")
+            raise FileFormatError(
+                f"{path}: channel {name!r:.40} is subsampled, which is not supported: give an image without subsampling"
+            )
         names.append(name)
         if len(names) > _MOST_CHANNELS:
-            raise FileFormatError(f"{path}: has more than {_MOST_CHANNELS} channels")
+            raise FileFormatError(f"{path}: has more than {_MOST_CHANNELS} channels: give an image with fewer channels")
     expected = _names(None if names == ["Y"] else len(names))
     if sorted(names) != sorted(expected):
         raise FileFormatError(

@@ -80,7 +80,7 @@ class Format:
     def writer(self, content: str) -> Callable[..., None]:
         """Return the function that writes (path, data, force=...).
 
-        ArgumentError if the format does not support the content.
+        An ArgumentError is raised if the format does not support the content.
         """
         if content in self.writers:
             return _function(self.writers[content])
@@ -284,8 +284,8 @@ def identify(path: str | Path) -> str:
 def format_for(path: str | Path, *contents: str) -> Format:
     """Return the format of an output by the suffix of its name.
 
-    contents: keys of `CONTENTS`, of which the format supports at least one. Default: any measurement. ArgumentError for
-    a name with another suffix.
+    contents: keys of `CONTENTS`, of which the format supports at least one. Default: any measurement. An ArgumentError is
+    raised for a name with another suffix.
     """
     name, contents = Path(path).name.lower(), contents or MEASUREMENTS
     for form in FORMATS:

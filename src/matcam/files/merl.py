@@ -67,7 +67,7 @@ def read_merl(path: str | Path, sampling: Sampling = "centre") -> xr.DataArray:
     checks.choice("sampling", sampling, SAMPLINGS)
     stored = _read_stored(path)
     missing = stored < 0
-    # a reduction detects a wrong value; its position is searched only in that case
+    # a reduction detects a wrong value; its position is determined only in that case
     with np.errstate(over="ignore", invalid="ignore"):
         suspicious = not np.isfinite(np.sum(stored, where=~missing)) or np.isneginf(np.min(stored))
     if suspicious:

@@ -119,8 +119,11 @@ def _read_exr(path: Path) -> np.ndarray:
 
 
 def _memory_for(path: Path) -> int:
-    """Compute the available memory for an image, bytes. FileFormatError for a file that is too large."""
+    """Compute the available memory for an image, bytes. A FileFormatError is raised for a file that is too large."""
     with reading(path, "an image"):
         if path.stat().st_size > _LARGEST:
-            raise FileFormatError(f"{path}: has {path.stat().st_size} bytes, which is too large for a photograph")
+            raise FileFormatError(
+                f"{path}: the file has {path.stat().st_size} bytes, but at most {_LARGEST} are allowed for a photograph: give "
+                "a smaller file"
+            )
     return picture_memory()

@@ -37,7 +37,9 @@ def decode_photograph(path: Path, *, there: int, region: Sequence[int] | None = 
     if picture.ndim not in (2, 3) or picture.size == 0 or (picture.ndim == 3 and picture.shape[2] != 3):
         raise FileFormatError(f"{path}: an image of shape {picture.shape} is neither grey nor red, green, blue")
     if picture.dtype.kind not in "uif":
-        raise FileFormatError(f"{path}: samples of type {picture.dtype} are not supported")
+        raise FileFormatError(
+            f"{path}: samples of type {picture.dtype} are not supported: give an image of integers or floats"
+        )
     return cut(picture, region, path)
 
 

@@ -55,7 +55,8 @@ def samples_of(table: xr.DataArray) -> xr.DataArray:
 def table_of(samples: xr.DataArray) -> xr.DataArray:
     """Build a table from samples; cells without a sample are missing.
 
-    Samples are not interpolated. ArgumentError if a sample is not on the MERL grid, or two samples are in one cell.
+    Samples are not interpolated. An ArgumentError is raised if a sample is not on the MERL grid, or two samples are in
+    one cell.
     """
     samples = in_order(checked_samples(samples), "samples")
     labels = [str(label) for label in samples["channel"].values]

@@ -28,7 +28,10 @@ def decode_zemax(path: Path) -> dict[str, Any]:
     azimuth, radial).
     """
     if path.stat().st_size > _LARGEST:
-        raise FileFormatError(f"{path}: has {path.stat().st_size} bytes, which is too large for a BSDF of Zemax")
+        raise FileFormatError(
+            f"{path}: the file has {path.stat().st_size} bytes, but at most {_LARGEST} are allowed for a BSDF of Zemax: give a "
+            "smaller file"
+        )
     words = re.sub(r"#[^\n]*", "", path.read_text(encoding="latin-1")).split()
     settings, axes, start = _head(path, words)
     for key, allowed in (

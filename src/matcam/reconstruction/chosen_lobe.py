@@ -306,9 +306,9 @@ def _described(name: str, more: Mapping[str, object], widened: Mapping[str, floa
 
 
 def _with_its_lens_open(fit: SphereFit) -> SphereFit:
-    """Add the prior uncertainty of a guessed lens to its error if no lobe explains the images.
+    """Increase the variance of a guessed lens to that of the prior if no lobe explains the images.
 
-    The shape of a wrong lobe would otherwise determine the lens with a much too small error.
+    With a wrong lobe, the fit otherwise underestimates the standard deviation of the lens.
     """
     solution, scene = fit.solution, fit.scene
     if scene.lens_std < _GUESSED or solution.unexplained < BY_SHAPE:

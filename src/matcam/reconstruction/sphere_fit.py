@@ -1,6 +1,6 @@
 """Joint fit of merged images of a scene: priors, a start, and rounds of refinement.
 
-The lobe is searched on a lattice of widths, with the strengths of each image solved for. Then all parameters are
+The lobe is first searched for on a lattice of widths, with the strengths of each image solved for. Then all parameters are
 fitted, and the windows are placed again about the fitted highlights, until convergence.
 """
 
@@ -43,7 +43,7 @@ _SYSTEMATIC = 0.01
 """
 _HOPELESS = 20.0
 """Mean squared residual of an image, absolute and relative to other images, above which the image is unexplained."""
-_FEW = 6  # number of images in which the lobe is searched
+_FEW = 6  # number of images in the search for the lobe
 _BETWEEN, _ABOUT = np.array([0.75, 1.33]), np.array([0.4, 0.7, 1.1, 1.8])
 """Relative widths of the second search, for the best family of the first search and for a rival family."""
 

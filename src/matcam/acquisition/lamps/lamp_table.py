@@ -251,7 +251,8 @@ def explain_lamp_table(lamps: np.ndarray, table: np.ndarray) -> TableVerdict:
         table: directions as given (n, 3).
 
     Returns:
-        The verdict; "none" if the table agrees within 1.5 degrees rms.
+        The mistake, and the rms angles before and after its correction. The mistake is "none" if the table agrees within
+        1.5 degrees rms, and "unexplained" if no common mistake explains the disagreement.
 
     Raises:
         ArgumentError: the shapes differ, or fewer than three lamps have a highlight.

@@ -128,7 +128,8 @@ def in_own_frames(
     lacking = [lamp for lamp, seen in found.items() if not seen and not grazing[lamp]]
     if lacking:
         text = f"lamp{'s' * (len(lacking) > 1)} {some_of(lacking)}: no usable image in reference/"
-        remarks.append(Remark("reference-missing", f"{text}, so the value of lamp.gain_std is used: add one"))
+        text += ", so the value of lamp.gain_std is used: add an image of the reference for each of these lamps"
+        remarks.append(Remark("reference-missing", text))
     return [
         SeenReference(lamp, np.array([k for k, _ in seen]), np.array([light for _, light in seen]), pixels)
         if seen

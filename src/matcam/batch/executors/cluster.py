@@ -50,10 +50,11 @@ class ClusterError(MatcamError):
 class ClusterExecutor(Executor):
     """Executor on a Dask cluster.
 
-    ArgumentError if the address is invalid, or Dask is not installed.
-
     Attributes:
         address: "local:N" for N workers on this machine, or a scheduler's address.
+
+    Raises:
+        ArgumentError: the address is invalid, or Dask is not installed.
     """
 
     address: str
@@ -77,8 +78,8 @@ class ClusterExecutor(Executor):
     def outcomes(self, jobs: Sequence[Job]) -> Generator[Outcome]:
         """Run jobs and yield their outcomes as they are finished.
 
-        ClusterError if the cluster cannot be reached, or must not be used: the scheduler does not answer, there is no
-        worker, or versions or files differ.
+        A ClusterError is raised if the cluster cannot be reached, or must not be used: the scheduler does not answer,
+        there is no worker, or versions or files differ.
         """
         from distributed import as_completed
 

@@ -313,7 +313,8 @@ class _Pictures:
     def check(self) -> None:
         """Raise an error if the images do not determine one camera.
 
-        ArgumentError if they are of different cameras. If no image could be used, the error of the first image is raised.
+        An ArgumentError is raised if they are of different cameras. If no image could be used, the error of the first
+        image is raised.
         """
         if len(self.cameras) > 1:
             listed = ", ".join(f"{camera} ({file})" for camera, file in self.cameras.items())

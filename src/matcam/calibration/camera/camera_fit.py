@@ -70,7 +70,7 @@ class CameraRequest:
     def lens_at(self, channel: str, f_numbers: list[float | None]) -> LensAt:
         """Return the lens model to be fitted, as a function of the f-number.
 
-        ArgumentError if an argument that the model requires is missing.
+        An ArgumentError is raised if an argument that the model requires is missing.
         """
         wavelength = self.wavelength.get(channel) if isinstance(self.wavelength, Mapping) else self.wavelength
         both = wavelength is not None and self.pixel_pitch is not None
@@ -239,7 +239,7 @@ class CameraFit(Summarised):
 def fit_camera(evidence: Evidence, channel: str, request: CameraRequest) -> CameraFit:
     """Fit one camera to all measurements of a colour.
 
-    FitError if measurements contradict each other, or do not determine the requested parameters.
+    A FitError is raised if measurements contradict each other, or do not determine the requested parameters.
     """
     f_numbers = evidence.f_numbers
     lens_at = request.lens_at(channel, f_numbers)
@@ -293,7 +293,8 @@ def _without_disagreeing(
 ) -> tuple[JointFit, dict[str, float]]:
     """Fit without the targets that contradict the edges of their chart; list their names and the differences of their blur.
 
-    FitError if measurements contradict one another, and no edges determine which are wrong. `channel`: name for the message.
+    A FitError is raised if measurements contradict one another, and no edges determine which are wrong. `channel`: name
+    for the message.
     """
     groups, replaceable, disagreeing = measurements.groups, measurements.replaceable, dict[str, float]()
     while True:

@@ -201,7 +201,7 @@ class PicturePlan:
     ) -> tuple[list[Finding], list[Remark]]:
         """Measure each colour of an image; return the measurements and remarks.
 
-        FitError if nothing can be measured, or the chart is not found.
+        A FitError is raised if nothing can be measured, or the chart is not found.
         """
         mosaic = (self.cfa or picture.cfa) is not None
         if isinstance(picture, LinearImage):
@@ -272,7 +272,7 @@ def _nothing_measured(chart: Chart, registration: Projection) -> FitError:
     across = float(np.hypot(*(ends[1] - ends[0])))
     return FitError(
         "the chart was found, but its targets are covered or too fine to be measured, because its page is only "
-        f"{across:.0f} px wide: photograph it larger, or print a chart for this width (matcam chart --pixels)"
+        f"{across:.0f} px wide: photograph it at a larger scale, or print a chart for this width (matcam chart --pixels)"
     )
 
 
@@ -313,7 +313,7 @@ class Evidence:
     def check(self, channel: str, *, accept_sharpened: bool) -> list[Remark]:
         """List remarks on edges that were excluded.
 
-        FitError if edges are the only measurements, and insufficient for a camera.
+        A FitError is raised if edges are the only measurements, and insufficient for a camera.
         """
         edges = [stack for stack, _, _ in self._stacks]
         if edges and not self._samples:

@@ -201,8 +201,8 @@ def fit_jointly(
     """Fit the most probable parameters to all measurements.
 
     `start`: (k,) initial parameters. `longest`: (k,) largest steps. `prior`: (k,) precision of a prior centred on 0.
-    `half_width`: half width of the pixel if it is not a parameter, px. FitError if the measurements do not determine the
-    parameters, or the fit does not converge.
+    `half_width`: half width of the pixel if it is not a parameter, px. A FitError is raised if the measurements do not
+    determine the parameters, or the fit does not converge.
     """
     theta = np.asarray(start, dtype=np.float64)
     edges, values = measurements.edges, measurements.values
@@ -329,7 +329,7 @@ def _value_shares(values: ValueMeasurements, theta: Any, half_width: Any) -> Sha
 
 
 def _inverse(information: np.ndarray) -> np.ndarray:
-    """Invert an information matrix; FitError if it is singular."""
+    """Invert an information matrix; a FitError is raised if it is singular."""
     if not np.isfinite(information).all() or (np.diag(information) <= 0).any():
         raise FitError(
             "the measurements do not determine the camera: one of its parameters has no effect on them; add targets"

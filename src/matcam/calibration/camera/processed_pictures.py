@@ -56,8 +56,8 @@ class Processed(NamedTuple):
 def processed(plane: LinearImage, *, accept: bool) -> Processed:
     """Detect the processing of an image.
 
-    FitError if the MTF is not that of the lens. `accept`: whether the combined MTF of lens and processing is accepted.
-    Mosaics are assumed to be unprocessed.
+    A FitError is raised if the MTF is not that of the lens. `accept`: whether the combined MTF of lens and processing is
+    accepted. Mosaics are assumed to be unprocessed.
     """
     if plane.cfa is not None:
         return Processed((), None)

@@ -1,6 +1,6 @@
 """Registration of a photograph: the map from the page of a chart to the image.
 
-The fiducials are searched first; four of them are sufficient to locate the chart. A pinhole camera with distortion, and
+The fiducials are detected first; four of them are sufficient to locate the chart. A pinhole camera with distortion, and
 optionally a curved page, are then fitted to the positions of the fiducials and of the sides of the squares. The accuracy
 must only be sufficient for each estimator to find its target; the estimators refine their geometry to 0.01 px.
 """
@@ -227,7 +227,8 @@ def _registration_through(
 ) -> Registration:
     """Fit the camera and the curvature of the page to the positions of points, mm and px.
 
-    `sides`: further positions, of which only the component across the side is known. FitError if the residuals are too large.
+    `sides`: further positions, of which only the component across the side is known. A FitError is raised if the
+    residuals are too large.
     """
     start = np.append(_homography(positions, _from_middle(seen, shape)).ravel()[:8], np.zeros(7))
     # Priors keep undetermined parameters near 0: distortion, curvature, and the foot point of the camera.
@@ -292,7 +293,7 @@ def _from_middle(points: FloatArray, shape: tuple[int, ...]) -> FloatArray:
 def _homography(source: FloatArray, target: FloatArray) -> FloatArray:
     """Fit the homography (3, 3) between two sets of points (n >= 4, 2) by least squares.
 
-    Its last entry is 1. LinAlgError if the points do not determine it.
+    Its last entry is 1. A LinAlgError is raised if the points do not determine it.
     """
     scale = np.abs(source).max()
     rows = []

@@ -12,7 +12,7 @@ from matcam.calibration.chart.chart import Chart, Square
 from matcam.core.arrays import FloatArray
 
 _ALONG = np.linspace(-0.32, 0.32, 9)
-"""Positions at which a side is searched, relative to its length, from its middle."""
+"""Positions at which a side is searched for, relative to its length, from its middle."""
 _SEARCH_RANGE, _FARTHEST = 0.22, 30
 """Largest distance from the expected position: relative to the size of a square in the image, and px."""
 _STEP = 0.5

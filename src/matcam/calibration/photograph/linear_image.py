@@ -41,7 +41,7 @@ Many pixels have the largest value either at the end of a range, or if the noise
 most six times as steep in dark parts as in bright parts.
 """
 _SMOOTH, _SMOOTH_GAPS = 0.7, 1.2
-"""Standard deviation of the smoothing before targets are searched, px, in images without and with missing pixels.
+"""Standard deviation of the smoothing before the search for targets, px, in images without and with missing pixels.
 
 In one colour of a mosaic, 2 or 3 of 4 pixels are missing.
 """
@@ -332,7 +332,8 @@ def as_photograph(
 ) -> Photograph:
     """Convert an array of linear values to a photograph without a file.
 
-    ArgumentError if it is not an image. `what`: beginning of the message. `colours`: allowed numbers of colours.
+    An ArgumentError is raised if it is not an image. `what`: beginning of the message. `colours`: allowed numbers of
+    colours.
     """
     values = checks.plain_array("image", image)
     if (

@@ -44,7 +44,7 @@ def linear_values(codes: np.ndarray, tone: Tone, channel: int | None = None) -> 
     """Convert codes, (..., 3) or one plane, to linear values.
 
     Full scale is the largest value of an integer data type, or 1 for floats. `channel`: column of a table with three
-    columns that applies to this plane. ArgumentError if the tone curve does not match the image.
+    columns that applies to this plane. An ArgumentError is raised if the tone curve does not match the image.
     """
     if is_linear(tone):
         return codes.astype(np.float64)
@@ -93,7 +93,7 @@ def tone_from_patches(
     `light`: (n,) linear values of the patches, any unit.
 
     The curve passes through the mean codes of the patches without overshoot, and is extrapolated linearly above the
-    brightest patch. ArgumentError if the curve is not monotone.
+    brightest patch. An ArgumentError is raised if the curve is not monotone.
     """
     codes, values = np.asarray(image), np.asarray(light, dtype=np.float64)
     if codes.dtype.kind not in "ui" or codes.ndim not in (2, 3):
@@ -102,7 +102,8 @@ def tone_from_patches(
         )
     if len(patches) < 3 or values.shape != (len(patches),):
         raise ArgumentError(
-            f"a tone curve needs at least 3 patches and a light for each, got {len(patches)} patches and shape {values.shape}"
+            f"a tone curve requires at least 3 patches and one linear value of light for each, got {len(patches)} patches and "
+            f"light of shape {values.shape}"
         )
     if not np.isfinite(values).all() or (values < 0).any():
         raise ArgumentError("light of the patches must be finite and not negative")

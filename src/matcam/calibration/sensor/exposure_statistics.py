@@ -112,7 +112,7 @@ def measure_exposures(
         if len(exposure.files) < 2:
             text = (
                 f"{exposure.files[0]}: this exposure was excluded, because an estimate of its noise requires two frames: "
-                "add one"
+                "add a frame"
             )
             remarks.append(Remark("single-frame", text))
         else:

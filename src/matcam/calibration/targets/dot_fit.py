@@ -1,10 +1,10 @@
-"""Dots of a grid: their search in a region, their assignment to a lattice, and the fit of every dot.
+"""Detection of the dots of a grid in a region, their assignment to a lattice, and the fit of every dot.
 
-A dot is modelled as disc x Gaussian x square pixel. Its size follows from the lattice. The pixel values are computed by
-quadrature over the disc. Gaussian and square are separable, so that each node of the disc contributes a product of two
-differences of normal distribution functions. Derivatives with respect to the position are those of the Gaussian, and the
-derivative with respect to the variance is half the sum of its second derivatives. All are computed from one table of
-derivatives along x and y.
+A dot is modelled as the convolution of a disc, a Gaussian and a square pixel. Its size follows from the lattice. The pixel
+values are computed by quadrature over the disc. Gaussian and square are separable, so that each node of the disc
+contributes a product of two differences of normal distribution functions. Derivatives with respect to the position are
+those of the Gaussian, and the derivative with respect to the variance is half the sum of its second derivatives. All are
+computed from one table of derivatives along x and y.
 """
 
 from __future__ import annotations
@@ -148,14 +148,15 @@ class DotFit:
 def fit_dots(values: FloatArray, lattice: DotLattice, size: float, half_width: float) -> DotFit:
     """Fit every dot of a lattice in a region.
 
-    `values`: (height, width), NaN for missing pixels. `size`: radius of the dots in page units. `half_width`: half width of
-    the pixel, px. FitError if too few dots can be measured.
+    `values`: (height, width), NaN for missing pixels. `size`: radius of the dots in page units. `half_width`: half width
+    of the pixel, px. A FitError is raised if too few dots can be measured.
     """
     shape, pitch = size * lattice.shapes, lattice.pitch
     half_size = int(min(_LARGEST_HALF_SIZE, max(3, np.floor(pitch / 2 - 0.5))))
     if pitch < _CLOSEST:
         raise FitError(
-            f"the dots are {pitch:.1f} px apart, but must be at least {_CLOSEST:g} px apart: photograph the grid larger"
+            f"the dots are {pitch:.1f} px apart, but must be at least {_CLOSEST:g} px apart: photograph "
+            "the grid at a larger scale"
         )
     columns, rows = (
         np.round(c).astype(int)[:, None] + np.arange(-half_size, half_size + 1) for c in (lattice.x, lattice.y)
@@ -225,7 +226,7 @@ def fit_dots(values: FloatArray, lattice: DotLattice, size: float, half_width: f
 def find_dots(values: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Find the dots in a region: x and y (n,), px.
 
-    `values`: (height, width), NaN for missing pixels. FitError if there are fewer than 9 dots.
+    `values`: (height, width), NaN for missing pixels. A FitError is raised if there are fewer than 9 dots.
     """
     smooth = smoothed(values)
     # Most pixels are background, which changes slowly.
@@ -249,7 +250,10 @@ def find_dots(values: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def square_lattice(x: FloatArray, y: FloatArray) -> DotLattice:
-    """Assign dots to a square lattice in perspective, with page positions in pitches. FitError if there is no lattice."""
+    """Assign dots to a square lattice in perspective, with page positions in pitches.
+
+    A FitError is raised if there is no lattice.
+    """
     points = np.stack([x, y], axis=-1)
     tree = cKDTree(points)
     neighbour = tree.query(points, k=min(5, len(points)))[1]

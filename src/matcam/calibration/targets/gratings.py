@@ -122,7 +122,7 @@ def grating_mtf(
         roi: region (x, y, width, height) that contains one grating, px. It may contain the surroundings of the grating.
             Default: None, the whole image.
         grating: description of the grating from a chart, to be given with `projection`. Both replace roi, profile, contrast,
-            duty and near. Default: None, the grating is searched.
+            duty and near. Default: None, the grating is detected in the region.
         projection: map from the page of the chart, mm, to the image, px: a `Registration`. Default: None.
         profile: "bars", "sine" or "lines" (no unit). Default: "bars".
         contrast: (bright - dark) / (bright + dark) of the print, linear (no unit); required without `grating`. Default: None.
@@ -242,11 +242,11 @@ def _expected_grating(
     box = pixel_box(corners, shape, 0)
     if min(box[2:]) < SMALLEST:
         raise FitError(
-            "the grating lies outside the image, or covers less than 16 x 16 px: photograph all of it, and larger"
+            "the grating lies outside the image, or covers less than 16 x 16 px: photograph all of it, at a larger scale"
         )
     inside = _inside_polygon(corners - box[:2], (box[3], box[2]))
     if inside.sum() < 64:
-        raise FitError("the grating covers too few pixels of the image: photograph the chart larger")
+        raise FitError("the grating covers too few pixels of the image: photograph the chart at a larger scale")
     across = np.array([np.cos(grating.angle), np.sin(grating.angle)])
     along = np.array([-np.sin(grating.angle), np.cos(grating.angle)])
     u, v = (a.ravel() for a in np.meshgrid(*(np.linspace(-0.5, 0.5, 9) * side for side in grating.size)))
@@ -271,7 +271,9 @@ def _fit_grating(
         fit = fit_wave(pixels, found.phase, found.parameters, _constant, steps=4, rough=True)
     fit = fit and fit_wave(pixels, found.phase, fit.parameters, _constant, orders)
     if not fit:
-        raise FitError("the pixels of the grating do not determine its contrast: photograph the grating larger")
+        raise FitError(
+            "the pixels of the grating do not determine its contrast: photograph the grating at a larger scale"
+        )
     if not fit.signal > _CLEAR:
         raise FitError(
             f"region contains no grating that can be measured: its wave exceeds the noise by only {fit.signal:.1f} standard "

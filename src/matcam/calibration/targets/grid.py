@@ -202,7 +202,7 @@ def dot_grid(
         image: `LinearImage`, `Photograph`, or array as in `LinearImage.of`.
         roi: region (x, y, width, height) that contains only the grid, px. Default: None, the whole image.
         dots: description of the dots from a chart, to be given with `projection`. Both replace `roi` and `radius`. Default:
-            None, the dots are searched.
+            None, the dots are detected in the region.
         projection: map from the page of the chart, mm, to the image, px: a `Registration`. Default: None.
         radius: radius of the dots relative to their pitch, in (0, 0.5) (no unit). It is required without `dots`, because
             blur and size of a dot cannot be distinguished. Default: None.

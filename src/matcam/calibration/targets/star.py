@@ -131,7 +131,7 @@ def star_mtf(
         image: `LinearImage`, `Photograph`, or array as in `LinearImage.of`.
         roi: region (x, y, width, height) that contains the star and little else, px. Default: None, the whole image.
         star: description of the star from a chart, to be given with `projection` instead of `roi`. Default: None, the star
-            is searched.
+            is detected in the region.
         projection: map from the page of the chart, mm, to the image, px: a `Registration`. Default: None.
         cycles: number of cycles of the star (no unit); to be given if the count fails. Default: None, the cycles are counted.
         contrast: (bright - dark) / (bright + dark) of the print, linear (no unit). Default: None, that of the description.
@@ -226,7 +226,7 @@ def _fit_star(values: FloatArray, found: FoundStar) -> tuple[WaveFit, tuple[floa
         edges = float(frequency[used].min()), float(frequency[used].max())
         fit = fit_wave(some, phase, parameters, partial(_basis, edges=edges), steps=4)
         if fit is None:
-            raise FitError("the pixels of the star do not determine its MTF: photograph the star larger")
+            raise FitError("the pixels of the star do not determine the MTF: photograph the star at a larger scale")
         parameters = fit.parameters
         left = (some.value - fit.values).var() / some.value.var()
         # At low frequencies the blur is small, and the wave explains nearly all of the variance.
@@ -237,7 +237,7 @@ def _fit_star(values: FloatArray, found: FoundStar) -> tuple[WaveFit, tuple[floa
             )
     if fit is None or not fit.signal > _CLEAR or np.hypot(*(parameters[:2] - found.parameters[:2])) > phase.outer / 4:
         raise FitError(
-            "region contains no Siemens star that can be measured: photograph the star larger, or with more contrast"
+            "region contains no Siemens star that can be measured: photograph the star at a larger scale, or with more contrast"
         )
     return fit, edges
 

@@ -83,7 +83,7 @@ def measure_targets(
         image: `LinearImage`, `Photograph`, or array as in `LinearImage.of`.
         chart: description of the chart.
         registration: map from the page of the chart, mm, to the image, px, for example from another channel. Default: None,
-            the chart is searched.
+            the chart is detected in the image.
         half_width: half the side of the sensitive area of a pixel, in (0, 0.5] px. Only grids depend on it. Default: 0.5.
         cfa: colours of the first 2 x 2 px of a mosaic, as in `LinearImage.of` (no unit). Default: None.
         channel: colour, as in `LinearImage.of` (no unit). Default: None.

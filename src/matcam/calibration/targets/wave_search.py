@@ -122,8 +122,8 @@ class FoundStar(NamedTuple):
 def find_star(values: FloatArray, cycles: int | None = None) -> FoundStar:
     """Find the star in a region.
 
-    `values`: (height, width), NaN for missing pixels. `cycles`: number of cycles; None: the cycles are counted. FitError if
-    there is no star.
+    `values`: (height, width), NaN for missing pixels. `cycles`: number of cycles; None: the cycles are counted. A
+    FitError is raised if there is no star.
     """
     filled = smoothed(values)
     centre = _centre(filled)
@@ -281,8 +281,8 @@ class FoundGrating(NamedTuple):
 def find_grating(values: FloatArray, near: tuple[float, float] | None = None) -> FoundGrating:
     """Find the grating in a region.
 
-    `values`: (height, width), NaN for missing pixels. FitError if there is no grating. `near`: approximate frequency (fx, fy)
-    of a grating that may lie beyond Nyquist, cycles/px; the nearest alias is selected.
+    `values`: (height, width), NaN for missing pixels. A FitError is raised if there is no grating. `near`: approximate
+    frequency (fx, fy) of a grating that may lie beyond Nyquist, cycles/px; the nearest alias is selected.
     """
     filled = values if np.isfinite(values).all() else local_mean(values, 0.9)
     frequency = _strongest(filled, near)
@@ -338,5 +338,5 @@ def _strongest(filled: FloatArray, near: tuple[float, float] | None) -> FloatArr
         power[np.minimum(*off) > max(_NEAR * float(np.hypot(*near)), 2 * _LONGEST / min(height, width))] = 0
     row, column = np.unravel_index(np.argmax(power), power.shape)
     if not power[row, column] > _CLEAR_IN_SPECTRUM * everywhere:
-        raise FitError("region contains no grating: no frequency exceeds the noise; give a region of one grating")
+        raise FitError("region contains no grating: no amplitude exceeds the noise; give a region of one grating")
     return np.array([fx[0, column], fy[row, 0]])

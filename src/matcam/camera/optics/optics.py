@@ -326,9 +326,9 @@ def checked_isotropic(optics: Optics, what: str) -> Optics:
     if optics.isotropic:
         return optics
     raise ArgumentError(
-        f"{what} needs a lens with the same blur in all directions, colours and positions, not {type(optics).__name__}: "
-        "only `picture` and tables of a sphere support it; otherwise approximate it by an isotropic lens, such as "
-        "DefocusOptics, or MeasuredOptics with the mean MTF"
+        f"{what} requires a lens whose blur does not depend on direction, colour or position, got {type(optics).__name__}: "
+        "approximate this lens by an isotropic one, such as DefocusOptics, or MeasuredOptics with the mean MTF; only "
+        "`picture` and tables of a sphere support other lenses"
     )
 
 

@@ -83,7 +83,7 @@ def read_answer(take: Callable[[int], bytearray], path: Path, memory: int) -> An
         )
     for dtype, shape in layout:
         if dtype.kind not in _KINDS:
-            raise FileFormatError(f"{path}: values of type {dtype} are not supported")
+            raise FileFormatError(f"{path}: values of type {dtype} are not supported: give a file with numbers or text")
         arrays.append(np.frombuffer(take(dtype.itemsize * math.prod(shape)), dtype).reshape(shape))
     return _unpacked(message["answer"], arrays)
 

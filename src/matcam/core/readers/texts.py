@@ -88,7 +88,9 @@ def decode_json(path: Path, *, title: str) -> np.ndarray:
     content = _bytes_of(path, title, _LARGEST_JSON)
     values = content.count(b",") + content.count(b"[") + content.count(b"{")
     if values > _MOST_VALUES:
-        raise FileFormatError(f"{path}: {values} values are too many for {title}")
+        raise FileFormatError(
+            f"{path}: {values} values exceed the limit of {_MOST_VALUES} for {title}: give a file with fewer values"
+        )
     try:
         json.loads(content.decode("utf-8"), parse_constant=refuse)
     except (ValueError, RecursionError) as error:
@@ -104,7 +106,7 @@ def decode_lines(path: Path, *, title: str) -> np.ndarray:
 def _bytes_of(path: Path, what: str, largest: int) -> bytes:
     size = path.stat().st_size
     if size > largest:
-        raise FileFormatError(f"{path}: {size} bytes are too many for {what}")
+        raise FileFormatError(f"{path}: {size} bytes exceed the limit of {largest} for {what}: give a smaller file")
     with path.open("rb") as file:
         return file.read(size)  # the file may have grown since then
 
@@ -113,7 +115,9 @@ def _checked_text(path: Path, what: str, largest: int) -> bytes:
     content = _bytes_of(path, what, largest)
     lines = content.splitlines()
     if len(lines) > _MOST_LINES:
-        raise FileFormatError(f"{path}: {len(lines)} lines are too many for {what}")
+        raise FileFormatError(
+            f"{path}: {len(lines)} lines exceed the limit of {_MOST_LINES} for {what}: give a file with fewer lines"
+        )
     for number, line in enumerate(lines, 1):
         if len(line) > _LONGEST_LINE:
             raise FileFormatError(

@@ -98,7 +98,7 @@ class DatasetAccessor(Summarised):
     def kind(self) -> str:
         """Kind of the result: "Fresnel term", "corrected table", "bounds" or "prediction".
 
-        ArgumentError for any other Dataset.
+        An ArgumentError is raised for any other Dataset.
         """
         names = set(map(str, self._data.variables))
         found = [kind.name for kind in _KINDS if kind.variables <= names]

@@ -75,7 +75,10 @@ class PictureLens(NamedTuple):
         return max(optics_band(lens) for colour in self.colours for lens in colour.lenses)
 
     def channels(self, material: int) -> int:
-        """Return the number of channels of the image of a material; ArgumentError if they do not match the lens."""
+        """Return the number of channels of the image of a material.
+
+        An ArgumentError is raised if the number of channels does not match the lens.
+        """
         if len(self.colours) > 1 and material not in (1, len(self.colours)):
             raise ArgumentError(
                 f"the lens has 3 colours, but the material has {material} channels: give a material with 1 or 3 channels"

@@ -51,7 +51,7 @@ _SLACK, _SLACK_AT_END = 0.02, 0.25
 window. In the second case, the range is then narrowed to the circles with arcs.
 """
 _PROBES = (1 - np.cos(np.pi * np.arange(25) / 24)) / 2
-"""Positions in a range of angles at which circles with arcs are searched, denser towards the ends."""
+"""Positions in a range of angles at which circles with arcs are searched for, denser towards the ends."""
 _AT_END = 1e-3
 """Cosine of the angle of incidence or of the viewing angle below which a normal on the border of a window is treated as a
 normal of terminator or limb.

@@ -48,14 +48,13 @@ _MATTERS = 0.01
 """Relative change of the peak above which a remark reports a withheld correction."""
 _WITHHELD = Remark(
     "correction-withheld",
-    "rig and data contradict each other: the table is not corrected, and the change that the rig predicts is the standard "
-    "deviation of the correction; check the rig, or correct the table with force_correction=True",
+    "rig and data contradict each other: the table is not corrected, and the standard deviation of the correction is the "
+    "change that the rig predicts; check the rig, or use force_correction=True",
 )
 _UNSEEN = Remark(
     "blur-not-seen",
-    "the lens is a guess, and the data do not show whether it blurs: the table is not corrected, and the change that the rig "
-    "predicts is the standard deviation of the correction; specify the lens, or correct the table with "
-    "force_correction=True",
+    "the lens is a guess, and the data do not determine its blur: the table is not corrected, and the standard deviation of "
+    "the correction is the change that the rig predicts; specify the lens, or use force_correction=True",
 )
 _ANGLES = (5, 45, 75)
 """Values of theta_d, degrees, at which the loss of the peak is reported."""
@@ -264,7 +263,7 @@ class Correction(Summarised):
 
     @property
     def determination(self) -> str:
-        """Summarise in a few words how well the lobe is determined.
+        """Classify the determination of the lobe by the data.
 
         The value is "determined", "not determined", "family fails: spline-modified", or "withheld" if rig and data contradict
         each other.

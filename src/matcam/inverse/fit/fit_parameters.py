@@ -81,7 +81,7 @@ class LobeKind(NamedTuple):
 
     @property
     def family_names(self) -> tuple[str, ...]:
-        """Names of the parameters of the family, as in its constructor; "alpha_x" and "alpha_y" for a stretched lobe."""
+        """Names of the parameters of the family, as in its constructor; "alpha_x" and "alpha_y" for an anisotropic lobe."""
         if self.family in _UNNAMED:
             return tuple(field.name for field in dataclasses.fields(_UNNAMED[self.family]))
         return ("alpha_x", "alpha_y") if self.stretched else _fields_of(self.family)
@@ -125,7 +125,7 @@ class LobeKind(NamedTuple):
         return ShadowedNDF(ndf, shadows) if self.shadows else ndf
 
     def slopes(self, q: jax.Array) -> SlopeDistribution:
-        """Build the distribution of slopes from coordinates, isotropic or stretched."""
+        """Build the distribution of slopes from coordinates, isotropic or anisotropic."""
         return AnisotropicGGX(jnp.exp(q[0]), jnp.exp(q[1])) if self.stretched else self.ndf(q)
 
     def bounds(self, radius: float) -> list[tuple[float, float]]:

@@ -64,7 +64,7 @@ AUTO = "auto"
 """Default family of the lobe: the most probable of the candidates."""
 CANDIDATES = ("ggx", "epd")
 SEARCH_STEP = 6
-"""Spacing of the slices of theta_d in which a lobe is first searched; it is then fitted to more slices."""
+"""Spacing of the slices of theta_d in the first search for a lobe, which is then fitted to more slices."""
 _LOOK_STEP = 3 * SEARCH_STEP
 """Spacing of the slices of theta_d in which the starts of a search are compared."""
 _LOOK_ROUNDS = 2

@@ -252,7 +252,7 @@ def _in_columns(arrays: Sequence[np.ndarray], columns: list[int], count: int) ->
 
 
 def _joined(parts: tuple[_Found, ...]) -> _Found:
-    """Concatenate the rules of pieces of pixels."""
+    """Concatenate the quadrature rules of several groups of pixels."""
     return _Found(
         np.concatenate([part.theta for part in parts]),
         [np.concatenate(weights) for weights in zip(*(part.weights for part in parts), strict=True)],
@@ -262,7 +262,7 @@ def _joined(parts: tuple[_Found, ...]) -> _Found:
 
 
 def _rules(view: SampleView, pixels: tuple[np.ndarray, ...], widths: list[_Blurs], finest: float) -> list[_Found]:
-    """Compute the rules of pixels.
+    """Compute the quadrature rules of pixels.
 
     pixels: x, y, theta_d, lamp angle, and factor of the record. widths: one group of terms, or on a sphere several groups
     with common nodes.

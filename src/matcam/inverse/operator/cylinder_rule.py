@@ -278,9 +278,9 @@ def _beside(nearness, row):  # type: ignore[no-untyped-def]
 
 
 def _miss(cylinder: Cylinder, light: PlacedLamps, row: jax.Array, ends: tuple[jax.Array, jax.Array]) -> jax.Array:
-    """Compute the smallest angle between the half vector and the normals in a row, rad.
+    """Compute the signed smallest angle between the half vector and the normals in a row, rad.
 
-    It is positive where the half vector points upwards.
+    The angle is positive where the half vector points upwards, and negative where it points downwards.
     """
     u, miss = ridge_of(cylinder, light, row, *ends)
     element, lamp, _ = seen_at(cylinder, light, u, row)

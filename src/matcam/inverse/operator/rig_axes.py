@@ -269,7 +269,7 @@ def widths_of(rig: Rig) -> tuple[str, ...]:
 def free_axis(name: str, rig: Rig, *, nearby: bool = False) -> Axis:
     """Build the axis of a parameter without a prior.
 
-    ArgumentError if the rig does not have the parameter, or if it is 0 and cannot be free.
+    An ArgumentError is raised if the rig does not have the parameter, or if it is 0 and cannot be free.
 
     nearby: True if the radius of the lamp is fitted only near the value of the rig, and a point source is widened as a
     Gaussian. This suffices if rig and data agree, and is faster than the integration over discs.

@@ -156,18 +156,18 @@ def sample_view(rig: Rig | None) -> SampleView:
 def rig_behind(table: xr.DataArray, rig: Rig) -> Rig:
     """Return the rig with the lamp azimuth of a table.
 
-    The rig or the table specifies the azimuth. ArgumentError if they specify different azimuths or samples.
+    The rig or the table specifies the azimuth. An ArgumentError is raised if they specify different azimuths or samples.
     """
     kind = sample_of(table)
     if kind not in (None, rig.sample.kind):
         known = "a flat sample, whose table is not blurred" if kind == "flat" else f"attrs['sample'] = '{kind}'"
-        raise ArgumentError(f"sample must be the table's own, {known}, got a {rig.sample.kind}")
+        raise ArgumentError(f"sample must be that of the table ({known}), got a {rig.sample.kind}")
     stated, own = azimuth_of(table), rig.lamp_azimuth
     if own is None:
         return replace(rig, lamp_azimuth=stated) if stated else rig
     if stated is not None and abs(np.sin((stated - own) / 2)) > _ONE_AZIMUTH:
         raise ArgumentError(
-            f"lamp_azimuth must be the table's own, attrs['lamp_azimuth'] = {stated:g} rad, or None, got {own:g} rad"
+            f"lamp_azimuth must be that of the table, attrs['lamp_azimuth'] = {stated:g} rad, or None, got {own:g} rad"
         )
     return rig
 

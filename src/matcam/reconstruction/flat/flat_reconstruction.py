@@ -330,8 +330,8 @@ def _remarks(fitted: FlatRoughness, shares: LobeShares) -> list[Remark]:
         found.append(
             Remark(
                 "misfit",
-                f"two maps and one roughness do not explain the images: the residuals are {np.sqrt(fitted.misfit):.1f} times "
-                "the noise; check the given angles, and that the sample is flat",
+                "diffuse and specular maps with one roughness do not explain the images: the residuals are "
+                f"{np.sqrt(fitted.misfit):.1f} times the noise; check the given angles, and that the sample is flat",
             )
         )
     return found

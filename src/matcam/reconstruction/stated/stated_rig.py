@@ -41,7 +41,7 @@ def captured_lens(capture: Capture, remarks: list[Remark]) -> tuple[Camera, floa
 
 
 def frame_size(capture: Capture) -> tuple[int, int] | None:
-    """Return width and height of the first readable frame of the sample, px; None: no such frame."""
+    """Return width and height of the first readable frame of the sample, px; None if no frame is readable."""
     for frame in capture.of("frames"):
         try:
             height, width = capture.read(frame).values.shape[:2]
