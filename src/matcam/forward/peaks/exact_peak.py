@@ -30,7 +30,7 @@ def exact_response(rig: Rig, ndf: SlopeDistribution, theta: AnyArray, masking: M
         )
     if not is_concrete(theta):
         raise ArgumentError(
-            "theta must have concrete values, because it determines the integration nodes: call this function outside "
+            "the integration nodes depend on theta, which must have concrete values: call this function outside "
             "jax.jit and jax.vmap"
         )
     sample, near, material = rig.sample, rig.lamp.nearness, Microfacet(ndf, 1.0, masking=masking)
