@@ -60,14 +60,15 @@ class Rig(Module):
         cell_value: meaning of a cell of the recorded table. "centre" or "edge": the pixel at the centre or the edge of
             the cell; "mean": the mean of the pixels inside the cell, or the nearest pixel if the cell contains no pixel;
             "nearest": the pixel whose centre is nearest to the cell; "bilinear": the interpolation between four pixels;
-            "unknown": a fit estimates the meaning from the table, and "centre" is used without evidence and for a
-            simulated table. Default: "centre".
+            "unknown": a fit estimates the meaning from the table. "centre" is used if the table does not determine the
+            meaning, and for a simulated table. Default: "centre".
         pixel_phase: position of the real pixels for "nearest", "bilinear" and "mean": the coordinates of their centres,
             relative to the centre of the sphere, are whole numbers plus this (x, y), px, each in [-0.5, 0.5]; or 90 such
             pairs, one for the image of each slice of theta_d. Default: None, a fit estimates the phase from the table,
-            and averages over all phases if a table of "mean" contains no evidence of the pixels.
-        lamp_azimuth: azimuth of the lamp about the optical axis in images and in the images of a table, from +x towards
-            +y, rad, in [-2 pi, 2 pi]; the pixels do not rotate. Default: None, attrs["lamp_azimuth"] of the table, or 0.
+            and averages over all phases if `cell_value` is "mean" and the table does not determine the phase.
+        lamp_azimuth: azimuth of the lamp about the optical axis, from +x towards +y, rad, in [-2 pi, 2 pi]. It applies to
+            single images and to the images from which a table is made; the pixels do not rotate. Default: None,
+            attrs["lamp_azimuth"] of the table, or 0.
 
     Raises:
         ArgumentError: a part is of the wrong kind, or a parameter is out of range.

@@ -38,7 +38,7 @@ def test_a_table_that_is_a_link(tables, tmp_path, monkeypatch):
     (folder / "inside.binary").symlink_to("a.binary")
     done = corrected([folder], tmp_path / "out")
     assert [failure.source.name for failure in done.failures] == ["secret.binary"]
-    assert f"secret.binary: is a link out of its folder, to {tables / 'b.binary'}" in done.failures[0].reason
+    assert f"secret.binary: the file is a link to {tables / 'b.binary'}, outside its folder" in done.failures[0].reason
     assert not list((tmp_path / "out").glob("secret*"))
     assert len(done.corrected) == 1
     named = corrected([folder / "secret.binary"], tmp_path / "named")
@@ -65,7 +65,7 @@ def test_a_link_in_a_run_s_folder(tables, tmp_path, name):
         ("material", {"data_type": "object"}, "values of type 'object'"),
         ("material", {"shape": [1 << 40]}, "1099511627776 materials"),
         ("material", {"shape": [-1]}, "has invalid lengths [-1]"),
-        ("material", {"zarr_format": 2, "codecs": None}, "not the Zarr of a run"),
+        ("material", {"zarr_format": 2, "codecs": None}, "not the Zarr store of a run"),
         ("material", {"chunk_key_encoding": {"name": "v2"}}, "the names of its chunks are not those of a run"),
         ("brdf", {"shape": [1, 90, 90, 180, 300]}, "(1, 90, 90, 180, 300) values of 'float64'"),
         ("brdf", {"data_type": "float32"}, "values of 'float32'"),
@@ -82,9 +82,9 @@ def test_a_run_s_zarr_that_others_made(tables, tmp_path, monkeypatch, name, chan
     corrected([tables / "a.binary"], tmp_path / "out", zarr=True)
     described = tmp_path / "out" / "run.zarr" / name / "zarr.json"
     described.write_text(json.dumps(json.loads(described.read_text()) | change))
-    with pytest.raises(FileFormatError, match="not the Zarr of a run"):
+    with pytest.raises(FileFormatError, match="not the Zarr store of a run"):
         row_names(tmp_path / "out" / "run.zarr")
-    with pytest.raises(OutputError, match="is not the Zarr of a run") as caught:
+    with pytest.raises(OutputError, match="is not the Zarr store of a run") as caught:
         corrected([tables], tmp_path / "out", zarr=True)
     assert words in str(caught.value)
 
@@ -100,7 +100,7 @@ def test_a_run_s_zarr_with_a_large_description(tables, tmp_path, monkeypatch):
     for read in (row_names, lambda store: read_row(store, 0)):
         with pytest.raises(FileFormatError, match="values exceed the limit"):
             read(described.parent)
-    with pytest.raises(OutputError, match=r"^output .*is not the Zarr of a run: .*values exceed the limit"):
+    with pytest.raises(OutputError, match=r"^output .*is not the Zarr store of a run: .*values exceed the limit"):
         corrected([tables], tmp_path / "out", zarr=True)
 
 
@@ -151,7 +151,7 @@ def test_a_sidecar_that_is_a_link(tmp_path, sections):
     (tmp_path / "in").mkdir()
     write_exr(tmp_path / "in" / "a.exr", np.ones((4, 5, 3)))
     sidecar_path(tmp_path / "in" / "a.exr").symlink_to(tmp_path / "victim.json")
-    with pytest.raises(FileFormatError, match="is a link out of its folder"):
+    with pytest.raises(FileFormatError, match=r"is a link to .*, outside its folder"):
         convert(tmp_path / "in" / "a.exr", tmp_path / "b.tif")
     assert not list(tmp_path.glob("b.tif*"))
 
@@ -171,4 +171,6 @@ def test_photographs_that_are_links(tmp_path, capsys):
     (tmp_path / "secret.png").write_bytes(b"secret")
     (tmp_path / "in" / "a.png").symlink_to(tmp_path / "secret.png")
     assert _run(["calibrate", str(tmp_path / "in"), "-o", str(tmp_path / "camera.json")]) == 2
-    assert "a.png: is a link out of its folder" in capsys.readouterr().err
+    said = " ".join(capsys.readouterr().err.split())
+    assert "a.png: the file is a link to " in said
+    assert "secret.png, outside its folder" in said

@@ -237,7 +237,7 @@ def test_names(tmp_path, here):
     assert len(said) == 5
     assert sum("has the same name as" in reason for reason in said) == 2
     assert sum("Index is the name of a file of the run" in reason for reason in said) == 1
-    assert any("other.binary: has only 8 bytes" in reason for reason in said)
+    assert any("other.binary: the file has only 8 bytes" in reason for reason in said)
     assert any("none.binary: no such file" in reason for reason in said)
 
 
@@ -413,7 +413,7 @@ def test_the_index(tmp_path, here):
     for image in found.images:
         assert image.startswith("data:image/png;base64,")
         assert imagecodecs.png_decode(base64.b64decode(image.partition(",")[2])).shape == (64, 128, 3)
-    assert "bad.binary: has only 8 bytes" in page
+    assert "bad.binary: the file has only 8 bytes" in page
     assert not re.search(r"(src|href)='?http", page)
     sorted_by = [row[found.heads.index("roughness(slope)")] for row in found.rows]
     assert sorted_by == ["0.01", "0.01"]

@@ -158,7 +158,7 @@ def test_wrong_series_are_refused_by_name(tmp_path):
         characterise_sensor(tmp_path)
     frame = np.full((8, 8), 100, np.uint16)
     tifffile.imwrite(tmp_path / "flat_1.tif", frame)
-    with pytest.raises(FileFormatError, match=r"flat_1.tif: has no exposure time .* as in flat_20ms_1.tif"):
+    with pytest.raises(FileFormatError, match=r"flat_1.tif: the image has no exposure time .* as in flat_20ms_1.tif"):
         characterise_sensor(tmp_path)
     (tmp_path / "flat_1.tif").rename(tmp_path / "flat_1ms_1.tif")
     with pytest.raises(FileFormatError, match="contains no dark exposure"):
@@ -168,7 +168,7 @@ def test_wrong_series_are_refused_by_name(tmp_path):
         characterise_sensor(tmp_path)
     tifffile.imwrite(tmp_path / "dark_1ms_2.tif", frame[:4])
     with pytest.raises(
-        FileFormatError, match=r"dark_1ms_2.tif: has 8 x 4 px of uint16, but the preceding frames have 8 x 8"
+        FileFormatError, match=r"dark_1ms_2.tif: the frame has 8 x 4 px of uint16, but the preceding frames have 8 x 8"
     ):
         characterise_sensor(tmp_path)
     with pytest.raises(ArgumentError, match="bits must be a whole number"):

@@ -71,12 +71,12 @@ def test_profile_page_and_table(calibrate, chart, tmp_path):
     found = json.loads(out)
     assert found["pictures"] == [chart.name]
     assert found["failed"] == {
-        "bad.png": "is neither TIFF, PNG, JPEG, OpenEXR nor camera raw: convert it to TIFF or PNG"
+        "bad.png": "the file is neither TIFF, PNG, JPEG, OpenEXR nor camera raw: convert it to TIFF or PNG"
     }
     assert found["channels"]["grey"]["consistent"] is True
     assert (
         err
-        == "matcam: left out: bad.png: is neither TIFF, PNG, JPEG, OpenEXR nor camera raw: convert it to TIFF or PNG\n"
+        == "matcam: left out: bad.png: the file is neither TIFF, PNG, JPEG, OpenEXR nor camera raw: convert it to TIFF or PNG\n"
     )
     assert "<svg" in (tmp_path / "out/c.svg").read_text()[:500]
 

@@ -111,7 +111,7 @@ def test_the_halo_is_checked_by_its_own_options():
         (("render", "a.binary"), "rendering needs an extra: python -m pip install 'matcam[render]'"),
         (
             ("correct", "a.binary", "-o", "run", "--zarr"),
-            "a run's Zarr needs an extra: python -m pip install 'matcam[scale]'",
+            "a run's Zarr store needs an extra: python -m pip install 'matcam[scale]'",
         ),
         (
             ("correct", "a.binary", "-o", "run", "--cluster", "local:2"),

@@ -148,5 +148,5 @@ def test_a_table_is_read_by_any_name(tmp_path, suffix):
 
 def test_what_holds_no_table_is_refused(tmp_path):
     write(tmp_path / "a.nc", xr.Dataset({"raw": ("theta_d", np.arange(3.0))}))
-    with pytest.raises(FileFormatError, match=r"a\.nc: contains .*, not a BRDF table on the MERL grid"):
+    with pytest.raises(FileFormatError, match=r"a\.nc: the file contains .*, not a BRDF table on the MERL grid"):
         read_table(tmp_path / "a.nc")

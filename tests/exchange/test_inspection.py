@@ -202,7 +202,8 @@ def test_a_corrected_table_is_named_and_not_corrected_again(tmp_path, blurred, m
         assert report["holds"] == "a BRDF corrected for the camera"
         assert report["albedo"]
         with pytest.raises(
-            ArgumentError, match=f"{name}: is already a BRDF corrected for the camera: give the table as it was"
+            ArgumentError,
+            match=f"{name}: the table is already a BRDF corrected for the camera: give the table as it was",
         ):
             write_corrected(Job(Path(name), Path("out.binary"), Recipe(rigs.merl(), Options())))
     assert inspect("other.binary")["holds"] == "a table on the MERL grid"

@@ -31,7 +31,7 @@ def test_convert_states_the_residual(tmp_path):
     assert "specular_roughness" in report["resampled"]
     assert 0.01 < report["error"]["peak"] < 0.5
     assert "Residual: " in (tmp_path / "a.mtlx").read_text()
-    with pytest.raises(ArgumentError, match="cannot be evaluated at any angle"):
+    with pytest.raises(ArgumentError, match="cannot be evaluated at arbitrary angles"):
         (tmp_path / "s.csv").write_text("theta_h_rad,theta_d_rad,phi_d_rad,R_per_sr\n0.123,0.2,0.3,1\n")
         convert(tmp_path / "s.csv", tmp_path / "s.mtlx")
 

@@ -130,7 +130,7 @@ BAD_ROWS = {
     "absolute": (row("/etc/x.tif", "L1", "20", "90", "E1", "0.01"), "leads out of", False),
     "the folder": (row(".", "L1", "20", "90", "E1", "0.01"), "file '.' has a name that is not", False),
     "elsewhere": (row("other/x.tif", "L1", "20", "90", "E1", "0.01"), "must lie in one of the folders", True),
-    "twice": (ROWS[0], "a.tif: is listed twice", True),
+    "twice": (ROWS[0], "a.tif: the file is listed twice", True),
     "angle": (row("frames/x.tif", "L3", "far", "0", "E1", "0.01"), "x.tif: angle_deg must be a number", True),
     "range": (row("frames/x.tif", "L3", "200", "0", "E1", "0.01"), "x.tif: angle_deg, from the axis", True),
     "time": (row("frames/x.tif", "L3", "20", "0", "E1", "-1"), "x.tif: time_s must be", True),
@@ -186,12 +186,12 @@ def test_links_out_of_the_folder_are_not_followed(tmp_path, what):
     if what == "frame":
         (folder / "frames/a.tif").unlink()
         (folder / "frames/a.tif").symlink_to(outside / "frames/a.tif")
-        assert "is a link out of" in str(read_capture(folder).problems[0])
+        assert "is a link to a file outside" in str(read_capture(folder).problems[0])
         return
     name = "frames" if what == "folder" else "frames.csv"
     (folder / name).rename(folder / "away")
     (folder / name).symlink_to(outside / name)
-    with pytest.raises(FileFormatError, match="is a link out of"):
+    with pytest.raises(FileFormatError, match="is a link to a file outside"):
         read_capture(folder)
 
 

@@ -327,7 +327,7 @@ class TestTexts:
             ("i /etc/passwd", "leads out of the descriptor's folder"),
             ("i ../victim.png", "leads out of the descriptor's folder"),
             ("i C:\\victim.png", "leads out of the descriptor's folder"),
-            ("i link/victim.png", "is a link out of the descriptor's folder"),
+            ("i link/victim.png", "is a link to a file outside the descriptor's folder"),
             ("i " + "x" * 300, "has a name that is not plain text"),
             ("n " + "9" * 900 + " 1 1", "must be n BITS WIDTH HEIGHT"),
             ("i a.png\n" * 90_000, "a descriptor of exposures has at most 20000"),

@@ -192,7 +192,7 @@ def _lamp_remarks(capture: Capture, radiometry: Radiometry | None, sample: tuple
 
 
 def _near_light(capture: Capture, lamps: Sequence[str], sample: tuple[float, float, float]) -> np.ndarray:
-    """Compute the irradiance of a white patch by near lamps relative to distant lamps; 1 if it is not determined."""
+    """Compute the irradiance of a white patch under near lamps relative to distant lamps; 1 if it is not determined."""
     section, position, far = capture.settings["reference"], capture.reference_position, capture.lamp_radii
     towards = np.array([capture.lamps[lamp].direction for lamp in lamps])
     column, row, radius = sample

@@ -54,7 +54,7 @@ def merge(
             the capture, or the whole frame. Default: None.
         progress: called after each lamp position of both passes. Default: None.
         workers: number of lamp positions that are read at a time. Default: 1.
-        kept: cache of results from which an interrupted run resumes. Default: None, no cache.
+        kept: cache of results from which an interrupted computation resumes. Default: None, no cache.
 
     Returns:
         The merged images in the order of the lamps, and the radiometry.
@@ -92,7 +92,7 @@ def merged_pictures(
         capture: the capture.
         radiometry: radiometric calibration from `measure_radiometry`.
         workers: number of lamp positions that are merged at a time. Default: 1.
-        kept: cache of merged images, from which an interrupted run resumes. Default: None, no cache.
+        kept: cache of merged images, from which an interrupted computation resumes. Default: None, no cache.
     """
     reader = MosaicReader(capture)
     if kept is not None:

@@ -116,7 +116,8 @@ class MosaicReader:
             processed.append("decoded from a tone curve: this limits the accuracy of exposure ratios and clip level")
         if processed and not camera["accept_processed"]:
             raise FileFormatError(
-                f"{path}: is {processed[0].split(':')[0]}: give raw frames, or accept it with camera.accept_processed = true"
+                f"{path}: the frame is {processed[0].split(':')[0]}: give raw frames, or accept it with "
+                "camera.accept_processed = true"
                 f"{', and specify its original mosaic as camera.cfa' if colour and camera['cfa'] is None else ''}"
             )
         for text in processed:

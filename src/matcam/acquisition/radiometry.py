@@ -136,7 +136,7 @@ def capture_camera(capture: Capture) -> Camera | None:
     cfa = capture.settings["camera"]["cfa"]
     if cfa and camera.sensor is not None and camera.sensor.cfa != cfa:
         raise FileFormatError(
-            f"{capture.profile}: is of a camera with the mosaic {camera.sensor.cfa}, but capture.toml has {cfa}: "
+            f"{capture.profile}: the profile is of a camera with the mosaic {camera.sensor.cfa}, but capture.toml has {cfa}: "
             "give the profile of the camera of the capture"
         )
     return camera
@@ -160,7 +160,7 @@ def measure_radiometry(
         progress: called after each lamp position. Default: None.
         lamps: names of the lamp positions that are read. Default: None, all.
         workers: number of lamp positions that are read at a time. Default: 1.
-        kept: cache of results from which an interrupted run resumes. Default: None, no cache.
+        kept: cache of results from which an interrupted computation resumes. Default: None, no cache.
 
     Returns:
         The radiometry; its remarks name unusable frames.

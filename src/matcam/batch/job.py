@@ -35,7 +35,7 @@ class Job:
         recipe: settings of the correction.
         force: whether to replace existing files.
         key: key of the run's settings; None outside a run. In a run, a thumbnail (.png) is written for the index, too.
-        row: row of the run's Zarr to fill, if the run has one.
+        row: row of the run's Zarr store to fill, if the run has one.
         budget: file for the uncertainty budgets (.json, .csv). Default: None, not written.
     """
 
@@ -167,7 +167,7 @@ def write_corrected(job: Job, workspace: Workspace | None = None) -> dict[str, A
         raise FileFormatError(f"{job.source}: changed while it was read; correct it again when the file is complete")
     if table.attrs.get(CORRECTED):
         raise ArgumentError(
-            f"{job.source}: is already a {table.attrs.get('long_name', 'BRDF')}: give the table as it was recorded"
+            f"{job.source}: the table is already a {table.attrs.get('long_name', 'BRDF')}: give the table as it was recorded"
         )
     if job.recipe.page:
         import_behind("matcam.figures.pages")

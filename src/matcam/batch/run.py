@@ -152,7 +152,7 @@ def correct_all(
             Workers must have one thread, access to the same folders, and the same versions. Default: None.
         pages: whether to write a page for each material. Default: True.
         compress: whether to compress each NetCDF, without loss. Default: True.
-        zarr: whether to also write all materials to one Zarr, run.zarr. Default: False.
+        zarr: whether to also write all materials to one Zarr store, run.zarr. Default: False.
         fit_camera: whether to fit the rig's blur jointly to the few materials with the narrowest lobes. All are then
             corrected with that blur and its covariance, which camera.json contains. Default: False.
         time_limit: time limit for one material, s, after which its worker process is killed and the material has
@@ -204,7 +204,7 @@ def correct_all(
     checks.positive("time_limit", time_limit, "s")
     executor = _executor(workers, cluster, time_limit)
     if zarr:
-        checks.extra("a run's Zarr", "scale", "zarr")
+        checks.extra("a run's Zarr store", "scale", "zarr")
     recipe = Recipe(
         rig, Options(ndf, masking, glare, force_correction, workspace), sampling, pages, compress, corrector
     )

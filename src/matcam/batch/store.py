@@ -1,7 +1,7 @@
-"""Zarr of a run: arrays over all its materials, which `xarray.open_zarr` reads lazily. Requires the extra
+"""Zarr store of a run: arrays over all its materials, which `xarray.open_zarr` reads lazily. Requires the extra
 `matcam[scale]`.
 
-The Zarr is a folder in format version 3, with the dimensions (material, theta_h, theta_d, phi_d, channel). Each material has
+The store is a folder in format version 3, with the dimensions (material, theta_h, theta_d, phi_d, channel). Each material has
 its own chunk, so that workers write their rows in parallel. `corrected` marks complete rows, and is written last.
 
 The folder is not trusted: its arrays must have the shapes and types of a run, and chunks are decoded only in a separate
@@ -46,10 +46,10 @@ _TABLES = {name: _SIZES if name != "response" else _SIZES[:3] for name in _VALUE
 
 
 class StoreRow(NamedTuple):
-    """Row of one material in the Zarr of a run.
+    """Row of one material in the Zarr store of a run.
 
     Attributes:
-        store: folder of the Zarr.
+        store: folder of the Zarr store.
         row: index along its first dimension.
     """
 
@@ -72,7 +72,7 @@ class StoreRow(NamedTuple):
 def open_rows(store: Path, names: Sequence[str], sampling: Sampling) -> dict[str, StoreRow]:
     """Return the row of each material in a store, which is created or extended as needed.
 
-    An ArgumentError is raised if zarr is not installed; an OutputError is raised if the store is not the Zarr of a run,
+    An ArgumentError is raised if zarr is not installed; an OutputError is raised if the store is not the Zarr store of a run,
     or cannot be written.
     """
     zarr = _zarr()
@@ -85,14 +85,14 @@ def open_rows(store: Path, names: Sequence[str], sampling: Sampling) -> dict[str
             group = zarr.open_group(store, mode="a", zarr_format=3, use_consolidated=False)
             if _ROW not in group:
                 if any(True for _ in group):
-                    raise OutputError(f"output {store} is not the Zarr of a run: choose another folder")
+                    raise OutputError(f"output {store} is not the Zarr store of a run: choose another folder")
                 _create_arrays(group, sampling)
             there = _stored(store, [_ROW])[_ROW].tolist()
             new = [name for name in names if name not in set(there)]
             if new:
                 _grow(group, [*there, *new])
     except (FileFormatError, OSError, KeyError, ValueError) as error:
-        raise OutputError(f"output {store} cannot be written as the Zarr of a run: {error}") from None
+        raise OutputError(f"output {store} cannot be written as the Zarr store of a run: {error}") from None
     return {name: StoreRow(store, row) for row, name in enumerate([*there, *new])}
 
 
@@ -102,13 +102,13 @@ def whole_rows(store: Path) -> np.ndarray:
 
 
 def row_names(store: Path) -> list[str]:
-    """Read the names of the materials in the Zarr of a run, in the order of its rows."""
+    """Read the names of the materials in the Zarr store of a run, in the order of its rows."""
     _check_readable(store)
     return _stored(store, [_ROW])[_ROW].tolist()
 
 
 def read_row(store: Path, row: int) -> xr.Dataset:
-    """Read the corrected table of one material from the Zarr of a run.
+    """Read the corrected table of one material from the Zarr store of a run.
 
     Raises:
         FileFormatError: the row is incomplete, or the store is damaged.
@@ -154,7 +154,9 @@ def _bytes_of(store: Path, names: Sequence[str], row: int | None = None) -> int:
             for entry in (*folders, *files):
                 status = Path(folder, entry).lstat()
                 if stat.S_ISLNK(status.st_mode):
-                    raise FileFormatError(f"{Path(folder, entry)}: is a link in a run's Zarr: remove it")
+                    raise FileFormatError(
+                        f"{Path(folder, entry)}: the entry is a link in the Zarr store of a run: remove it"
+                    )
                 total += status.st_size if stat.S_ISREG(status.st_mode) else 0
     return total
 
@@ -163,7 +165,7 @@ def _check_readable(store: Path) -> None:
     """Check that a store has the arrays of a run. A FileFormatError is raised if it does not."""
     _check_arrays(store)
     if not is_file(store / _ROW / DESCRIPTION):
-        raise FileFormatError(f"{store}: is not the Zarr of a run: it has no array {_ROW}")
+        raise FileFormatError(f"{store}: the folder is not the Zarr store of a run: it has no array {_ROW}")
 
 
 def _check_arrays(store: Path) -> None:
@@ -171,7 +173,7 @@ def _check_arrays(store: Path) -> None:
     for described in sorted([*store.glob(DESCRIPTION), *store.glob(f"*/{DESCRIPTION}")]):
         name = described.parent.name
         try:
-            document = read_json(described, "a description of a run's Zarr")
+            document = read_json(described, "a description of a run's Zarr store")
             if described.parent == store:
                 continue  # description of the group, whose attributes are read in a separate process
             check_codecs(store, name, document)
@@ -193,7 +195,7 @@ def _check_arrays(store: Path) -> None:
                     f"{described}: {shape} values of {kind!r:.20} in chunks of {chunks} are not those of a run"
                 )
         except (FileFormatError, KeyError, TypeError, IndexError) as error:
-            raise FileFormatError(f"{store}: is not the Zarr of a run: {error}") from None
+            raise FileFormatError(f"{store}: the folder is not the Zarr store of a run: {error}") from None
 
 
 def _create_arrays(group: Any, sampling: Sampling) -> None:
@@ -227,7 +229,7 @@ def _grow(group: Any, names: list[str]) -> None:
 
 
 def _zarr() -> Any:
-    checks.extra("a run's Zarr", "scale", "zarr")
+    checks.extra("a run's Zarr store", "scale", "zarr")
     import zarr
 
     return zarr

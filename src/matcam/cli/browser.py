@@ -18,7 +18,7 @@ def command(
     files: Annotated[
         list[Path] | None,
         typer.Argument(
-            help="Tables or images to open, or the folder or Zarr of a run. Default: no file, to plan a rig."
+            help="Tables or images to open, or the folder or Zarr store of a run. Default: no file, to plan a rig."
         ),
     ] = None,
     host: Annotated[

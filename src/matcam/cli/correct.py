@@ -153,7 +153,7 @@ def command(
         raise ArgumentError(f"--layers requires a single table and a file name that ends in .exr, got {layers}")
     if not alone and (output is None or output.suffix.lower() == ".binary"):
         raise ArgumentError("several tables need an output folder: give -o FOLDER")
-    for wanted, what, module in ((zarr, "a run's Zarr", "zarr"), (cluster, "a cluster", "distributed")):
+    for wanted, what, module in ((zarr, "a run's Zarr store", "zarr"), (cluster, "a cluster", "distributed")):
         if wanted:
             checks.extra(what, "scale", module)
     from matcam.core.jax import use_compilation_cache

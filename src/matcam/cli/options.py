@@ -158,7 +158,7 @@ RealPixels = Annotated[
     typer.Option(
         "--cell",
         help="Lookup of cells in real pixels; mean: mean of the pixels inside a cell. Default: estimated from the table; "
-        "without evidence, one pixel for each cell.",
+        "one pixel for each cell if the table does not determine it.",
     ),
 ]
 PixelPhase = Annotated[

@@ -92,7 +92,7 @@ def check_picture(path: str | Path, *, force: bool, inputs: Iterable[str | Path]
 
 
 class Outputs:
-    """Files that are published together, and the folders created for them.
+    """Files that get their final names together, and the folders created for them.
 
     Attributes:
         staged: name of each file -> temporary file with its content.
@@ -132,7 +132,7 @@ class Outputs:
     def publish(self) -> None:
         """Give all files their final names.
 
-        If this fails for one file, no file is published, and the replaced files are restored.
+        If this fails for one file, no file gets its final name, and the replaced files are restored.
         """
         renamed: list[tuple[Path, Path, Path | None]] = []
         several = len(self.staged) > 1
@@ -165,7 +165,7 @@ class Outputs:
         self.are_published = bool(self.staged)
 
     def discard(self) -> None:
-        """Remove unpublished files.
+        """Remove the files that do not have their final names.
 
         This has no effect in a fork of the process that created the files.
         """
@@ -212,10 +212,11 @@ def replacing(path: str | Path, *, force: bool = False, inputs: Iterable[str | P
 
 @contextlib.contextmanager
 def all_or_nothing() -> Iterator[Outputs]:
-    """Publish the files of the block together at its end.
+    """Give files their final names together, at the end of the block.
 
-    After an exception no file is published. A nested block is part of the outer block. Files of other threads are not
-    included. An interruption during publication is delayed until its end.
+    These are the files that are written in the block. After an exception no file gets its final name. A nested block is
+    part of the outer block. Files of other threads are not included. An interruption while files are renamed is delayed
+    until all are renamed.
     """
     outer = _outputs.get()
     if outer is not None:
@@ -238,7 +239,7 @@ def all_or_nothing() -> Iterator[Outputs]:
 
 @contextlib.contextmanager
 def one_by_one() -> Iterator[None]:
-    """Publish each file of the block immediately, as without `all_or_nothing`."""
+    """Give each file its final name immediately, even inside `all_or_nothing`."""
     token = _outputs.set(None)
     try:
         yield
@@ -271,8 +272,8 @@ class _Waiting:
 def uninterrupted() -> Iterator[_Waiting]:
     """Delay Ctrl-C and termination signals until the end of a short operation.
 
-    This protects libraries that would stay locked after an exception at the wrong moment, and files that are published
-    together.
+    This protects libraries that would stay locked after an exception at the wrong moment, and files that get their
+    final names together.
     """
     waiting = _Waiting()
     if threading.current_thread() is not threading.main_thread():  # signals interrupt only the main thread
@@ -306,7 +307,7 @@ def uninterrupted() -> Iterator[_Waiting]:
 def make_folder(path: Path) -> None:
     """Create a folder for outputs.
 
-    The folder is removed if the outputs are not published. An OutputError is raised if the folder cannot be created.
+    The folder is removed if the outputs do not get their final names. An OutputError is raised if the folder cannot be created.
     """
     try:
         with all_or_nothing() as outputs:
@@ -335,9 +336,9 @@ def reading(path: Path, what: str = "") -> Iterator[None]:
     try:
         mode = path.stat().st_mode
         if stat.S_ISDIR(mode) and what:
-            raise FileFormatError(f"{path}: is a folder, not {what}")
+            raise FileFormatError(f"{path}: the input is a folder, not {what}")
         if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):  # a pipe may have no end, or no writer
-            raise FileFormatError(f"{path}: is a pipe or a device, not a file: copy its content to a file first")
+            raise FileFormatError(f"{path}: the input is a pipe or a device: copy its content to a file first")
         yield
     except FileNotFoundError:
         raise FileFormatError(f"{path}: no such file") from None

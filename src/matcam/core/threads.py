@@ -1,4 +1,4 @@
-"""Threads of this package, and of linear algebra, which reads its number of threads from the environment on import."""
+"""Threads of this package, and of the BLAS library, which reads its number of threads from the environment on import."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ T = TypeVar("T")
 U = TypeVar("U")
 
 ONE_BLAS_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
-"""Environment variables that restrict linear algebra to the calling thread.
+"""Environment variables that restrict the BLAS library to the calling thread.
 
 Matrices of a fit have some thousand rows and twenty columns. OpenBLAS distributes even such matrices over all processors with
 spinning threads, which is much slower on busy processors.
@@ -26,7 +26,7 @@ _ARENA_MAX = -8  # M_ARENA_MAX of mallopt(3)
 
 
 def use_one_blas_thread() -> None:
-    """Restrict linear algebra of this process to one thread.
+    """Restrict the BLAS library of this process to one thread.
 
     Settings of the user have priority. There is no effect if NumPy is already loaded. A program may choose this for its
     user; a library must not.

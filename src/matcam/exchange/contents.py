@@ -191,7 +191,7 @@ def read_contents(path: str | Path, sampling: Sampling = "centre") -> Contents:
     """
     form = format_named(identify(path))
     if not set(form.holds) & set(MEASUREMENTS):
-        raise FileFormatError(f"{path}: is a {form.name}, which contains no measurement")
+        raise FileFormatError(f"{path}: the file is a {form.name}, which contains no measurement")
     if form.name == "merl":
         return Contents(form.name, table=_read_merl(Path(path), sampling))
     data = form.read(path)
@@ -229,7 +229,7 @@ def read_table(path: str | Path, sampling: Sampling = "centre") -> xr.DataArray:
             return checked_table(contents.result["brdf"])
         except ArgumentError as error:
             raise FileFormatError(f"{path}: {error}") from None
-    raise FileFormatError(f"{path}: contains {contents.kind}, not a BRDF table on the MERL grid")
+    raise FileFormatError(f"{path}: the file contains {contents.kind}, not a BRDF table on the MERL grid")
 
 
 def _read_merl(path: Path, sampling: Sampling) -> xr.DataArray:
@@ -270,5 +270,5 @@ def material_of(contents: Contents) -> Material:
     if contents.fields is not None:
         return Adaptive(contents.fields)
     raise ArgumentError(
-        f"{contents.kind} cannot be evaluated at any angle: give a table (MERL, RGL, CSV on the MERL grid)"
+        f"{contents.kind} cannot be evaluated at arbitrary angles: give a table (MERL, RGL, CSV on the MERL grid)"
     )

@@ -301,7 +301,7 @@ def _listed(folder: Path) -> tuple[list[CaptureFrame], dict[str, LampGuess], lis
         got = " ".join(",".join(lines[0][1]).split()) if lines else "nothing"  # a quoted cell may have many lines
         raise FileFormatError(f"{path}: the first line must be {','.join(COLUMNS)}, got {got:.100}")
     if len(lines) > _MOST:
-        raise FileFormatError(f"{path}: has {len(lines)} lines, but a capture has at most {_MOST} frames")
+        raise FileFormatError(f"{path}: the list has {len(lines)} lines, but a capture has at most {_MOST} frames")
     frames: list[CaptureFrame] = []
     lamps: dict[str, LampGuess] = {}
     problems: list[Remark] = []
@@ -348,9 +348,9 @@ def _frame(
     path = _inside(folder, name)
     kind = PurePosixPath(name).parts[0]
     if kind not in KINDS or len(PurePosixPath(name).parts) != 2:
-        raise FileFormatError(f"{path}: must lie in one of the folders {', '.join(KINDS)}")
+        raise FileFormatError(f"{path}: the file must lie in one of the folders {', '.join(KINDS)}")
     if name in seen:
-        raise FileFormatError(f"{path}: is listed twice: delete one of the lines")
+        raise FileFormatError(f"{path}: the file is listed twice: delete one of the lines")
     if not is_file(path):
         return None
     if path.suffix.lower() not in PICTURES:

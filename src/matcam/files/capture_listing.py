@@ -165,7 +165,7 @@ def _light_positions(source: Path, path: str | Path | None) -> list[LightPositio
     found = sorted(one for one in _files(source) if one.suffix.lower() == ".lp")
     if len(found) > 1:
         names = ", ".join(one.name for one in found)
-        raise ArgumentError(f"{source}: has several light position files ({names}): name one with --lamps")
+        raise ArgumentError(f"{source}: the folder has several light position files ({names}): name one with --lamps")
     return read_light_positions(found[0]) if found else None
 
 

@@ -194,7 +194,9 @@ def read_zarr(path: str | Path) -> xr.Dataset:
 
     path = Path(path)
     if is_folder(path):
-        raise FileFormatError(f"{path}: is a folder: give a Zarr store in one zip file (zip -0 -r a.zarr.zip .)")
+        raise FileFormatError(
+            f"{path}: the input is a folder: give a Zarr store in one zip file (zip -0 -r a.zarr.zip .)"
+        )
     stored = read_apart("matcam.files.decoders:decode_zarr", path, "a Zarr in a zip file", libraries=("zarr.storage",))
     try:
         for variable in stored["variables"].values():

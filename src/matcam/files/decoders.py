@@ -49,7 +49,7 @@ def check_stored_sizes(path: Path, size: int, variables: Mapping[str, tuple[tupl
     """
     if len(variables) > _MOST_VARIABLES:
         raise FileFormatError(
-            f"{path}: contains {len(variables)} variables, more than a result: damaged, or of another format"
+            f"{path}: the file contains {len(variables)} variables, more than a result: damaged, or of another format"
         )
     total = 0
     for name, (shape, kind) in variables.items():
@@ -105,15 +105,19 @@ def _check_hdf5(path: Path, file: Any) -> None:
     for index, name in enumerate(file):
         if index > _MOST_VARIABLES:
             raise FileFormatError(
-                f"{path}: contains more than {_MOST_VARIABLES} variables: damaged, or of another format"
+                f"{path}: the file contains more than {_MOST_VARIABLES} variables: damaged, or of another format"
             )
         link = file.get(name, getlink=True)
         if isinstance(link, h5py.ExternalLink):
             raise FileFormatError(
-                f"{path}: {name!r:.60} is a link to another file, {link.filename!r:.80}, which is not followed"
+                f"{path}: {name!r:.60} is a link to another file, {link.filename!r:.80}, which is not followed: "
+                "give a file that contains all of its variables"
             )
         if not isinstance(link, h5py.HardLink):
-            raise FileFormatError(f"{path}: {name!r:.60} is a symbolic link, which is not followed")
+            raise FileFormatError(
+                f"{path}: {name!r:.60} is a symbolic link, which is not followed: give a file that contains all "
+                "of its variables"
+            )
         variable = file[name]
         if isinstance(variable, h5py.Group):
             raise FileFormatError(f"{path}: {name!r:.60} is a group, but results contain variables only")
@@ -121,10 +125,14 @@ def _check_hdf5(path: Path, file: Any) -> None:
             continue  # a named type, which no variable requires
         if variable.external:
             raise FileFormatError(
-                f"{path}: variable {name!r:.60} is stored in another file, {variable.external[0][0]!r:.80}, which is not read"
+                f"{path}: variable {name!r:.60} is stored in another file, {variable.external[0][0]!r:.80}, which is not read: "
+                "give a file that contains all of its variables"
             )
         if variable.is_virtual:
-            raise FileFormatError(f"{path}: variable {name!r:.60} is assembled from other files, which are not read")
+            raise FileFormatError(
+                f"{path}: variable {name!r:.60} is assembled from other files, which are not read: give a file "
+                "that contains all of its variables"
+            )
         if variable.dtype.kind == "O" and h5py.check_string_dtype(variable.dtype) is None:
             raise FileFormatError(
                 f"{path}: variable {name!r:.60} contains lists or references, but only numbers and text are supported"
@@ -215,7 +223,9 @@ def _check_zarr(path: Path) -> None:
     if broken:
         raise FileFormatError(f"{path}: damaged: the checksum of {broken} differs")
     if described.get(DESCRIPTION, {}).get("node_type") != "group":
-        raise FileFormatError(f"{path}: is not a Zarr of version 3: its root has no zarr.json of a group")
+        raise FileFormatError(
+            f"{path}: the file is not a Zarr store of version 3: its root has no zarr.json of a group"
+        )
     shapes, chunks = {}, {}
     for name, document in described.items():
         if document.get("zarr_format") != 3:

@@ -106,7 +106,9 @@ def read_exposure_series(path: str | Path) -> ExposureSeries:
     texts = [one for one in sorted(path.glob("*.txt")) if _is_descriptor(one)]
     if len(texts) > 1:
         names = ", ".join(one.name for one in texts)
-        raise FileFormatError(f"{path}: has several descriptors of exposures ({names}): give one of these files")
+        raise FileFormatError(
+            f"{path}: the folder has several descriptors of exposures ({names}): give one of these files"
+        )
     return _described(texts[0]) if texts else _listed(path)
 
 
@@ -129,7 +131,7 @@ def _described(path: Path) -> ExposureSeries:
     lines = _lines(path)
     if len(lines) > _MOST_LINES:
         raise FileFormatError(
-            f"{path}: has {len(lines)} lines, but a descriptor of exposures has at most {_MOST_LINES}"
+            f"{path}: the file has {len(lines)} lines, but a descriptor of exposures has at most {_MOST_LINES}"
         )
     bits: int | None = None
     sets: list[ExposureSet] = []
@@ -182,15 +184,15 @@ def _listed(folder: Path) -> ExposureSeries:
         time = float(stated[-1][0]) * _UNITS[stated[-1][1]] if stated else exposure_time(file)
         if time is None:
             raise FileFormatError(
-                f"{file}: has no exposure time in its metadata or its name: rename it as in flat_20ms_1.tif"
+                f"{file}: the image has no exposure time in its metadata or its name: rename it as in flat_20ms_1.tif"
             )
         key = (lit, f"{time:.{_DIGITS}g}")
         one = found.setdefault(key, ExposureSet(lit, time, math.nan if lit else 0.0, ()))
         found[key] = one._replace(files=(*one.files, file))
     if not found:
         raise FileFormatError(
-            f"{folder}: contains no exposures: give images in dark/ and flat/, images with names that begin with dark and "
-            "flat, or a descriptor"
+            f"{folder}: the folder contains no exposures: give images in dark/ and flat/, images with names that "
+            "begin with dark and flat, or a descriptor"
         )
     return _series(folder, found.values(), None)
 
@@ -199,6 +201,6 @@ def _series(path: Path, sets: Iterable[ExposureSet], bits: int | None) -> Exposu
     found = [one for one in sets if one.files]
     for lit, kind in ((True, "lit"), (False, "dark")):
         if not any(one.lit == lit for one in found):
-            raise FileFormatError(f"{path}: contains no {kind} exposure: give lit and dark exposures")
+            raise FileFormatError(f"{path}: the series contains no {kind} exposure: give lit and dark exposures")
     series = ExposureSeries(path, tuple(found), bits)
     return ExposureSeries(path, tuple(sorted(found, key=lambda one: (one.lit, series.light(one), one.time))), bits)

@@ -300,7 +300,9 @@ def _described(path: Path, attributes: dict[str, bytes], size: int) -> tuple[tup
             )
         names.append(name)
         if len(names) > _MOST_CHANNELS:
-            raise FileFormatError(f"{path}: has more than {_MOST_CHANNELS} channels: give an image with fewer channels")
+            raise FileFormatError(
+                f"{path}: the image has more than {_MOST_CHANNELS} channels: give an image with fewer channels"
+            )
     expected = _names(None if names == ["Y"] else len(names))
     if sorted(names) != sorted(expected):
         raise FileFormatError(

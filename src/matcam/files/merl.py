@@ -131,7 +131,7 @@ def _read_stored(path: Path) -> np.ndarray:
             header = file.read(_HEADER_BYTES)
             if len(header) < _HEADER_BYTES:
                 raise FileFormatError(
-                    f"{path}: has only {size} bytes, but a MERL file starts with 12 bytes of dimensions"
+                    f"{path}: the file has only {size} bytes, but a MERL file starts with 12 bytes of dimensions"
                 )
             dims = tuple(np.frombuffer(header, dtype=_HEADER).tolist())
             if dims != GRID_SHAPE:

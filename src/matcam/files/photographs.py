@@ -114,7 +114,9 @@ def read_photograph(path: str | Path, region: tuple[int, int, int, int] | None =
 def _read_exr(path: Path) -> np.ndarray:
     picture = read_exr(path)
     if picture.ndim == 3 and picture.shape[2] != 3:
-        raise FileFormatError(f"{path}: an image of {picture.shape[2]} channels is neither grey nor red, green, blue")
+        raise FileFormatError(
+            f"{path}: the image has {picture.shape[2]} channels: give a grey image, or one with red, green and blue"
+        )
     return picture
 
 

@@ -35,7 +35,10 @@ def decode_photograph(path: Path, *, there: int, region: Sequence[int] | None = 
     if picture.ndim == 3 and picture.shape[2] == 1:
         picture = picture[..., 0]
     if picture.ndim not in (2, 3) or picture.size == 0 or (picture.ndim == 3 and picture.shape[2] != 3):
-        raise FileFormatError(f"{path}: an image of shape {picture.shape} is neither grey nor red, green, blue")
+        raise FileFormatError(
+            f"{path}: the image has the shape {picture.shape}: give a grey image (height, width) or a colour "
+            "image (height, width, 3)"
+        )
     if picture.dtype.kind not in "uif":
         raise FileFormatError(
             f"{path}: samples of type {picture.dtype} are not supported: give an image of integers or floats"
@@ -51,7 +54,7 @@ def _decoded(path: Path, start: bytes, there: int, *, in_part: bool = False) -> 
             page = file.pages[0].aspage()
             if page.subfiletype & _PREVIEW or start[8:10] == _CANON:
                 raise FileFormatError(
-                    f"{path}: starts with a preview of {page.imagewidth} x {page.imagelength} px, as camera raw does: "
+                    f"{path}: the file starts with a preview of {page.imagewidth} x {page.imagelength} px, as camera raw does: "
                     "rename the file with the suffix of its raw format (.dng, .nef, .cr2, ...)"
                 )
             check_memory(path, *_tiff_size(page.shape), np.dtype(page.dtype or "u1").itemsize, there)
@@ -75,7 +78,9 @@ def _decoded(path: Path, start: bytes, there: int, *, in_part: bool = False) -> 
     if start[:3] == _JPEG:
         check_memory(path, *jpeg_size(path), there)
         return np.asarray(imagecodecs.jpeg8_decode(path.read_bytes()))
-    raise FileFormatError(f"{path}: is neither TIFF, PNG, JPEG, OpenEXR nor camera raw: convert it to TIFF or PNG")
+    raise FileFormatError(
+        f"{path}: the file is neither TIFF, PNG, JPEG, OpenEXR nor camera raw: convert it to TIFF or PNG"
+    )
 
 
 def _tiff_size(shape: tuple[int, ...]) -> tuple[int, int, int]:
@@ -126,15 +131,17 @@ def decode_float_tiff(path: Path, *, there: int) -> np.ndarray:
     logging.getLogger("tifffile").setLevel(logging.CRITICAL + 1)  # tifffile also logs the errors that it raises
     with tifffile.TiffFile(path) as file:
         if len(file.pages) != 1:
-            raise FileFormatError(f"{path}: has {len(file.pages)} pages, but only one page is supported")
+            raise FileFormatError(f"{path}: the file has {len(file.pages)} pages, but only one page is supported")
         page = file.pages[0].aspage()
         if page.dtype != np.float32:
             raise FileFormatError(
-                f"{path}: contains {page.dtype or 'an unknown type'}, but only 32-bit floats are supported"
+                f"{path}: the file contains {page.dtype or 'an unknown type'}, but only 32-bit floats are supported"
             )
         shape = file.series[0].shape if file.is_shaped else page.shape
         if len(shape) not in (2, 3) or page.planarconfig != 1:
-            raise FileFormatError(f"{path}: has shape {shape}, but only (H, W) and (H, W, channels) are supported")
+            raise FileFormatError(
+                f"{path}: the image has shape {shape}, but only (H, W) and (H, W, channels) are supported"
+            )
         height, width, channels = (*page.shape, 1)[:3]
         check_promised(path, height, width, channels, size)
         check_memory(path, height, width, channels, 4, there)

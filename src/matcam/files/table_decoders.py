@@ -125,7 +125,7 @@ def _values(path: Path, columns: int) -> np.ndarray:
             f"{path}: cannot be read after line {at + 1}: {' '.join(str(error).split())[:120]}"
         ) from None
     if not blocks:
-        raise FileFormatError(f"{path}: has no values below the names of the columns")
+        raise FileFormatError(f"{path}: the file has no values below the names of the columns")
     return np.concatenate(blocks)
 
 
@@ -176,8 +176,10 @@ def decode_utia(path: Path) -> np.ndarray:
     """Decode a UTIA BRDF, 1/sr, (channel, theta_i, phi_i, theta_o, phi_o)."""
     size = path.stat().st_size
     if size != _UTIA_BYTES:
-        raise FileFormatError(f"{path}: has {size} bytes, but a BRDF of UTIA has {_UTIA_BYTES}")
+        raise FileFormatError(f"{path}: the file has {size} bytes, but a BRDF of UTIA has {_UTIA_BYTES}")
     values = np.fromfile(path, "<f8").reshape(UTIA_SHAPE)
     if not np.isfinite(values).all():
-        raise FileFormatError(f"{path}: has {np.count_nonzero(~np.isfinite(values))} values that are not finite")
+        raise FileFormatError(
+            f"{path}: the file has {np.count_nonzero(~np.isfinite(values))} values that are not finite"
+        )
     return values

@@ -44,7 +44,8 @@ def decode_zemax(path: Path) -> dict[str, Any]:
             raise FileFormatError(f"{path}: {key} must be {' or '.join(allowed)}, got {found}")
     if len(axes["SampleRotation"]) > 1:
         raise FileFormatError(
-            f"{path}: has {len(axes['SampleRotation'])} sample rotations, but only isotropic samples with one are supported"
+            f"{path}: the file has {len(axes['SampleRotation'])} sample rotations, but only isotropic samples "
+            "with one are supported"
         )
     shape = (len(axes["AngleOfIncidence"]), len(axes["ScatterAzimuth"]), len(axes["ScatterRadial"]))
     names, values = _blocks(path, words[start:], shape)
@@ -76,7 +77,9 @@ def _head(path: Path, words: list[str]) -> tuple[dict[str, str], dict[str, np.nd
             at += 1
     missing = [name for name in AXES if name not in axes]
     if missing or at + 1 >= len(words):
-        raise FileFormatError(f"{path}: is not a complete BSDF of Zemax: it lacks {', '.join(missing) or 'its data'}")
+        raise FileFormatError(
+            f"{path}: the file is not a complete BSDF of Zemax: it lacks {', '.join(missing) or 'its data'}"
+        )
     return settings, axes, at
 
 
@@ -104,7 +107,7 @@ def _blocks(path: Path, words: list[str], shape: tuple[int, int, int]) -> tuple[
         at += 1
     if len(blocks) != shape[0] * len(names) or len(set(names)) != len(names):
         raise FileFormatError(
-            f"{path}: has {len(blocks)} blocks of values, but each channel must have one for each of the {shape[0]} "
+            f"{path}: the file has {len(blocks)} blocks of values, but each channel must have one for each of the {shape[0]} "
             "angles of incidence"
         )
     return names, np.array(blocks).reshape(len(names), *shape)

@@ -370,7 +370,8 @@ def _check_highlight(brdf: xr.DataArray, normalise: tuple[float, float]) -> None
     bright = there[0].any(axis=1) & (rings[0] > 0)
     if bright.sum() < 3:
         raise FitError(
-            "no highlight: the peak of the table (theta_h = 0) is missing or not positive at nearly all theta_d"
+            "no highlight: the peak of the table (theta_h = 0) is missing or not positive at nearly all theta_d; "
+            "give a table with a specular lobe"
         )
     seen = there.any(axis=2)[:, bright]
     fall = np.where(seen, rings[:, bright] / rings[0][bright], np.nan)

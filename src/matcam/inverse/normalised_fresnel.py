@@ -18,10 +18,10 @@ NO_CAMERA = "no camera, instead of this one"
 
 
 class NormalisedFresnel:
-    """Strengths of a fit divided by their mean, with standard deviations. The arrays have shape (channels, slices).
+    """Fresnel term F of the slices of a fit, divided by its mean, with standard deviations.
 
-    `parts` are the sources of the variance of the normalised term. Their variances add up to the sum of the squares of
-    `std_noise` and `std_camera`.
+    The arrays have shape (channels, slices). `parts` are the sources of the variance of the normalised
+    term. Their variances add up to the sum of the squares of `std_noise` and `std_camera`.
     """
 
     def __init__(self, found: MaterialFit, normalise: tuple[float, float]):

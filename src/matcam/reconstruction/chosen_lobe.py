@@ -298,7 +298,7 @@ def _odd_remark(fit: SphereFit, k: int, share: float) -> Remark:
 
 
 def _described(name: str, more: Mapping[str, object], widened: Mapping[str, float]) -> str:
-    """Describe a fit for the progress: its lobe, and the sources whose standard deviation was enlarged."""
+    """Format the description of a fit for progress messages: its lobe, and sources with an enlarged standard deviation."""
     name = " or ".join([name, *(str(one) for one in cast("Sequence[str]", more.get("rivals", ())))])
     spline = ", spline-modified" if more.get("spline") else ""
     shape = ", diffuse part shaped" if more.get("shaped") else ""
@@ -357,9 +357,11 @@ def _likelier(one: SphereFit, other: SphereFit) -> bool:
 
 
 def _preferred(one: SphereFit, other: SphereFit) -> bool:
-    """Check whether a fit replaces another: it is more probable, and not a lobe at a bound with little improvement.
+    """Check whether a fit is preferred to another.
 
-    At a bound the family is unsuitable: a spike with long tails imitates a haze, and its width is meaningless.
+    The more probable fit is preferred. If the lobe of exactly one fit has a parameter at a bound, that fit is preferred only if
+    its unexplained share is much smaller. The width of a lobe at a bound is meaningless, because its family does not suit the
+    material.
     """
     if _at_bound(one) == _at_bound(other):
         return _likelier(one, other)

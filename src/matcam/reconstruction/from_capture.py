@@ -56,7 +56,7 @@ def reconstruct(
         progress: function that is called with the name of a step, the number of finished parts and the number of all parts.
             Default: None.
         workers: number of lamp positions whose frames are read at the same time, in threads. Default: 1.
-        keep: folder for intermediate results, from which an interrupted run resumes. Default: None, not stored.
+        keep: folder for intermediate results, from which an interrupted computation resumes. Default: None, not stored.
 
     Returns:
         Table, parameters, geometry, error budget and remarks; for a flat sample, maps and their resolution.
@@ -110,7 +110,7 @@ def reconstruct(
 def _of_sphere(
     found: CapturedScene, ndf: str, masking: Masking, diffuse: bool, progress: Callable[[str], None]
 ) -> Reconstruction:
-    """Reconstruct from a sphere, with a pinhole table of the images that the fit explains."""
+    """Reconstruct the material of a sphere, with a pinhole table of the images that the fit explains."""
     result = reconstructed(
         found.pictures,
         found.scene,
@@ -131,7 +131,7 @@ def _of_sphere(
 def _of_cylinder(
     found: CapturedCylinder, ndf: str, masking: Masking, diffuse: bool, progress: Callable[[str], None]
 ) -> Reconstruction:
-    """Reconstruct from a cylinder, with two roughnesses if strips of different orientations can distinguish them."""
+    """Reconstruct the material of a cylinder, with two roughnesses if strips of different orientations can distinguish them."""
     scene = found.scene
     turned = len({round(float(np.degrees(strip.turn)) % 180, 3) for strip in found.strips}) > 1
     stretched = ndf == AUTO and turned

@@ -1,4 +1,4 @@
-"""Joint fit of merged images of a scene: priors, a start, and rounds of refinement.
+"""Joint fit of merged images of a scene: priors, a starting point, and rounds of refinement.
 
 The lobe is first searched for on a lattice of widths, with the strengths of each image solved for. Then all parameters are
 fitted, and the windows are placed again about the fitted highlights, until convergence.
@@ -173,7 +173,7 @@ def fit_sphere(
         lamps: directions to the lamps, derived from the highlights, (pictures, 3), with which the search starts. Default:
             None, those of the scene.
         start: earlier fit of all or some of these images, with any lobe, from which this fit starts. Default: None.
-        widths: lattice of widths (first parameter of the lobe) for a search without a start.
+        widths: lattice of widths (first parameter of the lobe) for a search without `start`.
         rounds: largest number of rounds of refinement. Default: 4.
         progress: function that is called with a line about each round. Default: None.
         lay: function that sets up the problem for a sample other than a sphere. Default: None, a sphere.

@@ -1,4 +1,4 @@
-"""Comparison of the lamps in two mirror balls: a lamp at a finite distance has two directions."""
+"""Comparison of the lamp directions from two mirror balls. The directions differ if a lamp is at a finite distance."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""Cache on disk of results from the frames of a capture, so that an interrupted run resumes.
+"""Cache on disk of results from the frames of a capture, so that an interrupted computation resumes.
 
 The key of a file contains the frames (name, size, time of change, first and last 64 KiB of each), the settings, and the
-version of the package. Only complete files are used (core/sealed.py). A successful run removes its files, and the next
-run removes files older than two weeks.
+version of the package. Only complete files are used (core/sealed.py). A successful computation removes its files, and the next
+removes files older than two weeks.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from matcam.core.sealed import remove_sealed, sealed_files
 from matcam.core.workspace import Workspace, kept_file
 
 _PIECE = 1 << 16  # number of bytes at either end of a frame that its fingerprint includes
-_OLD = 14 * 86400.0  # age at which files of other runs are removed, s
+_OLD = 14 * 86400.0  # age at which files of other computations are removed, s
 _MOST = 100_000  # number of files in the folder, in effect unlimited, because files are removed by their age
 
 
 @dataclass
 class KeptWork:
-    """Cache of arrays of one run.
+    """Cache of arrays of one computation.
 
     Attributes:
         folder: folder of the files; it is created with the first file.
@@ -53,7 +53,7 @@ class KeptWork:
         return Workspace(self.folder, files=_MOST).store(description, make)
 
     def clear(self) -> None:
-        """Remove the files of this run, and old files of others."""
+        """Remove the files of this computation, and old files of others."""
         since = time.time() - _OLD
         old = [
             one.name for one in sealed_files(self.folder) if one.status.st_mtime < since and one.name.endswith(".npz")

@@ -57,8 +57,8 @@ def mask_outline(
     values = values.max(axis=2) if values.ndim == 3 else values
     if shape is not None and values.shape != shape[::-1]:
         raise FitError(
-            f"{path}: has {values.shape[1]} x {values.shape[0]} px, but the frames have {shape[0]} x {shape[1]} px: give a "
-            "mask of a whole frame"
+            f"{path}: the mask has {values.shape[1]} x {values.shape[0]} px, but the frames have {shape[0]} x "
+            f"{shape[1]} px: give a mask of a whole frame"
         )
     bright = values > (values.min() + values.max()) / 2
     border = np.concatenate([bright[0], bright[-1], bright[:, 0], bright[:, -1]])

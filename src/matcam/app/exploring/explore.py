@@ -349,7 +349,9 @@ class ExploreView:
             if kind == "pbrt":
                 return self._downloads.offer(f"{name}.pbrt", as_pbrt(table))
             if data is None or shown["light"][0] is None:
-                raise ArgumentError(f"{table.name}: contains only a Fresnel term, which can only be saved as CSV")
+                raise ArgumentError(
+                    f"{table.name}: the file contains only a Fresnel term, which can only be saved as CSV"
+                )
             if kind == "exr":
                 return self._downloads.offer(f"{name}-sphere.exr", as_exr(shown["light"][0]))
             return self._downloads.offer(f"{name}.bsdf", as_bsdf(data))

@@ -34,7 +34,7 @@ def slice_of(table: OpenedTable, theta_d: float, channel: int) -> dict[str, np.n
 
     best = table.best
     if best is None:
-        raise ArgumentError(f"{table.name}: contains only a Fresnel term, which has no slices: open a table")
+        raise ArgumentError(f"{table.name}: the file contains only a Fresnel term, which has no slices: open a table")
     at = (*merl_grid(sampling_of(best)).index(theta_d=theta_d, phi_d=np.pi / 2), channel)
     count = best.sizes["theta_h"]
 

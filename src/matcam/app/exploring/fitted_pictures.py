@@ -164,6 +164,7 @@ def shots_of(picture: FittedPicture, captures: Sequence[Capture]) -> list[Shot]:
     if not found:
         folders = ", ".join(one.folder.name for one in captures)
         raise FileFormatError(
-            f"{folders}: contains no photograph of lamp position {picture.name}: check whether the folder was moved or changed"
+            f"{folders}: the capture contains no photograph of lamp position {picture.name}: check whether the "
+            "folder was moved or changed"
         )
     return found

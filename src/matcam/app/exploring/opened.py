@@ -72,7 +72,7 @@ def entries_of(path: Path) -> list[Openable]:
     """List the materials of a path; only their records are read.
 
     Args:
-        path: file, folder or Zarr of a run, or folder of a capture, which may contain results.
+        path: file, folder or Zarr store of a run, or folder of a capture, which may contain results.
 
     Raises:
         FileFormatError: a folder has no records of a run.
@@ -96,7 +96,7 @@ def entries_of(path: Path) -> list[Openable]:
         if is_folder(path / "run.zarr"):
             return _rows(path / "run.zarr")
         raise FileFormatError(
-            f"{path}: contains no record of a run (NAME.json with NAME.nc): open a file, or the folder of a run"
+            f"{path}: the folder contains no record of a run (NAME.json with NAME.nc): open a file, or the folder of a run"
         )
     return found
 
@@ -123,7 +123,8 @@ def read_opened(path: Path, record: dict[str, Any] | None = None) -> OpenedTable
     if result is not None and {"raw", "corrected", "theta_d"} <= set(result.variables):
         return OpenedTable(name, curve=result)
     raise ArgumentError(
-        f"{name}: contains {contents.kind}, which cannot be shown: open a table, a correction, an RGL file or a Fresnel term"
+        f"{name}: the file contains {contents.kind}, which cannot be shown: open a table, a correction, an RGL "
+        "file or a Fresnel term"
     )
 
 

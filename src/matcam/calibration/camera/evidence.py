@@ -271,8 +271,9 @@ def _nothing_measured(chart: Chart, registration: Projection) -> FitError:
     ends = registration(np.array([[0.0, height / 2], [width, height / 2]]))
     across = float(np.hypot(*(ends[1] - ends[0])))
     return FitError(
-        "the chart was found, but its targets are covered or too fine to be measured, because its page is only "
-        f"{across:.0f} px wide: photograph it at a larger scale, or print a chart for this width (matcam chart --pixels)"
+        "the chart was found, but its targets cannot be measured: they are covered, or too fine for a page of "
+        f"{across:.0f} px width; uncover them and photograph the chart at a larger scale, or print a chart for this width "
+        "(matcam chart --pixels)"
     )
 
 

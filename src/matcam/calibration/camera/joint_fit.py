@@ -1,6 +1,6 @@
 """Joint fit of one camera to many measurements, and the test of their agreement.
 
-Edges contribute their cells, and all other targets contribute MTF values with covariance. Every edge has its own levels,
+Edges contribute their bins, and all other targets contribute MTF values with covariance. Every edge has its own levels,
 illumination and position. They are eliminated for each edge (Schur complement), so that only the few common parameters
 remain. The fit uses Fisher scoring: each measurement adds its information and its score, from which the agreement of the
 measurements is also tested. The variance of a pixel follows from the model (docs/model.md 8).
@@ -251,7 +251,7 @@ def edge_measurements(stacks: Sequence[tuple[EdgeStack, LensModel]]) -> EdgeMeas
     most = max(part.cells.pixels.shape[1] for part in parts)
 
     def widened(part: EdgeMeasurements) -> EdgeMeasurements:
-        more = (0, most - part.cells.pixels.shape[1])  # cells without pixels
+        more = (0, most - part.cells.pixels.shape[1])  # bins without pixels
         pad = lambda column: np.pad(column, [(0, 0)] * (column.ndim - 1) + [more])  # noqa: E731
         return part._replace(cells=jax.tree.map(pad, part.cells))
 

@@ -15,7 +15,7 @@ of the line spread function of P, so that the same settings apply to every blur:
 - glare: a wide Gaussian, used only if glare is found.
 
 All terms are Gaussian or rational. ESF, LSF and MTF are therefore closed forms at any distance and frequency, and the
-variance of the distances in a cell acts as additional blur. Neither bins nor windows are used.
+variance of the distances in a bin acts as additional blur. No correction for a bin width and no window are used.
 """
 
 from __future__ import annotations
@@ -61,13 +61,13 @@ Over one tenth of an interval (1.6e-3 cycles/px), an MTF deviates from a straigh
 class EdgeSamples(NamedTuple):
     """Measured edge response of an image.
 
-    Values are means over n cells, each with pixels at similar distances from the edge.
+    Values are means over n bins, each with pixels at similar distances from the edge.
 
     Attributes:
         distance: distance from the edge (n,), px, negative on the dark side.
         value: edge response corrected for uneven light, 0 on the dark and 1 on the bright side (n,) (no unit).
         std: standard deviation of `value` (n,).
-        parametric: prediction of the parametric fit for the same cells (n,) (no unit).
+        parametric: prediction of the parametric fit for the same bins (n,) (no unit).
 
     Example:
         >>> y, x = np.mgrid[-80:80, -40:40]
@@ -144,7 +144,7 @@ def line_width(shape: CoreShape) -> jax.Array:
 def edge_basis(shape: CoreShape, distance: jax.Array, spread: jax.Array) -> Basis:
     """Evaluate the basis as edge responses at `distance`, px.
 
-    `spread`: variance of the distances in each cell, px^2.
+    `spread`: variance of the distances in each bin, px^2.
     """
     positions, width = _bumps(shape)
     blurred = xp.sqrt(shape.sigma**2 + spread)

@@ -1,6 +1,6 @@
-"""Fit of the model-free edge response to the cells: a linear least-squares problem with priors, optional ghost and glare.
+"""Fit of the model-free edge response to the bins: a linear least-squares problem with priors, optional ghost and glare.
 
-Normal priors keep coefficients that the cells do not determine near the pilot. The prior standard deviation is 10 % of
+Normal priors keep coefficients that the bins do not determine near the pilot. The prior standard deviation is 10 % of
 the step for the centre of the core, and decreases with the distance, because lenses deviate most from Gaussians in the
 core. The covariance is that of the estimator under noise, A^-1 X W V W X' A^-1 with A = X W X' + prior. It describes the
 scatter of repeated images, and it is smaller than the posterior covariance. docs/edge.md gives the measured bias of the
@@ -91,20 +91,20 @@ _CANDIDATES, _REFINEMENTS = 9, 3
 
 
 class LinearFit(NamedTuple):
-    """Linear problem at given levels, without glare, and its solution, for n cells and p columns.
+    """Linear problem at given levels, without glare, and its solution, for n bins and p columns.
 
     Attributes:
         shape: parameters of the basis.
         cells: cells with distances from the edge of the pilot.
         pilot: (n,) edge response P.
-        step: (n,) bright minus dark level in the light of each cell.
+        step: (n,) bright minus dark level in the light of each bin.
         levels: (LINEAR,) `State.linear` at which the problem is linearised.
         used: (LINEAR,) 1 for free parameters, else 0.
         weight: (n,) weights.
         variance: (n,) variance of a pixel.
         residual: (n,) residual before the fit.
         columns: (p, n) columns of the levels, the light, and the even and odd coefficients; 0 for fixed parameters.
-        normal: (p, p) normal matrix of the cells, without the prior.
+        normal: (p, p) normal matrix of the bins, without the prior.
         inverse: (p, p) inverse A^-1 of the normal matrix with the prior.
         strength: (p,) fitted coefficients.
     """
@@ -130,17 +130,17 @@ class LinearFit(NamedTuple):
 
     @property
     def chi2(self) -> jax.Array:
-        """Chi-square of the cells for the given noise."""
+        """Chi-square of the bins for the given noise."""
         return (self.cells.pixels / self.variance * self.left**2).sum()
 
     @property
     def degrees(self) -> jax.Array:
-        """Degrees of freedom: number of cells minus the effective number of fitted parameters."""
+        """Degrees of freedom: number of bins minus the effective number of fitted parameters."""
         return xp.maximum((self.cells.pixels > 0).sum() - xp.trace(self.inverse @ self.normal), 1.0)
 
     @property
     def noisy(self) -> jax.Array:
-        """Squared weight times the variance of each cell (n,)."""
+        """Squared weight times the variance of each bin (n,)."""
         return self.weight**2 * self.variance / xp.maximum(self.cells.pixels, 1.0)
 
     def solved(self, columns: jax.Array) -> LinearFit:
@@ -292,7 +292,7 @@ def _chosen_light(full: LinearFit) -> jax.Array:
         rise = xp.max(xp.maximum(left, 0.0) ** 2 / (alone - (shared**2).sum(0)) - unlikely)
         return chi2, xp.maximum(rise, 0.0)
 
-    lights = xp.asarray(LIGHTS) + 0 * before  # a JAX array if the cells are JAX arrays
+    lights = xp.asarray(LIGHTS) + 0 * before  # a JAX array if the bins are JAX arrays
     chi2, rise = each(judged, lights)
     # Structure that neither light nor glare explains is treated as noise.
     scatter = xp.maximum(xp.min(chi2 - rise) / degrees, 1.0)
@@ -386,10 +386,10 @@ def _radii(shape: CoreShape) -> jax.Array:
 
 
 def _lights() -> np.ndarray:
-    """List the models of the light in ascending order of their number of parameters (6, LINEAR).
+    """List masks of the free linear parameters of each light model (6, LINEAR), in ascending order of their number.
 
-    The multiplicative light has order 1, 2 or 3, and the additive light has order 0, 1 or 2. The two levels and the shift of
-    the edge are always free.
+    The polynomial of the multiplicative light has order 1, 2 or 3, and that of the additive light order 0, 1 or 2. The two
+    levels and the shift of the edge are always free.
     """
     factor, addend = {1: 2, 2: 4, 3: 7}, {0: 0, 1: 2, 2: 4}
     lights = []

@@ -1,12 +1,12 @@
-"""Geometry of an edge: its curve, the distance of each pixel from the curve, and cells of pixels at similar distances.
+"""Geometry of an edge: its curve, the distance of each pixel from the curve, and bins of pixels at similar distances.
 
 The edge is a curve x0(y), a polynomial of order 5, in the coordinates of the region: px from its centre, x along the
 rows, y down. The bright side lies at larger x.
 
-A cell contains the pixels of one column of the aligned rows for which the edge lies in the same eighth of a px. It stores
-their mean distance and the variance of their distances, so that a correction for a bin width is not needed. The mean of a
-model over the cell is the model at the mean distance, blurred by this variance (with an error of 1e-6 of the step). Far
-from the edge, the response varies slowly, and half a column is one cell.
+A bin contains the pixels of one column of the aligned rows for which the edge lies in the same eighth of a px.
+`EdgeCells` stores their mean distance and the variance of their distances, so that a correction for a bin width is not
+needed. The mean of a model over the bin is the model at the mean distance, blurred by this variance (with an error of
+1e-6 of the step). Far from the edge, the response varies slowly, and half a column is one bin.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ LEGENDRE = np.array(
 CURVE = 6
 """Number of coefficients of the curve of an edge. Lens distortion curves the image of a straight edge."""
 _PHASES = 8
-"""Number of cells per px near the edge. The distances in a cell then differ by at most an eighth of a px."""
+"""Number of bins per px near the edge. The distances in a bin then differ by at most an eighth of a px."""
 _NEAR = 7
 """Distance on both sides of the edge within which columns are split by phase, px."""
 
@@ -100,13 +100,13 @@ class PhasedRows(NamedTuple):
 
 
 class EdgeCells(NamedTuple):
-    """Means over the pixels of n cells.
+    """Means over the pixels of n bins.
 
     Attributes:
-        pixels: (n,) number of pixels; 0 if the cell is empty (its means are then meaningless).
+        pixels: (n,) number of pixels; 0 if the bin is empty (its means are then meaningless).
         value: (n,) mean value.
         distance: (n,) mean distance from the edge along its normal, px.
-        spread: (n,) variance of the distances in the cell, px^2.
+        spread: (n,) variance of the distances in the bin, px^2.
         dim: (n,) mean of the inverse of `AlignedRows.light`.
         terms: (TERMS, n) light terms, as in `light_terms`.
     """
@@ -186,7 +186,10 @@ def phased_rows(rows: AlignedRows, curve: jax.Array) -> PhasedRows:
 
 
 def edge_cells(phased: PhasedRows) -> EdgeCells:
-    """Compute the cells of aligned rows."""
+    """Compute the means over the pixels in bins of equal phase and column.
+
+    Far from the edge, the upper and the lower half of a column are one bin each.
+    """
     aligned = phased.rows
     near = aligned.near
 
@@ -200,13 +203,13 @@ def edge_cells(phased: PhasedRows) -> EdgeCells:
     width = near.stop - near.start
     inside = channels(near)
     summed = (phased.member @ xp.concatenate(inside, 1)).reshape(-1, len(inside), width).swapaxes(0, 1)
-    # Far from the edge, a column has one cell for the upper and one for the lower rows, to resolve changes of the light.
+    # Far from the edge, a column has one bin for the upper and one for the lower rows, to resolve changes of the light.
     half = aligned.y.size // 2
     far = zip(channels(slice(None, near.start)), channels(slice(near.stop, None)), strict=True)
     outside = [[part.sum(0) for side in both for part in (side[:half], side[half:])] for both in far]
     sums = (xp.concatenate([i.ravel(), *o]) for i, o in zip(summed, outside, strict=True))
     count = next(sums)
-    # An empty cell has weight 0, and is placed at distance 0, where every model is finite.
+    # An empty bin has weight 0, and is placed at distance 0, where every model is finite.
     value, mean, square, dim, *terms = (total / xp.where(count > 0, count, 1.0) for total in sums)
     dim = xp.where(count > 0, dim, 1.0)
     return EdgeCells(count, value, mean, xp.maximum(square - mean**2, 0.0), dim, xp.stack(terms))

@@ -8,7 +8,7 @@ held fixed within a step (iteratively reweighted least squares). For Poisson noi
 likelihood, and noise in the weights does not cause a bias (docs/model.md 8).
 
 Fisher scoring uses a fixed number of steps. Every step is the same small program, so that many edges run in parallel
-under `vmap`; with a stopping rule, all edges would wait for the slowest one. Profile and levels are fitted to the cells, and
+under `vmap`; with a stopping rule, all edges would wait for the slowest one. Profile and levels are fitted to the bins, and
 the curve to the pixels near the edge. The shift of the curve is fitted together with the profile. By symmetry, its slope
 and bow are uncorrelated with all other parameters, so that the two fits can alternate.
 """
@@ -44,7 +44,7 @@ LINEAR = SHIFT + 1
 """Number of linear parameters: the two levels, the coefficients of multiplicative and additive light, and the shift."""
 
 Profile = Callable[[EdgeCells, "jax.Array"], tuple["jax.Array", "jax.Array", "jax.Array"]]
-"""Function of cells and parameters (k,) that computes the means of E, dE/dd and dE/dparameters (k, n) over the cells."""
+"""Function of bins and parameters (k,) that computes the means of E, dE/dd and dE/dparameters (k, n) over the bins."""
 
 
 class Noise(NamedTuple):
@@ -86,7 +86,7 @@ class State(NamedTuple):
 
 
 class EdgeModel(NamedTuple):
-    """Model of all cells, and its derivatives.
+    """Model of all bins, and its derivatives.
 
     Attributes:
         state: parameters.
@@ -117,7 +117,7 @@ def light_of(linear: jax.Array, terms: jax.Array) -> Light:
 
 
 def edge_model(cells: EdgeCells, state: State, profile: Profile) -> EdgeModel:
-    """Evaluate the model of the cells, and its derivatives."""
+    """Evaluate the model of the bins, and its derivatives."""
     dark, bright, shift = state.linear[0], state.linear[1], state.linear[SHIFT]
     edge, line, slopes = profile(cells._replace(distance=cells.distance + shift), state.profile)
     light = light_of(state.linear, cells.terms)
@@ -175,7 +175,7 @@ _HIGHER_ORDERS = 16.3
 def curve_step(phased: PhasedRows, cells: EdgeCells, at: EdgeModel, noise: Noise, length: jax.Array) -> CurveStep:
     """Update the curve by a step of Fisher scoring on single pixels.
 
-    The model of a pixel is that of its cell, extrapolated linearly in the distance. Distances in a cell differ from the
+    The model of a pixel is that of its bin, extrapolated linearly in the distance. Distances in a bin differ from the
     mean by at most a sixteenth of a px; the neglected second-order term is even in the distance, and does not bias the
     position. The orders beyond the bow are free only if they are significant. Otherwise they would fit the noise of a
     few rows, and bias the blur.

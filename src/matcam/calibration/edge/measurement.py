@@ -48,7 +48,7 @@ _STEPS, _MODEL_STEPS = 3, 12
 _LAST_LIGHT = 3
 """Index in `LIGHTS` of the light model in the last turn of the fits of profile and position."""
 _EXPECTED = 1.4
-"""Chi-square per degree of freedom above which the variances are scaled: 4 sigma for about 200 cells."""
+"""Chi-square per degree of freedom above which the variances are scaled: 4 sigma for about 200 bins."""
 
 
 class LensFit(NamedTuple):
@@ -57,12 +57,12 @@ class LensFit(NamedTuple):
     Attributes:
         state: fitted parameters.
         covariance: covariance matrix of size LINEAR + k.
-        chi2: chi-square of the cells for the given noise.
-        degrees: degrees of freedom: number of cells minus number of parameters.
+        chi2: chi-square of the bins for the given noise.
+        degrees: degrees of freedom: number of bins minus number of parameters.
         structure: test of the residuals by the free curve.
         numbers: (k,) parameters of the lens, in the units of their names.
         numbers_covariance: (k, k) covariance of `numbers`.
-        expected: (n,) model values of the cells.
+        expected: (n,) model values of the bins.
         mtf: MTF at `FREQUENCIES`.
         mtf50: MTF50, cycles/px.
     """
@@ -101,10 +101,10 @@ class EdgeFits(NamedTuple):
         overshoot: largest excess of the ESF over its levels.
         cells: means of the pixels.
         state: parameters of the Gaussian fit, at which the free curve is linearised.
-        excess: factor by which variances were increased, because the scatter of the cells exceeds the noise.
+        excess: factor by which variances were increased, because the scatter of the bins exceeds the noise.
         outliers: number of pixels that were excluded.
         roughness: standard deviation of the position of the edge in single rows beyond the noise, px.
-        misfit: standard deviation of cells about the free curve beyond the noise, in units of the step.
+        misfit: standard deviation of bins about the free curve beyond the noise, in units of the step.
     """
 
     curve: jax.Array
@@ -158,7 +158,7 @@ def edge_fits(
     def turn(
         at: tuple[jax.Array, State], used: jax.Array
     ) -> tuple[Any, tuple[jax.Array, EdgeCells, EdgeModel, CurveStep]]:
-        """Fit profile and levels to cells, then the curve to pixels."""
+        """Fit profile and levels to bins, then the curve to pixels."""
         curve, state = at
         phased = geometry.phased_rows(aligned, curve)
         cells = geometry.edge_cells(phased)

@@ -93,7 +93,7 @@ class ParametricEdge(Summarised, _LensNumbers[float]):
         mtf_std: standard deviation of `mtf` (81,).
         mtf50: lowest frequency at which `mtf` is one half, cycles/px.
         mtf50_std: standard deviation of `mtf50`, cycles/px.
-        chi2: chi-square of the cells for the given noise (no unit).
+        chi2: chi-square of the bins for the given noise (no unit).
         degrees: degrees of freedom (no unit).
         misfit_probability: probability of at least this much structure in the residuals if the model is correct (no unit).
         lens: the lens model.
@@ -181,7 +181,7 @@ class ParametricStack(_LensNumbers[np.ndarray]):
         mtf_std: standard deviation of `mtf` (n, 81).
         mtf50: lowest frequency at which `mtf` is one half (n,), cycles/px.
         mtf50_std: standard deviation of `mtf50` (n,), cycles/px.
-        chi2: chi-square of the cells for the given noise (n,) (no unit).
+        chi2: chi-square of the bins for the given noise (n,) (no unit).
         degrees: degrees of freedom (n,) (no unit).
         misfit_probability: probability of at least this much structure in the residuals if the model is correct (n,)
             (no unit).

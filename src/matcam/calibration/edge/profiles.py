@@ -1,7 +1,7 @@
-"""Lens models, and their edge profiles for the fit: edge response E, its slope and its derivatives, averaged over cells.
+"""Lens models, and their edge profiles for the fit: edge response E, its slope and its derivatives, averaged over bins.
 
 The edge response is that of the camera model. Gaussian lenses have closed forms. For other lenses, the edge response is
-computed by a fast Fourier transform of the total MTF, and interpolated at the cells.
+computed by a fast Fourier transform of the total MTF, and interpolated at the bins.
 
 `Separable` is a lens combined with a pixel of unknown size: diffraction x Gaussian core x square pixel (docs/model.md 7).
 Core and pixel can only be distinguished by the shape of their transforms, that is, by the fourth cumulant of the
@@ -123,7 +123,7 @@ class Gaussian(LensModel):
     def profile(self, angle: jax.Array, half_width: jax.Array) -> Profile:
         """Return the edge profile in closed form.
 
-        The variance of the distances in a cell acts as an additional Gaussian blur.
+        The variance of the distances in a bin acts as an additional Gaussian blur.
         """
 
         def profile(cells: EdgeCells, parameters: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
@@ -318,7 +318,7 @@ def _tabulated(
     left, right = left % count, (left + 1) % count
 
     def over_cells(values: jax.Array, slopes: jax.Array) -> jax.Array:
-        """Interpolate at the two points of each cell by cubic Hermite polynomials, and average."""
+        """Interpolate at the two points of each bin by cubic Hermite polynomials, and average."""
         slopes = slopes / _PER_PX
         a, b = values[left], values[right]
         cubic = a + (b - a) * t**2 * (3 - 2 * t) + t * (1 - t) * (slopes[left] * (1 - t) - slopes[right] * t)

@@ -31,7 +31,7 @@ _LEAST_ROWS = 10
 _LEAST_CONTRAST = 3.0
 """Smallest step of an edge, in standard deviations of a pixel."""
 _WIDEST_GAP = 0.55
-"""Largest distance between sampled phases, px. With coarser sampling, the MTF50 of a sharp lens is not determined."""
+"""Largest gap between the sampled distances from the edge, px. Larger gaps do not determine the MTF50 of a sharp lens."""
 SHARPENED = 0.02
 """Overshoot, relative to the step, above which an edge is assumed to be sharpened."""
 MISFIT = 0.002
@@ -203,8 +203,8 @@ def refusals(found: EdgeFits, region: EdgeRegions, *, accept_sharpened: bool) ->
         if gap[i] > _WIDEST_GAP:
             return Remark(
                 "phases-missing",
-                f"phases are missing, because an edge at {np.degrees(abs(found.angle[i])):.1f} degrees to the grid "
-                f"samples too few phases of the pixels ({gap[i]:.2f} px apart): rotate the target by a few degrees",
+                f"an edge at {np.degrees(abs(found.angle[i])):.1f} degrees to the pixel grid samples too few "
+                f"distances from the edge (largest gap {gap[i]:.2f} px): rotate the target by a few degrees",
             )
         if blur[i] > _BLUR * width:
             return Remark(

@@ -107,9 +107,9 @@ def estimated_noise(known: Noise, aligned: AlignedRows, distance: jax.Array) -> 
 
 
 _CORE = 7.0
-"""Distance from the edge within which the misfit of the cells is computed, px."""
+"""Distance from the edge within which the misfit of the bins is computed, px."""
 _WINDOW, _FEWEST, _TOGETHER = 2.0, 6, 6.0
-"""Test for a local misfit: width of a window, px; smallest number of cells in a window; significance above which a window
+"""Test for a local misfit: width of a window, px; smallest number of bins in a window; significance above which a window
 contributes to the misfit, in standard deviations."""
 _WINDOWS = np.arange(-10.0, 9.0)
 """Distances from the edge at which the windows begin, px."""
@@ -125,7 +125,7 @@ class Unexplained(NamedTuple):
 
     Attributes:
         roughness: standard deviation of the position of the edge between rows, px. It blurs the edge, as a lens does.
-        misfit: standard deviation of the cells near the edge beyond noise, in units of the step.
+        misfit: standard deviation of the bins near the edge beyond noise, in units of the step.
     """
 
     roughness: jax.Array
@@ -139,10 +139,10 @@ class Unexplained(NamedTuple):
 
 
 def misfit_of(fit: LinearFit, curve: FreeCurve, excess: jax.Array) -> jax.Array:
-    """Compute the standard deviation of cells near the edge about the free curve, beyond the noise, in units of the step.
+    """Compute the standard deviation of bins near the edge about the free curve, beyond the noise, in units of the step.
 
     `curve`: free curve, with glare if it was found. `fit`: fit without glare. `excess`: factor that was applied to all
-    variances; 1 if the noise explains the total scatter of the cells.
+    variances; 1 if the noise explains the total scatter of the bins.
     """
     distance, there = fit.cells.distance, fit.cells.pixels > 0
     basis = edge_basis(curve.shape, distance, fit.cells.spread)
@@ -152,7 +152,7 @@ def misfit_of(fit: LinearFit, curve: FreeCurve, excess: jax.Array) -> jax.Array:
     left = fit.cells.value - light.addend - light.factor * (dark + (bright - dark) * response)
     core = there & (xp.abs(distance) < _CORE)
     everywhere = (1 - 1 / excess) * xp.where(core, (left / fit.step) ** 2, 0.0).sum()
-    # A ghost affects few cells. A window of 2 px contributes if its chi-square exceeds the expectation by 6 standard
+    # A ghost affects few bins. A window of 2 px contributes if its chi-square exceeds the expectation by 6 standard
     # deviations.
     variance = excess / fit.weight
     window = there & (distance >= _WINDOWS[:, None]) & (distance < _WINDOWS[:, None] + _WINDOW)
@@ -162,5 +162,5 @@ def misfit_of(fit: LinearFit, curve: FreeCurve, excess: jax.Array) -> jax.Array:
     spoilt = (window & off[:, None]).any(0)
     locally = xp.where(
         spoilt, (left**2 - variance) / fit.step**2, 0.0
-    ).sum()  # the variance of an empty cell is infinite
+    ).sum()  # the variance of an empty bin is infinite
     return xp.sqrt(xp.maximum(xp.maximum(everywhere, locally), 0.0) / xp.maximum(core.sum(), 1.0))

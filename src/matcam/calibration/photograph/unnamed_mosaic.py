@@ -45,7 +45,7 @@ def alternation(values: FloatArray) -> float:
 
 
 def _of_lines(values: FloatArray) -> float:
-    """Measure the alternation along the rows."""
+    """Measure the relative difference of alternating pixels along the rows; 0 if it is not significant."""
     before, at, after = values[:, :-2], values[:, 1:-1], values[:, 2:]
     mean = (before + 2 * at + after) / 4
     with np.errstate(invalid="ignore", divide="ignore"):

@@ -169,7 +169,8 @@ def iso12233_sfr(
     straight = np.polynomial.Polynomial.fit(number, place, 1).convert().coef[1]
     if abs(straight) * len(value) < _LEAST_TURNS:
         raise FitError(
-            "phases are missing, because the edge is parallel to the pixel grid: rotate the target by a few degrees"
+            "the edge is parallel to the pixel grid, which samples too few distances from the edge: rotate the "
+            "target by a few degrees"
         )
     # A whole number of phase cycles gives all phases equal weight.
     kept = max(int(np.round(np.floor(len(value) * abs(straight)) / abs(straight))), 1)

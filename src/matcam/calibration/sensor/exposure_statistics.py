@@ -63,7 +63,7 @@ class FrameReader:
             if values.ndim == 3:
                 if not (values[..., :1] == values).all():
                     raise FileFormatError(
-                        f"{path}: is a full-colour image that was processed from a mosaic: give raw or grey frames"
+                        f"{path}: the frame is a full-colour image that was processed from a mosaic: give raw or grey frames"
                     )
                 values = values[..., 0]
             kind = (values.shape, str(values.dtype))
@@ -72,7 +72,8 @@ class FrameReader:
             elif kind != self._kind:
                 was, new = (f"{shape[1]} x {shape[0]} px of {dtype}" for shape, dtype in (self._kind, kind))
                 raise FileFormatError(
-                    f"{path}: has {new}, but the preceding frames have {was}: give frames of the same shape and data type"
+                    f"{path}: the frame has {new}, but the preceding frames have {was}: give frames of the same "
+                    "shape and data type"
                 )
             yield values
 

@@ -138,7 +138,7 @@ def find_star(values: FloatArray, cycles: int | None = None) -> FoundStar:
     if len(agreeing) < 4 or winner < 8:
         raise FitError(
             f"region contains no Siemens star{f' of {cycles} cycles' if cycles else ''}: "
-            f"of {len(rings)} rings with a wave, {len(agreeing)} have {winner} cycles; "
+            f"of {len(rings)} rings with a regular wave, {len(agreeing)} have {winner} cycles; "
             "at least 4 rings of at least 8 cycles are needed"
         )
     # Beyond the rim, the amplitude of the wave on a ring is small.
@@ -151,10 +151,16 @@ def find_star(values: FloatArray, cycles: int | None = None) -> FoundStar:
 
 
 class _Ring(NamedTuple):
-    """Ring around the centre of a star, with a wave.
+    """Ring around the centre of a star, with the sinusoid that was found on it.
 
-    `share`: share of the wave in the power of the ring. `amplitude`: amplitude of the wave relative to the mean of the ring.
-    `phase`: (n,) phase at (x, y), rad.
+    Attributes:
+        radius: radius of the ring, px.
+        cycles: number of cycles of the sinusoid around the ring.
+        share: share of the sinusoid in the power of the ring, no unit.
+        amplitude: amplitude of the sinusoid relative to the mean of the ring, no unit.
+        x: (n,) columns of positions on the ring, px.
+        y: (n,) rows of these positions, px.
+        phase: (n,) phase of the sinusoid at these positions, rad.
     """
 
     radius: float

@@ -111,9 +111,9 @@ class HaloOptics(Optics):
         return self.core.resolved_share() if self.halo.band() <= self.core.band() else 1.0
 
     def rule_on(self, borders: np.ndarray) -> Rule:
-        """Return the rule of the core on panels graded towards 0.
+        """Return the quadrature of the core on panels graded towards 0.
 
-        Their widths halve towards 0, so that they resolve the spike of the halo.
+        The widths of the panels halve towards 0, so that they resolve the spike of the halo.
         """
         known = all(map(is_concrete, leaves_of(self)))
         octaves = 2 + max(0, int(np.log2(self.core.band() / self.halo.band()))) if known else _TRACED_OCTAVES

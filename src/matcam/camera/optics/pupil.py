@@ -199,7 +199,7 @@ class DefocusOptics(Optics):
         return self.focused.band()
 
     def rule_on(self, borders: np.ndarray) -> Rule:
-        """Return the rule of the focused lens on finer panels.
+        """Return the quadrature of the focused lens on finer panels.
 
         The panels resolve the oscillations exp(i pi c f) of the circle of confusion.
         """

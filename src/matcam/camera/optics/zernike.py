@@ -209,7 +209,7 @@ class ZernikeOptics(Optics):
         return self.focused.band()
 
     def rule_on(self, borders: np.ndarray) -> Rule:
-        """Return the rule of the perfect lens on finer panels.
+        """Return the quadrature of the perfect lens on finer panels.
 
         The panels resolve the phase of the aberrations.
         """

@@ -53,7 +53,7 @@ def check_folder(path: Path, hint: str = "") -> None:
     hint: end of the message, with an alternative. Default: "".
     """
     if is_there(path) and not is_folder(path):
-        raise FileFormatError(f"{path}: is not a folder{hint}")
+        raise FileFormatError(f"{path}: the input is not a folder{hint}")
     try:
         path.stat()
     except FileNotFoundError:
@@ -80,12 +80,12 @@ def check_name(path: Path) -> None:
 
 
 def check_within(path: Path, folder: Path) -> None:
-    """Raise FileFormatError if the links of `path` lead out of `folder`.
+    """Raise FileFormatError if `path` is a link to a file outside `folder`.
 
     Otherwise the author of a folder could select any file of the user who opens it.
     """
     if is_link(path) and not (target := path.resolve()).is_relative_to(folder.resolve()):
-        raise FileFormatError(f"{path}: is a link out of its folder, to {target}: give the target instead")
+        raise FileFormatError(f"{path}: the file is a link to {target}, outside its folder: give the target instead")
 
 
 def listed_file(folder: Path, name: str, what: str) -> Path:
@@ -97,14 +97,16 @@ def listed_file(folder: Path, name: str, what: str) -> Path:
         what: name of the folder, such as "the capture's folder".
 
     Raises:
-        FileFormatError: the name is not plain text, or leads out of the folder, by itself or by a link.
+        FileFormatError: the name is not plain text, or specifies a file outside the folder, directly or by a link.
     """
     pure = PurePosixPath(name)
     path = folder / name
     if not pure.parts or not name.isprintable() or len(name) > _LONGEST:
         raise FileFormatError(f"{folder}: file {name[:40]!r} has a name that is not plain text: rename it")
     if pure.is_absolute() or ".." in pure.parts or "\\" in name or re.match(r"[A-Za-z]:", name):
-        raise FileFormatError(f"{path}: leads out of {what}: give a file inside that folder")
+        raise FileFormatError(f"{path}: the path leads out of {what}: give a file inside that folder")
     if not path.resolve().is_relative_to(folder.resolve()):
-        raise FileFormatError(f"{path}: is a link out of {what}: put the file itself there")
+        raise FileFormatError(
+            f"{path}: the file is a link to a file outside {what}: replace the link by a copy of the file"
+        )
     return path

@@ -124,8 +124,8 @@ def picture_lens(camera: Camera, radius: float, error: float | None = None) -> P
         between += shares.left_over(limit.sigma, _sampled(varying, shares.positions, _CHECKED))
         if between > _TOLERABLE:
             raise ArgumentError(
-                f"the lens varies too much within a few pixels of a sample of {radius:g} px: give a larger unit or smaller "
-                "coefficients"
+                f"the lens varies too much within a few pixels of a sample of {radius:g} px radius: increase the "
+                "parameter `unit` of SeidelOptics, or decrease its coefficients"
             )
     return PictureLens(camera.pixel, limit, colours, shares, limit.error + between)
 
@@ -165,8 +165,9 @@ def _shares_for(optics: tuple[Optics, ...], radius: float) -> tuple[PositionShar
             break
     if error > _TOLERABLE:
         raise ArgumentError(
-            f"the lens varies too much over a sample of {radius:g} px: weights of degree {_DEGREES[-1]} leave an "
-            f"error of {error:.1g} of the transfer function; give a larger unit or smaller coefficients"
+            f"the lens varies too much over a sample of {radius:g} px radius: interpolation of degree "
+            f"{_DEGREES[-1]} has an error of {error:.1g} in the transfer function; increase the parameter `unit` of "
+            "SeidelOptics, or decrease its coefficients"
         )
     return shares, error
 

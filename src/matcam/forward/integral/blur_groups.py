@@ -46,7 +46,7 @@ class BlurScale(NamedTuple):
 
 
 class BlurGroup(NamedTuple):
-    """Indices of terms of a blur with similar widths, and their lengths."""
+    """Group of terms of a blur with similar widths: their indices, and the lengths on the sensor for their quadrature."""
 
     terms: tuple[int, ...]
     scale: BlurScale

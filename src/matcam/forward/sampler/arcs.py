@@ -48,7 +48,10 @@ class Clips(NamedTuple):
 
     @classmethod
     def of(cls, half_spaces: tuple[np.ndarray, np.ndarray], frame: Frame) -> Clips:
-        """Convert half-spaces a . n <= b; a: (3, windows, half-spaces)."""
+        """Express half-spaces a . n <= b in the frame of the circles.
+
+        half_spaces: a (3, windows, half-spaces), and b (windows, half-spaces).
+        """
         normal, offset = half_spaces
         axial, along, across = (np.sum(normal * vector[:, :, None], axis=0) for vector in frame)
         return cls(axial, np.hypot(along, across), np.arctan2(across, along), offset)

@@ -171,7 +171,10 @@ def about_highlight(windows: Windows) -> Frame:
 
 
 def _across_radius(windows: Windows) -> Frame:
-    """Return the frame whose circles run along the radius of the image through the centre of the window."""
+    """Return the frame whose circles run along the radius of the sphere's image through the centre of each window.
+
+    The axis of the circles is perpendicular to this radius, in the image plane.
+    """
     x, y = windows.to_lamp(windows.x, windows.y)
     azimuth, zero = np.arctan2(y, x), np.zeros(x.size)
     cosine, sine = np.cos(azimuth), np.sin(azimuth)

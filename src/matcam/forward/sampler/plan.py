@@ -124,7 +124,7 @@ class PlanPart(NamedTuple):
 
 
 class RecordPlan(NamedTuple):
-    """Positions of a record, and a part of the plan for each scale of the blur."""
+    """Integration plan of a record: its positions, and one part for each scale of the blur."""
 
     positions: RecordPositions
     parts: tuple[PlanPart, ...]

@@ -56,7 +56,7 @@ FRESNEL_LATTICE: dict[str, list[tuple[float, ...]]] = {
     "schlick": [(f0,) for f0 in np.linspace(0.01, 0.99, 40)],
     "dielectric": [(float(np.log(eta - 1)),) for eta in np.linspace(1.02, 3.5, 40)],
 }
-"""Coordinates of each Fresnel model from which the start of a fit is chosen."""
+"""Coordinates of each Fresnel model from which the starting point of a fit is chosen."""
 _FRESNEL_BOUNDS = {"n": (-5.0, 4.0), "k": (-7.0, 4.0), "f0": (1e-4, 1.0), "eta": (-6.0, 3.0)}
 BASE_WIDTH = "base_alpha"
 """Name of the parameter for the roughness of a base."""
@@ -181,7 +181,7 @@ class Layout(NamedTuple):
 
     @property
     def fresnel_size(self) -> int:
-        """Count the parameters of the Fresnel term of a unit."""
+        """Count the parameters of the Fresnel term of one unit (a channel of a table)."""
         return len(_FRESNEL_NAMES[self.fresnel])
 
     @property

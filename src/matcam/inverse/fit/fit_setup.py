@@ -66,7 +66,7 @@ CANDIDATES = ("ggx", "epd")
 SEARCH_STEP = 6
 """Spacing of the slices of theta_d in the first search for a lobe, which is then fitted to more slices."""
 _LOOK_STEP = 3 * SEARCH_STEP
-"""Spacing of the slices of theta_d in which the starts of a search are compared."""
+"""Spacing of the slices of theta_d in which the starting points of a search are compared."""
 _LOOK_ROUNDS = 2
 """Largest number of updates of the weights in the slices with spacing `_LOOK_STEP`; later updates use all slices."""
 
@@ -183,9 +183,9 @@ class FitSetup:
 
         Args:
             start: fit of these tables with another setup, from which the search continues. Default: None, a new search.
-                A start with the same parameters, for example in fewer slices, requires only a few linear steps.
-            weights: source of the first robust weights: "data", the variance of each value, or "start", the weights of the
-                start, which must have the same cells. Default: "data".
+                A fit with the same parameters, for example in fewer slices, requires only a few linear steps.
+            weights: source of the first robust weights: "data", the variance of each value, or "start", the weights of
+                `start`, which must have the same cells. Default: "data".
 
         Returns:
             The material, its parameters with their errors, and remarks on the fit.
@@ -237,7 +237,7 @@ class FitSetup:
         return material_fit(solution, camera, noise_given=self.noise is not None)
 
     def _vector(self, start: MaterialFit) -> np.ndarray:
-        """Convert the coordinates of a start to the layout of this setup; coordinates that the start lacks are 0."""
+        """Convert the coordinates of a fit to the layout of this setup; coordinates that the fit lacks are 0."""
         layout, (problem, p, *_) = self.layout, start._solution
         before = problem.layout
         vector = np.zeros(layout.size)

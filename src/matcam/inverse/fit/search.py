@@ -1,4 +1,4 @@
-"""Search for the best fit: a lattice of starts, then least squares with weights from the model (docs/model.md 8)."""
+"""Search for the best fit: a lattice of starting points, then least squares with weights from the model (docs/model.md 8)."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _POWERS = {"epd": np.log([0.5, 1.0, 1.8]), "sgd": np.log([0.3, 0.8, 1.5])}
 _EXCESSES = np.log([0.7, 2.0, 6.0])
 _WIDER, _SHARES, _TAILS = np.log([3.0, 12.0, 45.0]), (-0.8, 0.8), ((0.1, 0.1), (0.9, 0.1), (0.1, 0.9))
 _FOLLOWED, _NO_RIVAL = 2, 1.5
-"""Largest number of starts that are refined, and largest ratio of their misfit to the smallest misfit of all starts."""
+"""Largest number of starting points that are refined, and largest ratio of their misfit to the smallest misfit of all."""
 _ROUNDS = 6
 _STEPS = 12, 3
 """Largest number of least-squares steps with the first weights, and with updated weights, which change the fit less."""
@@ -45,11 +45,11 @@ range from 0.05 to 0.5 of flakes and satin paint. The reflectance is that of a d
 with respect to the roughness would be 0.
 """
 _STEEP = np.radians(80.0)
-"""Value of theta_d, rad, above which strengths are not used for the start of a Fresnel term, as they hardly constrain it."""
+"""Value of theta_d, rad, above which strengths hardly constrain a Fresnel term, and are not used for its starting point."""
 
 
 def _lattice(family: str) -> np.ndarray:
-    """Build the lattice of starts of a family, (..., coordinates). The leading axes are the axes of the lattice."""
+    """Build the lattice of starting points of a family, (..., coordinates). The leading axes are the axes of the lattice."""
     if family == TWO_LOBES:
         lobes: list = [
             [[[(q, q + wider, share, *tails) for tails in _TAILS] for share in _SHARES] for wider in _WIDER]
@@ -109,7 +109,7 @@ class Search:
     """Search for the best fit of a problem.
 
     problem: problem to solve. noise: noise of a pixel; None: it is estimated from the residuals. workspace: store of the
-        records of the starts.
+        records of the starting points.
     """
 
     def __init__(self, problem: FitProblem, noise: PixelNoise | None, workspace: Workspace):
@@ -119,9 +119,9 @@ class Search:
         self.low, self.high = problem.bounds()
 
     def best(self, rounds: int = _ROUNDS) -> Solution:
-        """Search a lattice of starts, and refine the best starts.
+        """Search a lattice of starting points, and refine the best of them.
 
-        rounds: largest number of updates of the weights; a fit that only provides the start of another fit requires fewer.
+        rounds: largest number of updates of the weights; a fit that only provides the starting point of another requires fewer.
         """
         data = self.problem.data
         noise = self.given_noise or INITIAL_NOISE
@@ -177,7 +177,7 @@ class Search:
         return np.clip(p, self.low + 1e-9, self.high - 1e-9)
 
     def _starts(self, weight: np.ndarray) -> list[np.ndarray]:
-        """Find the coordinates of at most `_FOLLOWED` starts: lobes that fit better than their neighbours on the lattice."""
+        """Find at most `_FOLLOWED` starting points: lobes that fit better than their neighbours on the lattice."""
         layout, problem = self.problem.layout, self.problem
         kind = layout.kind._replace(spline_size=0, shadows=0)
         free = problem.with_layout(layout._replace(kind=kind, fresnel="free", diffuse=False, base=False))
@@ -196,9 +196,10 @@ class Search:
         return [self._vector(lobes[index], models[best[0]]) for index in best]
 
     def _vector(self, lobe: np.ndarray, free: FitModel) -> np.ndarray:
-        """Build the coordinates of a start.
+        """Build the starting point of a fit.
 
-        lobe: coordinates of the lobe. free: model with free strengths, to which the Fresnel terms are fitted.
+        lobe: coordinates of the lobe. free: fitted model with F free in every slice; the Fresnel terms are fitted to
+            these values.
         """
         layout, theta_d = self.problem.layout, self.problem.theta_d
         p = np.zeros(layout.size)

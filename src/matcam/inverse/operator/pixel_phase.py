@@ -63,11 +63,13 @@ _SIGN_RINGS, _SIGN_AZIMUTHS = 11, 4
 _FLAT = 1e-10
 """Relative variance of cells below which they are a constant, which any grid interpolates."""
 _CORNERS = np.array([[0.0, 0.0], [0.04, 0.0], [0.0, 0.04]])
-"""Offsets of the corners of the first simplex from its start, px. They are less than half the distance between starts."""
+"""Offsets of the corners of the first simplex from its starting point, px. They are less than half the distance
+between starting points.
+"""
 _FIRST_TRIES, _TRIES = 25, 90
 """Largest number of phases that are tried to detect a grid of pixels, and to determine its phase."""
 _FALLS = 0.2
-"""Ratio of the residual after the first tries to that of the start, below which a grid is detected."""
+"""Ratio of the residual after the first tries to that at the starting point, below which a grid is detected."""
 _LARGEST_RESIDUAL = 1e-6
 """Largest share of the variance of interpolated cells that a grid may leave unexplained. The correct grid is exact."""
 READ_FROM: dict[CellValue, str] = {
@@ -306,7 +308,7 @@ def bilinear_phase(table: xr.DataArray, radius: float) -> FoundPhase:
         return minimize(log_residual, corners[0], method="Nelder-Mead", options=options)
 
     def followed(before: float, u: float, v: float) -> OptimizeResult:
-        """Refine a start, unless the first steps detect no grid. before: ln of the residual at the start."""
+        """Refine a starting point, unless the first steps detect no grid. before: ln of the residual at the starting point."""
         first = descended(np.array([u, v]) + _CORNERS, _FIRST_TRIES)
         return first if first.fun > before + np.log(_FALLS) else descended(first.final_simplex[0], _TRIES)
 

@@ -64,7 +64,7 @@ def captured_cylinder(
         progress: function that is called with the name of a step, the number of finished parts and the number of all parts.
             Default: None.
         workers: number of lamp positions that are read at the same time. Default: 1.
-        kept: stored results from which an interrupted run resumes. Default: None, no results.
+        kept: stored results from which an interrupted computation resumes. Default: None, no results.
 
     Raises:
         ArgumentError: the capture has neither frames of the outline nor a specified outline.

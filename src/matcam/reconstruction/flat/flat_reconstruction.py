@@ -184,7 +184,7 @@ def reconstruct_flat(
         progress: function that is called with the name of a step, the number of finished parts and the number of all parts.
             Default: None.
         workers: number of images that are read at the same time. Default: 1.
-        kept: stored results from which an interrupted run resumes. Default: None, no results.
+        kept: stored results from which an interrupted computation resumes. Default: None, no results.
 
     Raises:
         ArgumentError: the family has a second parameter, or the number of tilts is wrong.

@@ -107,14 +107,14 @@ def known_rig(
     """
     if rig.frame is not None and frame is not None and rig.frame != frame:
         raise ArgumentError(
-            f"{rig.file}: has frames of {rig.frame[0]} x {rig.frame[1]} px, but this capture has {frame[0]} x {frame[1]} px: "
-            "give a reconstruction of the same camera"
+            f"{rig.file}: the rig has frames of {rig.frame[0]} x {rig.frame[1]} px, but this capture has "
+            f"{frame[0]} x {frame[1]} px: give a reconstruction of the same camera"
         )
     unknown = [name for name in names if name not in rig.lamps]
     if len(unknown) == len(names):
         raise ArgumentError(
-            f"{rig.file}: has none of the lamp positions {', '.join(names[:4])}, but it has {', '.join(rig.lamps[:4])}: "
-            "give the same names to the same positions"
+            f"{rig.file}: the rig has none of the lamp positions {', '.join(names[:4])}, but it has "
+            f"{', '.join(rig.lamps[:4])}: give the same names to the same positions"
         )
     remarks = []
     if unknown:

@@ -65,7 +65,7 @@ class CapturedScene(NamedTuple):
     Attributes:
         pictures: merged images that can be fitted.
         scene: prior knowledge of the scene.
-        lamps: directions to the lamps as the start of the fit, mostly from the highlights, (pictures, 3).
+        lamps: directions to the lamps as the starting point of the fit, mostly from the highlights, (pictures, 3).
         radiometry: radiometric calibration of the codes.
         outline: outline of the sphere; None: the sample is not a sphere.
         left_out: names of the lamp positions that cannot be used.
@@ -104,7 +104,7 @@ def captured_scene(
             Default: None.
         earlier: rig of an earlier reconstruction. Default: None.
         workers: number of lamp positions that are read at the same time. Default: 1.
-        kept: stored results from which an interrupted run resumes. Default: None, no results.
+        kept: stored results from which an interrupted computation resumes. Default: None, no results.
 
     Raises:
         ArgumentError: the capture is not of a sphere, or `earlier` is of another rig.

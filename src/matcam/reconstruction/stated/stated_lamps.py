@@ -13,7 +13,7 @@ from matcam.files.capture import Capture
 from matcam.reconstruction.stated.stated_rig import FEWEST
 
 _FAR_OFF = float(np.radians(10.0))
-"""Angle between highlights and a lamp table above which the table is not used as a start, rad."""
+"""Angle between highlights and a lamp table above which the table is not used as a starting point, rad."""
 _ALONE = 3.0
 """Ratio of the angle between a highlight and the table to its typical value above which a poorly known highlight is rejected.
 """
