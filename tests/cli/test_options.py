@@ -42,7 +42,7 @@ COMMANDS = typer.main.get_command(app).commands
             "wavelength and pixel_pitch must be given for the defocus model, m",
             "--wavelength and --pitch must be given for the defocus model",
         ),
-        ("calibrate", "f_numbers must be one, or one for each", "--f-number must be one, or one for each"),
+        ("calibrate", "f_numbers must be one value, or one for each", "--f-number must be one value, or one for each"),
         ("calibrate", "give the fill (half_width), or", "give the fill (--half-width), or"),
         ("calibrate", "half_width.tif: no such file", "half_width.tif: no such file"),
         ("chart", "give fewer kinds, or pixels_across above 300", "give fewer kinds, or --pixels above 300"),

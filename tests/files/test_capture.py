@@ -191,7 +191,7 @@ def test_links_out_of_the_folder_are_not_followed(tmp_path, what):
     name = "frames" if what == "folder" else "frames.csv"
     (folder / name).rename(folder / "away")
     (folder / name).symlink_to(outside / name)
-    with pytest.raises(FileFormatError, match="is a link to a file outside"):
+    with pytest.raises(FileFormatError, match="is a link to .*outside"):
         read_capture(folder)
 
 
@@ -277,7 +277,7 @@ def test_an_intensity_that_is_none(tmp_path, light):
 
 def test_a_lamp_has_one_intensity(tmp_path):
     capture = read_capture(listed(tmp_path, with_light(ROWS, "2", "3", "1", ""), **TABLE))
-    assert any("another intensity" in problem.text for problem in capture.problems)
+    assert any("a different intensity" in problem.text for problem in capture.problems)
 
 
 @pytest.mark.parametrize("box", ["[0, 0, 0, 0]", "[0, 0, 10, 0]"])

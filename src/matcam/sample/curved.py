@@ -122,7 +122,7 @@ class Sphere(Curved):
     def position(
         self, theta_h: AnyArray, theta_d: AnyArray, phi_d: AnyArray, lamp_nearness: ArrayLike | None = None
     ) -> Position:
-        """Compute the image position and the lamp angle for half and difference angles.
+        """Compute image position and lamp angle for half and difference angles.
 
         The azimuth of the normal about the half vector, from the side of the lamp, is psi = pi - phi_d (docs/model.md
         3). If the camera is near, the angles refer to the line of sight.
@@ -236,7 +236,7 @@ class Cylinder(Curved):
     def position(
         self, theta_h: AnyArray, theta_d: AnyArray, phi_d: AnyArray, lamp_nearness: ArrayLike | None = None
     ) -> Position:
-        """Compute the image position and the lamp angle for half and difference angles.
+        """Compute image position and lamp angle for half and difference angles.
 
         At v = 0 only normals in the plane of camera and lamp are visible: the position is NaN unless phi_d is 0 or pi.
         """
