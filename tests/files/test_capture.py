@@ -191,7 +191,7 @@ def test_links_out_of_the_folder_are_not_followed(tmp_path, what):
     name = "frames" if what == "folder" else "frames.csv"
     (folder / name).rename(folder / "away")
     (folder / name).symlink_to(outside / name)
-    with pytest.raises(FileFormatError, match="is a link to .*outside"):
+    with pytest.raises(FileFormatError, match=r"is a link to .*outside"):
         read_capture(folder)
 
 
