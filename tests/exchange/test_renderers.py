@@ -63,7 +63,7 @@ def test_what_renderers_do_not_have_is_refused():
         (mitsuba_material, Microfacet(GGX(0.1), Conductor([1.0] * 4, 2.0)), "3 channels"),
         (pbrt_material, Microfacet(Beckmann(0.1), METAL), "GGX facets"),
         (pbrt_material, Microfacet(GGX(0.1), METAL, 0.1), "without a diffuse part"),
-        (pbrt_material, Microfacet(GGX(0.1), 0.9), "a metal"),
+        (pbrt_material, Microfacet(GGX(0.1), 0.9), "only metals"),
     ):
         with pytest.raises(ArgumentError, match=words):
             export(material)

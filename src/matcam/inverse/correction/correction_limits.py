@@ -130,7 +130,7 @@ class EnergyLimit(NamedTuple):
         """Build the remark on the size and the extent of the reduction."""
         limited = int((self.steps > 0).any(axis=1).sum())
         text = (
-            f"the albedo of the corrected table would exceed 1 in {limited} of {len(self.steps)} directions: "
+            f"the corrected table would reflect more light than it receives in {limited} of {len(self.steps)} directions: "
             f"entries in these directions were reduced by up to {self.steps.max():.1f} standard deviations of the correction"
         )
         if self.excess.max() > 0:
