@@ -132,7 +132,9 @@ def test_a_chart_too_small_to_be_measured_is_found_all_the_same(tmp_path):
     chart, document = read_chart(path), json.loads(path.read_text())
     document["elements"] = [e for e in document["elements"] if e["kind"] != "dots"]  # thousands
     frame = random_frame(document, chart.page, 400, 10, hand=False)
-    with pytest.raises(FitError, match=r"the chart was found, but .* px width; .*photograph the chart at a larger scale"):
+    with pytest.raises(
+        FitError, match=r"the chart was found, but .* px width; .*photograph the chart at a larger scale"
+    ):
         calibrate([frame.counts], chart=chart, tone="linear")
 
 

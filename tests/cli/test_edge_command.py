@@ -135,7 +135,10 @@ BAD = [
     (("chart.tif", *ROI, "--pitch", -1), "--pitch must lie in (0, inf) um"),
     (("none.tif",), "none.tif: no such file"),
     (("text.tif",), "neither TIFF, PNG, JPEG, OpenEXR nor camera raw"),
-    (("cut.tif",), "the file is damaged: its header specifies shape (200, 150), which exceeds the 3000 bytes of the file"),
+    (
+        ("cut.tif",),
+        "the file is damaged: its header specifies shape (200, 150), which exceeds the 3000 bytes of the file",
+    ),
     (("chart.tif", "--roi", 100, 0, 80, 160), "--roi must lie inside the image of 150 x 200 px"),
     (("chart.tif", "--roi", 0, 0, 10, 60), "at least 16 x 16 px"),
     (("chart.tif", "--roi", 1, 2, 3), "requires 4 arguments"),

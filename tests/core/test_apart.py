@@ -132,7 +132,10 @@ def test_a_trusted_file_that_fills_the_memory(path):
 @pytest.mark.parametrize("trusted", [False, True])
 def test_what_is_no_file_is_refused_before_its_decoder_is_called(path, trusted):
     with reading_limits(None if trusted else Limits()):
-        for wrong, words in ((path.parent, "the input is a folder, not a picture"), (path.with_name("none"), "no such file")):
+        for wrong, words in (
+            (path.parent, "the input is a folder, not a picture"),
+            (path.with_name("none"), "no such file"),
+        ):
             with pytest.raises(FileFormatError) as error:
                 read_apart(f"{HERE}:everything", wrong, "a picture", small=1 << 20)
             assert str(error.value) == f"{wrong}: {words}"
