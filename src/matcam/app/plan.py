@@ -242,7 +242,7 @@ class PlanView:
             "theta": [theta] * count,
             "relative": [np.round(one, 5).tolist() for one in data.relative_response],
             "roughness": [f"{r:g}" for r, _, _ in rows],
-            "words": [f"{r:g}: {kept:.1%} kept at 0°, 5 % lost at {_angle(angle)}" for r, kept, angle in rows],
+            "words": [f"{r:g}: response {kept:.1%} at 0°, 5 % lost at {_angle(angle)}" for r, kept, angle in rows],
             "chosen": [f"{planned.roughness:g}"] * count,
             "colour": [COLOURS[0] if one else next(others) for one in chosen],
             "width": [3.5 if one else 1.5 for one in chosen],
@@ -253,7 +253,7 @@ class PlanView:
                 f"<tr><td>{r:g}</td><td>{kept:.1%}</td><td>{_angle(angle)}</td></tr>" for r, kept, angle in rows
             )
             self._numbers.text = (
-                "<table><tr><th>roughness</th><th>kept at 0°</th><th>5 % lost at</th></tr>"
+                "<table><tr><th>roughness</th><th>response at 0°</th><th>5 % lost at</th></tr>"
                 f"{lines}</table>computed as by <code>matcam predict</code>"
             )
         else:  # constant while a slider moves, because a changed text triggers a new layout

@@ -228,7 +228,7 @@ def _print(result: Any, tables: Any, files: list[Path], channel: str) -> None:
         )
     ]
     show.table(
-        ["theta_d", "loss relative to 0°", "F raw", "F peak / kept", "F corrected"],
+        ["theta_d", "loss relative to 0°", "F raw", "F peak / response", "F corrected"],
         rows,
         f"{result.attrs['source']}, channel {channel}",
     )

@@ -149,7 +149,7 @@ def _print(data: Any, title: str) -> None:
             data.roughness, data.response[:, 0], data.relative_response[:, at], _degrees(data.loss_angle), strict=True
         )
     ]
-    show.table(["roughness", "kept at 0°", *(f"{a}°" for a in _ANGLES[1:]), "5 % loss at"], rows, title)
+    show.table(["roughness", "response at 0°", *(f"{a}°" for a in _ANGLES[1:]), "5 % loss at"], rows, title)
 
 
 def _print_false_light(data: Any, false: list[Any], glare: float, radius: float) -> None:
