@@ -13,6 +13,8 @@ HERE = Path(__file__).resolve().parent
 RESULTS = HERE / "results.json"
 HASH = HERE / "hidden.sha256"
 PAGE = generate.ROOT / "docs" / "validation" / "recovery.md"
+CASES = PAGE.with_name("recovery-cases.md")
+"""Page that defines cases, scores and methods."""
 README = generate.ROOT / "README.md"
 KINDS = ("tables", "photographs")
 
@@ -181,7 +183,8 @@ def _page(options):
 
     kept = published()
     blocks = page.blocks(kept["tables"]) | page.photograph_blocks(kept["photographs"])
-    for path, parts in ((PAGE, blocks), (README, {"benchmark": page.readme(kept["tables"])})):
+    of_methods = {name: blocks.pop(name) for name in list(blocks) if name.startswith("methods")}
+    for path, parts in ((PAGE, blocks), (CASES, of_methods), (README, {"benchmark": page.readme(kept["tables"])})):
         path.write_text(page.with_blocks(path.read_text(encoding="utf-8"), parts), encoding="utf-8")
 
 

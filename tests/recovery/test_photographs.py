@@ -206,7 +206,7 @@ def test_scores_of_tables_and_photographs_are_published_together(tmp_path, publi
     kept = {method: {"wide": score | {"seconds": 1.0, "memory_mib": 10}} for method in run.METHODS}
     tables = {method: {"coma": score | {"seconds": 1.0, "memory_mib": 10}} for method in run.METHODS}
     (tmp_path / "results.json").write_text(json.dumps({"benchmark": 1, "scores": run.rounded(tables)}))
-    for name in ("RESULTS", "PAGE", "README"):
+    for name in ("RESULTS", "PAGE", "CASES", "README"):
         path = getattr(command, name)
         monkeypatch.setattr(command, name, tmp_path / path.name)
         if name != "RESULTS":
