@@ -65,6 +65,8 @@ WIDE = (
     "understand/trust",
     "validation/index",
     "validation/recovery",
+    "validation/recovery-photographs",
+    "validation/recovery-cases",
     *(f"validation/{name}" for name in docs_results.pages()),
     *(f"reference/commands/{docs_commands.file_of(words)}" for words in docs_commands.commands()),
 )

@@ -13,6 +13,8 @@ HERE = Path(__file__).resolve().parent
 RESULTS = HERE / "results.json"
 HASH = HERE / "hidden.sha256"
 PAGE = generate.ROOT / "docs" / "validation" / "recovery.md"
+PHOTOGRAPHS = PAGE.with_name("recovery-photographs.md")
+"""Page of the results for photographs."""
 CASES = PAGE.with_name("recovery-cases.md")
 """Page that defines cases, scores and methods."""
 README = generate.ROOT / "README.md"
@@ -181,11 +183,21 @@ def published():
 def _page(options):
     from benchmarks.recovery import page
 
+    for path, blocks in generated().items():
+        path.write_text(page.with_blocks(path.read_text(encoding="utf-8"), blocks), encoding="utf-8")
+
+
+def generated():
+    """Generated blocks {page: {name: lines}}, from the published scores."""
+    from benchmarks.recovery import page
+
     kept = published()
-    blocks = page.blocks(kept["tables"]) | page.photograph_blocks(kept["photographs"])
-    of_methods = {name: blocks.pop(name) for name in list(blocks) if name.startswith("methods")}
-    for path, parts in ((PAGE, blocks), (CASES, of_methods), (README, {"benchmark": page.readme(kept["tables"])})):
-        path.write_text(page.with_blocks(path.read_text(encoding="utf-8"), parts), encoding="utf-8")
+    of_tables, of_photographs = page.blocks(kept["tables"]), page.photograph_blocks(kept["photographs"])
+    methods = {
+        name: of.pop(name) for of in (of_tables, of_photographs) for name in list(of) if name.startswith("methods")
+    }
+    of_readme = {"benchmark": page.readme(kept["tables"])}
+    return {PAGE: of_tables, PHOTOGRAPHS: of_photographs, CASES: methods, README: of_readme}
 
 
 def facts(there):

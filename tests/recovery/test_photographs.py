@@ -206,7 +206,7 @@ def test_scores_of_tables_and_photographs_are_published_together(tmp_path, publi
     kept = {method: {"wide": score | {"seconds": 1.0, "memory_mib": 10}} for method in run.METHODS}
     tables = {method: {"coma": score | {"seconds": 1.0, "memory_mib": 10}} for method in run.METHODS}
     (tmp_path / "results.json").write_text(json.dumps({"benchmark": 1, "scores": run.rounded(tables)}))
-    for name in ("RESULTS", "PAGE", "CASES", "README"):
+    for name in ("RESULTS", "PAGE", "PHOTOGRAPHS", "CASES", "README"):
         path = getattr(command, name)
         monkeypatch.setattr(command, name, tmp_path / path.name)
         if name != "RESULTS":
@@ -216,6 +216,5 @@ def test_scores_of_tables_and_photographs_are_published_together(tmp_path, publi
     document = json.loads((tmp_path / "results.json").read_text())
     assert document["scores"] == run.rounded(tables)
     assert document["photographs"] == run.rounded(kept)
-    page = (tmp_path / "recovery.md").read_text(encoding="utf-8")
-    assert "| `wide` |" in page.partition("<!-- cases of photographs -->")[2]
-    assert "| `coma` |" in page.partition("<!-- cases of photographs -->")[0]
+    assert "| `wide` |" in (tmp_path / "recovery-photographs.md").read_text(encoding="utf-8")
+    assert "| `coma` |" in (tmp_path / "recovery.md").read_text(encoding="utf-8")
