@@ -1,4 +1,4 @@
-"""Page of the app: three views, of which one is visible, and a line for errors."""
+"""Page of the app. It shows one of three views, and a line for errors."""
 
 from __future__ import annotations
 

@@ -189,7 +189,7 @@ def instance(name: str, value: Any, kind: type[T]) -> T:
 
 
 def instances(name: str, values: Any, kind: type[T]) -> list[T]:
-    """List values, each of which must be an instance of a class.
+    """List values that must all be instances of a class.
 
     ArgumentError otherwise; the message contains the class.
     """

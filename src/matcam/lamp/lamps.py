@@ -4,7 +4,7 @@ Each image has its own position of the lamp: the angle between lamp and optical 
 lamp is isotropic. Its irradiance is 1 at the sample's centre, on a surface that faces the lamp. Lengths are in radii of
 the sample.
 
-The light of a disc is the mean of the light of its points, each of which is a lamp (`lamp_points`).
+The light of a disc is the mean of the light of its points. Each point is a lamp (`lamp_points`).
 """
 
 from __future__ import annotations

@@ -26,7 +26,7 @@ class Chart:
 
     Attributes:
         page: width and height of the page, mm.
-        fiducials: marks for finding the chart in a photograph; empty, or at least four, one of which has two rings.
+        fiducials: marks for finding the chart in a photograph; empty, or four or more. One mark has two rings.
         elements: targets, from upper left to lower right.
         ink: linear level of the fiducials, relative to the paper (no unit).
 

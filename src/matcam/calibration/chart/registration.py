@@ -227,7 +227,7 @@ def _registration_through(
 ) -> Registration:
     """Fit the camera and the curvature of the page to the positions of points, mm and px.
 
-    `sides`: further positions, of which only the component across the side is known. A FitError is raised if the
+    `sides`: further positions, known only in the direction across the side. A FitError is raised if the
     residuals are too large.
     """
     start = np.append(_homography(positions, _from_middle(seen, shape)).ravel()[:8], np.zeros(7))

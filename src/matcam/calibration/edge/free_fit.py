@@ -87,7 +87,7 @@ _PRIOR_RADIUS = 1.0
 _NARROWEST, _NARROWEST_OF_SCALE, _WIDEST = 4.0, 3.0, 110.0
 """Range of the glare radii that are tested: from 4 px or 3 s, whichever is larger, to 110 px."""
 _CANDIDATES, _REFINEMENTS = 9, 3
-"""Number of glare radii that are tested, and number of refinements of the best one, each of which halves the interval."""
+"""Number of tested glare radii, and number of refinements of the best radius. Each refinement halves the interval."""
 
 
 class LinearFit(NamedTuple):

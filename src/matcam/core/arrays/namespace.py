@@ -66,7 +66,7 @@ def without_warnings() -> Iterator[None]:
 
 
 class _Namespace:
-    """Functions of NumPy or SciPy, each of which calls that of JAX if an argument is an array of JAX."""
+    """Functions of NumPy or SciPy. If an argument is an array of JAX, the function of JAX is called instead."""
 
     def __init__(self, numpy_home: str, jax_home: str):
         self._homes = numpy_home, jax_home

@@ -1,7 +1,7 @@
 """Radiance of a sphere on a regular grid whose Fourier transform is accurate within the band of a lens.
 
 A sum over the points of a regular grid is exact except for frequencies that alias into the band of the lens: those above
-the sampling frequency minus the cutoff of the lens. The radiance has such frequencies only in three regions, each of which
+the sampling frequency minus the cutoff of the lens. The radiance has such frequencies only in three regions. Each region
 has its own quadrature:
 
 - the limb, where the radiance ends (`limb_lines.py`);

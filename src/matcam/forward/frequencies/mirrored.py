@@ -1,4 +1,4 @@
-"""Filter for images that are symmetric about the x axis, of which only the upper half is transformed.
+"""Filter for images that are symmetric about the x axis. Only the upper half is transformed.
 
 The Fourier transform of a symmetric image is a cosine transform of its upper half. Apart from a phase, the cosine
 transform is the Fourier transform of the upper half after its rows are reordered: the even rows first, followed by the

@@ -34,7 +34,7 @@ transmittances into and out of the coat changes by 2 % at 60 degrees.
 """
 _ALONG = 1 - 1e-12
 """Upper limit of a cosine, so that the derivative of its arccosine is finite."""
-STEEPEST = 1e-3
+_STEEPEST = 1e-3
 """Lower limit of the cosines of the angles of incidence and reflection, so that a BRDF is finite at the horizon."""
 
 
@@ -78,7 +78,7 @@ def base_and_slope(
 
 
 def _base_lobe(roughness: AnyArray, theta_h: AnyArray, theta_d: AnyArray, phi_d: AnyArray) -> jax.Array:
-    cos_i, cos_o = (jnp.maximum(cos, STEEPEST) for cos in cosines(theta_h, theta_d, phi_d))
+    cos_i, cos_o = (jnp.maximum(cos, _STEEPEST) for cos in cosines(theta_h, theta_d, phi_d))
     lobe = GGX(roughness)
     facets = lobe.d(theta_h) * g2(
         "smith", lobe.smith_lambda(cos_i), lobe.smith_lambda(cos_o), azimuth_difference(theta_h, theta_d, phi_d)
@@ -88,7 +88,7 @@ def _base_lobe(roughness: AnyArray, theta_h: AnyArray, theta_d: AnyArray, phi_d:
 
 def transmittance(theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> np.ndarray:
     """Compute the transmittance of the coat, into it and out of it, in the shape of the angles, rad."""
-    return np.asarray(_transmittance(*(jnp.maximum(cos, STEEPEST) for cos in cosines(theta_h, theta_d, phi_d))))
+    return np.asarray(_transmittance(*(jnp.maximum(cos, _STEEPEST) for cos in cosines(theta_h, theta_d, phi_d))))
 
 
 def _transmittance(cos_i: AnyArray, cos_o: AnyArray) -> jax.Array:
