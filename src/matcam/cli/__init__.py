@@ -16,6 +16,7 @@ import warnings
 from pathlib import Path
 from typing import Any, TextIO
 
+from matcam.core.arrays.dask import without_dask
 from matcam.core.threads import use_one_blas_thread, use_one_heap
 
 BAD_INPUT = 2
@@ -38,7 +39,8 @@ def main(arguments: list[str] | None = None) -> None:
     _end_on_signals()
     warnings.formatwarning = _warning_as_line
     try:
-        code = _run(arguments)
+        with without_dask():
+            code = _run(arguments)
     except KeyboardInterrupt:  # during the import of the commands
         code = _interrupted()
     if error := _unwritable():

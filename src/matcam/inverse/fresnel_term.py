@@ -16,9 +16,8 @@ from matcam.core.programs import kept_program
 from matcam.core.registry import FAMILIES
 from matcam.core.remark import to_attribute
 from matcam.core.results.labelled import named
-from matcam.core.threads import available_cores, done_behind, in_order
+from matcam.core.threads import done_behind
 from matcam.core.workspace import Workspace, default_workspace
-from matcam.forward.peaks.peak import peak_response
 from matcam.inverse.correction.explanation import explain, first_setup
 from matcam.inverse.fit.fit_setup import AUTO, SEARCH_STEP
 from matcam.inverse.fit.material_fit import MaterialFit
@@ -330,26 +329,12 @@ def _fitted_rig(rig: Rig, found: MaterialFit) -> Rig:
 def _peak_responses(rig: Rig, lobe: NDF, theta_d: np.ndarray, masking: Masking, log_slope: np.ndarray) -> np.ndarray:
     """Compute the ratio of recorded to true peak, (n,).
 
-    If the azimuth of the lamp rotates the pixels relative to the plane of camera and lamp, the operator of the fit
-    computes the ratio. log_slope: derivative of ln F with respect to theta_d, 1/rad, (n,). It is used if camera or lamp
-    are near.
+    log_slope: derivative of ln F with respect to theta_d, 1/rad, (n,). It is used if camera or lamp are near.
     """
-    view = sample_view(rig)
-    if not view.azimuth:
-        # parts of equal length use one compiled program, and the cores compute them in parallel
-        parts = np.split(theta_d, _PARTS if theta_d.size % _PARTS == 0 else 1)
-
-        def exact(part: np.ndarray) -> np.ndarray:
-            return np.asarray(peak_response(rig, lobe, part, exact=True, masking=masking))
-
-        response = np.concatenate(list(in_order(exact, parts, available_cores())))
-        if view.distant:
-            return response
-    cells = peak_cells(view, theta_d)
-    own = operator_in(rig, cells, (), repr((rig_key(rig), theta_d.tobytes())), Workspace())
-    operators = own.leaning(log_slope), own, point_operator(cells)
-    recorded, even, true = (np.asarray(one.record(lobe, masking, jnp.zeros(0)))[:, 0] for one in operators)
-    return (even / true if view.azimuth else response) * (recorded / even)
+    cells = peak_cells(sample_view(rig), theta_d)
+    recorded = operator_in(rig, cells, (), repr((rig_key(rig), theta_d.tobytes())), Workspace()).leaning(log_slope)
+    through, true = (one.record(lobe, masking, ())[:, 0] for one in (recorded, point_operator(cells)))
+    return through / true
 
 
 @kept_program

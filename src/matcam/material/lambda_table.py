@@ -37,12 +37,17 @@ def quick_lambda(ndf: NDF, cos: jax.Array, table: jax.Array | None = None) -> ja
     return ndf.smith_lambda(cos) if table is None else lambda_at(table, position_of(cos))
 
 
+def has_closed_lambda(ndf: NDF) -> bool:
+    """Check whether Lambda of a lobe has a closed form."""
+    return isinstance(ndf, GGX | Beckmann | ShadowedNDF)
+
+
 def quick_table(ndf: NDF) -> jax.Array | None:
     """Compute ln(1 + Lambda) in the directions of the table.
 
     The result is None for lobes whose Lambda has a closed form.
     """
-    if isinstance(ndf, GGX | Beckmann | ShadowedNDF):
+    if has_closed_lambda(ndf):
         return None
     return jnp.log1p(ndf.smith_lambda(COTS / np.sqrt(1 + COTS**2)))
 

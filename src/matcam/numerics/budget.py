@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
+from scipy.special import stdtrit
 
 from matcam.core import checks
 from matcam.core.errors import ArgumentError
@@ -137,9 +138,7 @@ class UncertaintyBudget:
         """Factor k of the expanded uncertainty, for a probability of 95.45 %."""
         if not math.isfinite(self.degrees):
             return 2.0
-        from scipy.stats import t
-
-        return float(t.ppf((1 + _COVERAGE) / 2, max(self.degrees, 1.0)))
+        return float(stdtrit(max(self.degrees, 1.0), (1 + _COVERAGE) / 2))
 
     @property
     def expanded(self) -> float:

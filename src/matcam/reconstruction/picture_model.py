@@ -17,7 +17,7 @@ import numpy as np
 from matcam.core.jax import AnyArray, jax, jit_plainly, jnp
 from matcam.forward.integral.blur import Blur
 from matcam.inverse.fit.fit_parameters import LobeKind
-from matcam.inverse.fit.slopes_by_slice import table_slopes
+from matcam.inverse.fit.lobe_slopes import table_slopes
 from matcam.reconstruction.picture_rule import Window
 from matcam.reconstruction.sphere_in_picture import light_and_view, normal_at, radiance, sphere_shading
 

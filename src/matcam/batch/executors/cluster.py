@@ -28,6 +28,7 @@ from matcam.batch.executors import Executor, one_core_environment
 from matcam.batch.folder import SETTINGS
 from matcam.batch.job import Job, Outcome, attempt
 from matcam.core import checks
+from matcam.core.arrays.dask import show_dask
 from matcam.core.errors import ArgumentError, MatcamError
 from matcam.core.jax import use_compilation_cache
 from matcam.core.memory import free_for_the_next
@@ -65,6 +66,7 @@ class ClusterExecutor(Executor):
                 f"cluster must be local:N or a scheduler's address such as tcp://host:8786, got {self.address!r:.60}"
             )
         checks.extra("a cluster", "scale", "distributed")
+        show_dask()
 
     @property
     def is_open(self) -> bool:

@@ -8,13 +8,12 @@ from typing import NamedTuple
 import numpy as np
 
 from matcam.core.grid import Sampling
-from matcam.core.jax import jax, jnp, placed
-from matcam.core.programs import kept_program
+from matcam.core.jax import placed
 from matcam.core.workspace import Workspace
 from matcam.forward.pixel_grid import grid_of
 from matcam.inverse.correction.correction_limits import PEAK, LobeRatio
 from matcam.inverse.correction.evidence import OtherLobe
-from matcam.inverse.correction.lobe_shape import ShapeUncertainty, known_shape, shape_records
+from matcam.inverse.correction.lobe_shape import ShapeUncertainty, known_shape
 from matcam.inverse.correction.other_maskings import OtherMasking
 from matcam.inverse.correction.real_pixels import Lattices, pixel_log_ratio
 from matcam.inverse.correction.response_lattice import (
@@ -26,11 +25,10 @@ from matcam.inverse.correction.response_lattice import (
     response_lattice,
 )
 from matcam.inverse.correction.rig_refits import RigRefit
-from matcam.inverse.fit.fit_parameters import LobeKind
 from matcam.inverse.fit.fit_readings import FitCoordinates
 from matcam.inverse.fit.fit_statements import fit_readings_source
+from matcam.inverse.fit.lobe_slopes import record_and_slopes
 from matcam.inverse.fit.material_fit import MaterialFit
-from matcam.inverse.fit.slopes_by_slice import slopes_by_slice
 from matcam.inverse.normalised_fresnel import OTHER_LOBES
 from matcam.inverse.operator.rig_axes import Axis, axis_selection
 from matcam.inverse.operator.sample_view import sample_view
@@ -153,30 +151,25 @@ def lobe_ratio(
     return LobeRatio(log, np.sqrt(variance), recorded, parts)
 
 
-@kept_program
-def _log_ratio(where: ResponseLattice, kind: LobeKind, q: jax.Array, shifts: jax.Array) -> jax.Array:
-    ndf = kind.ndf(q)
-    recorded = where.recorded.record(ndf, kind.masking, shifts)
-    true = where.true.record(ndf, kind.masking, jnp.zeros(0))
-    ok = where.cells.valid
-    true, recorded = (jnp.where(ok, jnp.maximum(lobe, VANISHED), 1.0) for lobe in (true, recorded))
-    return jnp.log(true) - jnp.log(recorded)
-
-
-@kept_program
-def _log_slopes(where: ResponseLattice, kind: LobeKind, q: jax.Array, shifts: jax.Array) -> jax.Array:
-    """Compute the derivatives of the log ratio with respect to lobe and rig, (coordinates, slices, cells)."""
-    recorded, by_recorded = slopes_by_slice(where.recorded, kind, jnp.concatenate([q, shifts]))
-    true, by_true = slopes_by_slice(where.true, kind, q)
-    by_true = jnp.pad(by_true, ((0, shifts.size), (0, 0), (0, 0)))
-    known = [where.cells.valid & (lobe > VANISHED) for lobe in (true, recorded)]
-    return jnp.where(known[0], by_true / jnp.where(known[0], true, 1.0), 0.0) - jnp.where(
-        known[1], by_recorded / jnp.where(known[1], recorded, 1.0), 0.0
-    )
-
-
 def _plain(where: ResponseLattice, at: FitCoordinates, shifts: np.ndarray) -> np.ndarray:
-    return np.asarray(_log_ratio(where, at.kind, placed(at.lobe), placed(shifts)))
+    """Compute ln(true / recorded), (slices, cells). shifts: coordinates along the axes of the lattice."""
+    ndf = at.kind.ndf(placed(at.lobe))
+    true, recorded = (
+        np.where(where.cells.valid, np.maximum(operator.record(ndf, at.kind.masking, along), VANISHED), 1.0)
+        for operator, along in ((where.true, ()), (where.recorded, shifts))
+    )
+    return np.log(true) - np.log(recorded)
+
+
+def _log_slopes(where: ResponseLattice, at: FitCoordinates, shifts: np.ndarray) -> np.ndarray:
+    """Compute the derivatives of the log ratio with respect to lobe and rig, (coordinates, slices, cells)."""
+    relative = []
+    for operator, along in ((where.true, np.zeros(0)), (where.recorded, shifts)):
+        record, slopes = record_and_slopes(operator, at.kind, np.concatenate([at.lobe, along]))
+        known = where.cells.valid & (record > VANISHED)
+        relative.append(np.where(known, slopes / np.where(known, record, 1.0), 0.0))
+    by_true, by_recorded = relative
+    return np.pad(by_true, ((0, len(shifts)), (0, 0), (0, 0))) - by_recorded
 
 
 def _at(where: ResponseLattice, at: FitCoordinates, axes: tuple[Axis, ...]) -> np.ndarray:
@@ -185,7 +178,7 @@ def _at(where: ResponseLattice, at: FitCoordinates, axes: tuple[Axis, ...]) -> n
 
 def _log_ratio_and_record(where: ResponseLattice, at: FitCoordinates) -> tuple[np.ndarray, np.ndarray]:
     """Compute ln(true / recorded) and ln(recorded) for the specified rig, (slices, cells) each."""
-    (recorded, _), (true, _) = _lobes_and_shares(where, at, np.zeros(len(where.recorded.points)))
+    (recorded, _), (true, _) = _lobes_and_shares(where, at, np.zeros(where.recorded.axes))
     log_recorded = np.where(where.cells.valid, np.log(recorded), np.log(VANISHED))
     return np.where(where.cells.valid, np.log(true) - log_recorded, 0.0), log_recorded
 
@@ -200,15 +193,12 @@ def _lobes_and_shares(
 
     shifts: coordinates along the axes of the lattice.
     """
+    ndf = at.kind.ndf(placed(at.lobe))
     pairs = [
-        shape_records(operator, at.kind, placed(at.lobe), placed(rig))
-        for operator, rig in ((where.recorded, shifts), (where.true, np.zeros(0)))
+        operator.by_shape(ndf, at.kind.masking, rig) for operator, rig in ((where.recorded, shifts), (where.true, ()))
     ]
-    lobes = [np.where(where.cells.valid, np.maximum(np.asarray(lobe), VANISHED), 1.0) for lobe, _ in pairs]
-    return [
-        (lobe, np.where(lobe > VANISHED, np.asarray(parts) / lobe, 0.0))
-        for (_, parts), lobe in zip(pairs, lobes, strict=True)
-    ]
+    lobes = [np.where(where.cells.valid, np.maximum(lobe, VANISHED), 1.0) for lobe, _ in pairs]
+    return [(lobe, np.where(lobe > VANISHED, parts / lobe, 0.0)) for (_, parts), lobe in zip(pairs, lobes, strict=True)]
 
 
 def _columns(where: ResponseLattice, at: FitCoordinates, axes: tuple[Axis, ...], shifts: np.ndarray) -> np.ndarray:
@@ -217,7 +207,7 @@ def _columns(where: ResponseLattice, at: FitCoordinates, axes: tuple[Axis, ...],
     axes: axes of the lattice. shifts: coordinates along these axes.
     """
     (_, by_recorded), (_, by_true) = _lobes_and_shares(where, at, shifts)
-    slopes = np.asarray(_log_slopes(where, at.kind, placed(at.lobe), placed(shifts)))
+    slopes = _log_slopes(where, at, shifts)
     own = len(at.lobe)
     by_rig = np.tensordot(axis_selection(at.axes, axes), slopes[own:], 1)
     columns = np.concatenate([slopes[:own], by_rig, by_true - by_recorded])

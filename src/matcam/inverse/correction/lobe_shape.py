@@ -14,17 +14,13 @@ from typing import NamedTuple
 import numpy as np
 
 from matcam.camera.sensor import PixelNoise
-from matcam.core.jax import jax, jnp, placed
-from matcam.core.programs import kept_program
+from matcam.core.jax import placed
 from matcam.core.remark import Remark
 from matcam.inverse.fit.fit_data import cell_variance, estimate_noise, huber_weights, standardised_residual, whitening
-from matcam.inverse.fit.fit_parameters import LobeKind
 from matcam.inverse.fit.fit_readings import LinearisedFit
 from matcam.inverse.fit.fit_statements import SMOOTH_LOBE, fit_statements, rig_statements
 from matcam.inverse.fit.material_fit import MaterialFit
-from matcam.inverse.operator.lobe_operator import LobeOperator
-from matcam.material.lambda_table import quick_table
-from matcam.material.ndf.free_lobe import KNOTS, spline_smoothness, spline_sums
+from matcam.material.ndf.free_lobe import KNOTS, spline_smoothness
 from matcam.numerics.approximation import smoothness
 from matcam.numerics.fit_budget import Statement
 from matcam.numerics.linalg import scaled_inverse
@@ -63,25 +59,6 @@ class ShapeUncertainty(NamedTuple):
             f"a {family} lobe does not explain the data (scale of the shape correction: {self.scale:g}): the fitted lobe was "
             "multiplied by a smooth factor, and the uncertainty includes the part of the shape that the pixels do not resolve",
         )
-
-
-@kept_program
-def shape_records(
-    operator: LobeOperator, kind: LobeKind, q: jax.Array, shifts: jax.Array
-) -> tuple[jax.Array, jax.Array]:
-    """Compute the record of a lobe, (slices, cells), and the derivative with respect to each b_k, (k, slices, cells).
-
-    q: coordinates of the lobe. shifts: coordinates along the axes of the operator.
-    """
-    ndf = kind.ndf(q)
-    table = None if kind.masking is None else quick_table(ndf)
-
-    def one(slice_: LobeOperator) -> jax.Array:
-        lobe = slice_.weighted(ndf, kind.masking, shifts, table)
-        return jnp.concatenate([jnp.sum(lobe, axis=(-2, -1))[None], spline_sums(slice_.slope2, lobe, axes=2)])
-
-    both = jnp.moveaxis(operator.slice_by_slice(one), 0, 1)
-    return both[0], both[1:]
 
 
 def shape_uncertainty(found: MaterialFit, noise: PixelNoise | None, kappa: float = 1.0) -> ShapeUncertainty:
@@ -139,8 +116,8 @@ def known_shape(found: MaterialFit, scale: float) -> ShapeUncertainty:
 def _columns(linear: LinearisedFit) -> np.ndarray:
     """Compute the derivatives of the model with respect to lobe, rig, b and units, (coordinates, u, s, n)."""
     at, solution = linear.coordinates, linear.solution
-    q, shifts = placed(at.lobe), placed(at.rig)
-    added = solution.problem.read(solution.model, lambda one: np.asarray(shape_records(one, at.kind, q, shifts)[1]))
+    ndf = at.kind.ndf(placed(at.lobe))
+    added = solution.problem.read(solution.model, lambda one: one.by_shape(ndf, at.kind.masking, at.rig)[1])
     by_shape = np.nan_to_num(solution.model.strength)[None, :, :, None] * np.moveaxis(added, 0, 1)
     return np.concatenate([linear.by_coordinates, by_shape, linear.by_units])
 

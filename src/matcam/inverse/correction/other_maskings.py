@@ -11,7 +11,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from matcam.core.jax import placed
 from matcam.inverse.fit.fit_readings import FitCoordinates
 from matcam.inverse.fit.lobe_slopes import lobe_record
 from matcam.inverse.fit.material_fit import MaterialFit
@@ -49,8 +48,8 @@ def other_maskings(found: MaterialFit, kappa: float) -> tuple[OtherMasking, ...]
     kinds = [at.kind._replace(masking=masking) for masking in MASKINGS if masking != at.kind.masking]
     moved, gains = [], [0.0]
     for kind in kinds:
-        q = placed(np.concatenate([at.lobe, at.rig]))
-        record = problem.read(model, lambda one, kind=kind, q=q: np.asarray(lobe_record(one, kind, q)))  # type: ignore[misc]
+        q = np.concatenate([at.lobe, at.rig])
+        record = problem.read(model, lambda one, kind=kind, q=q: lobe_record(one, kind, q))  # type: ignore[misc]
         added = white(np.nan_to_num(model.strength)[..., None] * (record - model.lobe)).ravel()
         change = -inverse @ (flat @ added)
         gains.append(float(added @ residual) - 0.5 * float(added @ (added + change @ flat)))

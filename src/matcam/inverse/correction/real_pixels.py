@@ -14,14 +14,11 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator, RectBivariateSpline
 
 from matcam.core.grid import GRID_SHAPE, merl_grid
-from matcam.core.jax import jax, placed
-from matcam.core.programs import kept_program
+from matcam.core.jax import placed
 from matcam.forward.pixel_grid import PixelGrid, pixel_angles
 from matcam.inverse.correction.corrected_table import OPERATOR_ACCURACY
 from matcam.inverse.correction.response_lattice import VANISHED, ResponseLattice, Spacing, seen_cells
-from matcam.inverse.fit.fit_parameters import LobeKind
 from matcam.inverse.fit.fit_readings import FitCoordinates
-from matcam.inverse.operator.lobe_operator import LobeOperator
 from matcam.inverse.operator.pixels_behind import PixelsBehind, pixels_behind
 
 _CUBIC = 3
@@ -108,12 +105,6 @@ def _log_behind(record: _SliceRecord, radius: float, theta_d: float, pixels: Pix
     return np.log(np.where(total > 0, value / np.where(total > 0, total, 1.0), np.nan))
 
 
-@kept_program
-def _directions(operator: LobeOperator, kind: LobeKind, q: jax.Array, shifts: jax.Array) -> jax.Array:
-    """Compute the record of a lobe in both reciprocal configurations, 1/sr, (slices, cells, 2)."""
-    return operator.directions(kind.ndf(q), kind.masking, shifts)
-
-
 def _record(where: ResponseLattice, at: FitCoordinates, shifts: np.ndarray) -> np.ndarray:
     """Compute the record on a lattice, 1/sr, (slices, rings, azimuths of `_around`).
 
@@ -121,7 +112,7 @@ def _record(where: ResponseLattice, at: FitCoordinates, shifts: np.ndarray) -> n
     the axes of the lattice.
     """
     rings, slices, azimuths = where.spacing
-    both = np.asarray(_directions(where.recorded, at.kind, placed(at.lobe), placed(shifts)))
+    both = where.recorded.directions(at.kind.ndf(placed(at.lobe)), at.kind.masking, shifts)
     both = np.where(where.cells.valid[..., None], both, np.nan).reshape(len(slices), len(rings), len(azimuths), 2)
     if where.spacing.mirrored:  # azimuths: 180 - phi_d in the first configuration, phi_d in the second
         whole = np.concatenate([both[..., 1], both[:, :, -2::-1, 0]], axis=-1)

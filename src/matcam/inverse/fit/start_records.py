@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from matcam.core.jax import jax, placed
+from matcam.core.jax import jax
 from matcam.core.workspace import Workspace
 from matcam.inverse.fit.fit_parameters import LobeKind
 from matcam.inverse.fit.lobe_slopes import lobe_record
@@ -36,9 +36,10 @@ class StartRecords:
         key = f"records of starts\n{self._name}\n{kind}\n{starts.tobytes().hex()}"
 
         def make() -> dict[str, np.ndarray]:
-            stated = np.zeros(len(self.operator.points))
-            rows = [np.asarray(lobe_record(self.operator, kind, placed(np.concatenate([q, stated])))) for q in starts]
-            return {"records": np.stack(rows)}
+            stated = np.zeros(self.operator.axes)
+            return {
+                "records": np.stack([lobe_record(self.operator, kind, np.concatenate([q, stated])) for q in starts])
+            }
 
         folder = self.workspace.folder and self.workspace.folder / "starts"
         kept = Workspace(folder, files=_KEPT)
@@ -48,7 +49,7 @@ class StartRecords:
     def _name(self) -> str:
         """Compute a hash of the values of the operator, which identifies the operator in the cache."""
         numbers = hashlib.sha256()
-        for leaf in jax.tree.leaves(self.operator):
+        for leaf in jax.tree.leaves(self.operator.blocks):
             numbers.update(np.ascontiguousarray(leaf).tobytes())
         return numbers.hexdigest()
 

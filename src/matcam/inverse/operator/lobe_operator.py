@@ -18,16 +18,18 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import numpy as np
+import numpy.typing as npt
 
 from matcam.camera.optics.optics import checked_isotropic
 from matcam.core import checks
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import Sampling, azimuth_difference
-from matcam.core.jax import jax, jnp, placed
+from matcam.core.jax import AnyArray, placed
+from matcam.core.threads import available_cores, in_order
 from matcam.core.workspace import Workspace, default_workspace
 from matcam.forward.cylinder_cells import check_cylinder
 from matcam.forward.integral.blur import kernel_error
@@ -36,49 +38,38 @@ from matcam.forward.pixel_grid import PixelGrid, grid_of
 from matcam.inverse.operator.cell_rules import MOMENT_ALONG, rule_arrays
 from matcam.inverse.operator.chosen_cells import ChosenCells, chosen_cells
 from matcam.inverse.operator.lamp_lines import DISC_RULE
+from matcam.inverse.operator.operator_nodes import (
+    OperatorNodes,
+    directions_of,
+    in_blocks,
+    joined,
+    lambda_table,
+    shape_sums,
+    weights_in_blocks,
+)
 from matcam.inverse.operator.rig_axes import APERTURE, LAMP, Axis
 from matcam.inverse.operator.sample_view import FAR_AWAY, SampleView, sample_view
 from matcam.inverse.operator.theta_nodes import NODE_RULE, RISE, SAMPLED, THROUGH_SAMPLES
-from matcam.material.lambda_table import STEEPEST, lambda_at, position_of, quick_table
-from matcam.material.masking import Masking, g2
+from matcam.material.lambda_table import STEEPEST, position_of
+from matcam.material.masking import Masking
 from matcam.material.ndf.distribution import NDF
-from matcam.numerics.approximation import lagrange_basis
 from matcam.numerics.disc_chords import CHORD_RULE
 from matcam.rigs import ON_REAL_PIXELS, Rig
 from matcam.sample.curved import Cylinder, Sphere
 
 
-class LobeOperator(eqx.Module):
-    """Quadrature rule of all chosen cells. Masking is evaluated at fewer samples than the lobe.
+@dataclasses.dataclass(frozen=True)
+class LobeOperator:
+    """Quadrature rule of all chosen cells.
 
     Attributes:
-        slope2: squared tangent of the angle between normal and half vector, (cells of all slices, directions, nodes).
-        weight: weight of each node, (cells, directions, nodes).
-        along: for each axis, differences of the weights at the points of the axis, (points, cells, directions, nodes).
-        cos_i: cosine of the angle of incidence, (cells, directions, groups of nodes, samples, 2).
-        cos_o: cosine of the viewing angle, in the shape of `cos_i`.
-        position_i: fractional index of the angle of incidence in a table of Lambda (`lambda_table`), in the shape of `cos_i`.
-        position_o: fractional index of the viewing angle in this table, in the shape of `cos_i`.
-        azimuth: azimuth between the directions of incidence and view, rad, in the shape of `cos_i`.
-        through_samples: matrix that interpolates from the samples to the nodes of a group, (nodes of a group, samples).
-        points: points of each axis, (points,). They are arrays, so that one compiled program serves all rigs.
+        blocks: nodes of the cells of all slices, in blocks of a fixed number of cells.
         shape: number of slices, and number of cells in each slice.
-        share: shares of the two azimuths at which masking is evaluated, in the shape of `cos_i`; None: one half each.
         moment: operator whose weights are multiplied by the deviation of theta_d from that of the cell, rad; None: no moment.
     """
 
-    slope2: jax.Array
-    weight: jax.Array
-    along: tuple[jax.Array, ...]
-    cos_i: jax.Array
-    cos_o: jax.Array
-    position_i: jax.Array
-    position_o: jax.Array
-    azimuth: jax.Array
-    through_samples: jax.Array
-    points: tuple[jax.Array, ...]
-    shape: tuple[int, int] = eqx.field(static=True)
-    share: jax.Array | None = None
+    blocks: tuple[OperatorNodes, ...]
+    shape: tuple[int, int]
     moment: LobeOperator | None = None
 
     @property
@@ -86,22 +77,48 @@ class LobeOperator(eqx.Module):
         """Return the operator and, if it has one, that of the moment."""
         return (self,) if self.moment is None else (self, self.moment)
 
+    @property
+    def axes(self) -> int:
+        """Count the axes along which parameters of the rig may change."""
+        return len(self.blocks[0].points)
+
+    @property
+    def weight(self) -> np.ndarray:
+        """Return the weights of all cells, (cells, directions, nodes)."""
+        return self._joined([block.weight for block in self.blocks], 0)
+
+    @property
+    def along(self) -> list[np.ndarray]:
+        """Return the differences of the weights along each axis, (points, cells, directions, nodes)."""
+        return [self._joined([block.along[n] for block in self.blocks], 1) for n in range(self.axes)]
+
+    def _joined(self, parts: list[Any], axis: int) -> np.ndarray:
+        whole = np.concatenate([np.asarray(part) for part in parts], axis)
+        return np.take(whole, np.arange(np.prod(self.shape)), axis)
+
+    def with_weights(self, weight: np.ndarray, along: Sequence[np.ndarray]) -> LobeOperator:
+        """Build an operator with the same nodes and other weights, without a moment."""
+        parts = weights_in_blocks(weight, along)
+        blocks = [block.with_weights(*part) for block, part in zip(self.blocks, parts, strict=True)]
+        return LobeOperator(tuple(blocks), self.shape)
+
     def in_slices(self, part: slice) -> LobeOperator:
         """Restrict the operator to some of the slices."""
         slices, count = self.shape
         cells = np.arange(slices * count).reshape(slices, count)[part]
-
-        def own(array: jax.Array, axis: int = 0) -> jax.Array:
-            return placed(np.take(np.asarray(array), cells.ravel(), axis))
-
         moment = None if self.moment is None else self.moment.in_slices(part)
-        return dataclasses.replace(self._of_cells(own, cells.shape[0]), moment=moment)
+        return LobeOperator(in_blocks(joined(self.blocks, cells.ravel())), cells.shape, moment)
 
     def along_axes(self, indices: Sequence[int]) -> LobeOperator:
         """Restrict the operator to some of the axes."""
-        along, points = (tuple(every[k] for k in indices) for every in (self.along, self.points))
+        blocks = [
+            dataclasses.replace(
+                block, along=tuple(block.along[k] for k in indices), points=tuple(block.points[k] for k in indices)
+            )
+            for block in self.blocks
+        ]
         moment = None if self.moment is None else self.moment.along_axes(indices)
-        return dataclasses.replace(self, along=along, points=points, moment=moment)
+        return LobeOperator(tuple(blocks), self.shape, moment)
 
     def leaning(self, lean: np.ndarray) -> LobeOperator:
         """Include the variation of F within a slice in the weights.
@@ -110,108 +127,45 @@ class LobeOperator(eqx.Module):
         """
         if self.moment is None:
             return self
-        rise = jnp.repeat(jnp.asarray(lean), self.shape[1])[:, None, None]
+        rise = np.repeat(np.asarray(lean), self.shape[1])[:, None, None]
         pairs = zip(self.along, self.moment.along, strict=True)
-        return dataclasses.replace(
-            self,
-            weight=self.weight + rise * self.moment.weight,
-            along=tuple(own + rise * moment for own, moment in pairs),
-            moment=None,
+        return self.with_weights(
+            self.weight + rise * self.moment.weight, [own + rise * moment for own, moment in pairs]
         )
 
-    def record(self, ndf: NDF, masking: Masking, shifts: jax.Array) -> jax.Array:
+    def record(self, ndf: NDF, masking: Masking, shifts: npt.ArrayLike) -> np.ndarray:
         """Compute the record of D G divided by cos_i, 1/sr.
 
         F is 1. The result has shape (slices, cells) and is the mean of both directions. shifts: coordinates along the
         axes, (axes,).
         """
-        table = None if masking is None else quick_table(ndf)
-        if table is None:
-            return jnp.sum(self.weighted(ndf, masking, shifts), axis=(-2, -1)).reshape(self.shape)
+        return self.directions(ndf, masking, shifts).mean(axis=-1)
 
-        def one(slice_: LobeOperator) -> jax.Array:
-            return jnp.sum(slice_.weighted(ndf, masking, shifts, table), axis=(-2, -1))
-
-        return self.slice_by_slice(one)
-
-    def directions(self, ndf: NDF, masking: Masking, shifts: jax.Array) -> jax.Array:
+    def directions(self, ndf: NDF, masking: Masking, shifts: npt.ArrayLike) -> np.ndarray:
         """Compute the record of each direction, 1/sr, (slices, cells, directions).
 
         `record` is their mean.
         """
-        return 2 * jnp.sum(self.weighted(ndf, masking, shifts), axis=-1).reshape(*self.shape, -1)
+        table = lambda_table(ndf, masking)
+        return np.moveaxis(self.by_blocks(lambda one: directions_of(one.moved(shifts), ndf, masking, table)), 0, -1)
 
-    def weighted(self, ndf: NDF, masking: Masking, shifts: jax.Array, table: jax.Array | None = None) -> jax.Array:
-        """Evaluate D G at the nodes, multiplied by the weights.
+    def by_shape(self, ndf: NDF, masking: Masking, shifts: npt.ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+        """Compute the record, and its derivative with respect to each coefficient of a smooth factor of D.
 
-        The result has shape (cells, directions, nodes). shifts: coordinates along the axes, (axes,). table:
-        table of Lambda. Default: None, it is computed if Lambda has no closed form.
+        Returns: record, 1/sr, (slices, cells), and derivatives, 1/sr, (coefficients, slices, cells).
         """
-        weight = self.weight
-        for points, differences, shift in zip(self.points, self.along, shifts, strict=True):
-            weight = weight + jnp.tensordot(jnp.stack(lagrange_basis(points, shift)), differences, 1)
-        light = self.light(ndf)
-        if masking is not None:
-            light *= self.joint_masking(masking, *self.lambdas(ndf, quick_table(ndf) if table is None else table))
-        return weight * light
+        table = lambda_table(ndf, masking)
+        found = self.by_blocks(lambda one: shape_sums(one.moved(shifts), ndf, masking, table))
+        return found[0], found[1:]
 
-    def lambdas(self, ndf: NDF, table: jax.Array | None) -> tuple[jax.Array, jax.Array]:
-        """Evaluate Lambda at the angles of incidence and view.
+    def by_blocks(self, function: Callable[[OperatorNodes], AnyArray]) -> np.ndarray:
+        """Apply a function to each block, on all cores. The result has shape (..., slices, cells).
 
-        table: table of Lambda; None: Lambda has a closed form.
+        function: compiled function of the nodes of a block that returns (..., cells of the block).
         """
-        if table is None:
-            return ndf.smith_lambda(self.cos_i), ndf.smith_lambda(self.cos_o)
-        return lambda_at(table, self.position_i), lambda_at(table, self.position_o)
-
-    def light(self, ndf: NDF) -> jax.Array:
-        """Evaluate D = P22 / cos^4 theta_h at the nodes, 1/sr."""
-        return ndf.slope_density(self.slope2) * (1 + self.slope2) ** 2
-
-    def joint_masking(self, masking: Masking, lambda_i: jax.Array, lambda_o: jax.Array) -> jax.Array:
-        """Evaluate G at the nodes from Lambda at the samples."""
-        both = g2(masking, lambda_i, lambda_o, self.azimuth)
-        if self.share is None:
-            mean = jnp.mean(both, axis=-1)
-        else:  # jnp.sum over the pair takes five times as long in XLA
-            mean = both[..., 0] * self.share[..., 0] + both[..., 1] * self.share[..., 1]
-        joint = mean @ self.through_samples.T
-        return joint.reshape(self.slope2.shape)
-
-    def slice_by_slice(self, function: Callable[[LobeOperator], jax.Array]) -> jax.Array:
-        """Apply a function to the operator of each slice in turn.
-
-        The result has shape (slices, ...). The arrays of all slices would require hundreds of MB. Those of
-        one slice fit into the cache of the processor.
-        """
-
-        def one(position: jax.Array) -> jax.Array:
-            return function(self._in_slice(position))
-
-        positions = jnp.arange(self.shape[0])
-        # a GPU is faster if it processes all slices at once
-        return jax.lax.map(one, positions) if jax.default_backend() == "cpu" else jax.vmap(one)(positions)
-
-    def _in_slice(self, position: jax.Array) -> LobeOperator:
-        count = self.shape[1]
-
-        def own(array: jax.Array, axis: int = 0) -> jax.Array:
-            return jax.lax.dynamic_slice_in_dim(array, position * count, count, axis)
-
-        return self._of_cells(own, 1)
-
-    def _of_cells(self, own: Callable[..., jax.Array], slices: int) -> LobeOperator:
-        """Restrict the operator to some of the cells, without its moment.
-
-        own: function that selects the cells of an array along their axis, by default the first. slices: number of slices of
-        these cells.
-        """
-        return dataclasses.replace(
-            self, slope2=own(self.slope2), weight=own(self.weight), along=tuple(own(one, 1) for one in self.along),
-            cos_i=own(self.cos_i), cos_o=own(self.cos_o), position_i=own(self.position_i), position_o=own(self.position_o),
-            azimuth=own(self.azimuth), shape=(slices, self.shape[1]), share=None if self.share is None else own(self.share),
-            moment=None,
-        )  # fmt: skip
+        parts = in_order(lambda one: np.asarray(function(one)), self.blocks, available_cores())
+        whole = np.concatenate(list(parts), axis=-1)[..., : np.prod(self.shape)]
+        return whole.reshape(*whole.shape[:-1], *self.shape)
 
 
 class _Rules(NamedTuple):
@@ -237,25 +191,23 @@ class _Rules(NamedTuple):
         half = np.sin(theta) * np.sin(theta_d) * self.sample_cos_psi
         azimuth = azimuth_difference(theta, theta_d, np.pi - np.arccos(self.sample_cos_psi))
         cos_i, cos_o = (np.maximum(c, STEEPEST) for c in (mean + half, mean - half))
-        slices, count = cells.valid.shape
-        own = LobeOperator(
-            slope2=placed(np.tan(self.theta) ** 2),
-            weight=placed(self.weight),
-            along=tuple(placed(a) for a in self.along),
-            cos_i=placed(cos_i),
-            cos_o=placed(cos_o),
-            position_i=placed(position_of(cos_i)),
-            position_o=placed(position_of(cos_o)),
-            azimuth=azimuth,
+        nodes = OperatorNodes(
+            slope2=np.tan(self.theta) ** 2,
+            weight=self.weight,
+            along=self.along,
+            cos_i=cos_i,
+            cos_o=cos_o,
+            position_i=position_of(cos_i),
+            position_o=position_of(cos_o),
+            azimuth=np.broadcast_to(azimuth, cos_i.shape),
+            share=self.sample_share,
             through_samples=placed(through),
             points=tuple(placed(np.array(axis.points)) for axis in axes),
-            shape=(slices, count),
-            share=None if self.sample_share is None else placed(self.sample_share),
         )
+        own = LobeOperator(in_blocks(nodes), cells.valid.shape)
         if self.moment is None:
             return own
-        along = tuple(placed(a) for a in self.moment_along)
-        return dataclasses.replace(own, moment=dataclasses.replace(own, weight=placed(self.moment), along=along))
+        return dataclasses.replace(own, moment=own.with_weights(self.moment, self.moment_along))
 
 
 class WholeRule(NamedTuple):

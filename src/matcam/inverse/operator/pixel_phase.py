@@ -66,6 +66,10 @@ _CORNERS = np.array([[0.0, 0.0], [0.04, 0.0], [0.0, 0.04]])
 """Offsets of the corners of the first simplex from its starting point, px. They are less than half the distance
 between starting points.
 """
+_STARTS_FROM = 3
+"""Step between the slices from which the starting points of the search are selected. Two of the five slices suffice, because
+all slices have the same phase.
+"""
 _FIRST_TRIES, _TRIES = 25, 90
 """Largest number of phases that are tried to detect a grid of pixels, and to determine its phase."""
 _FALLS = 0.2
@@ -300,7 +304,7 @@ def bilinear_phase(table: xr.DataArray, radius: float) -> FoundPhase:
     """Estimate the phase for cells that were interpolated between pixels."""
     cells = _near_cells(table, radius, SLICES[::3], _FEW_RINGS, _FEW_AZIMUTHS)
 
-    def log_residual(phase: Sequence[float]) -> float:
+    def log_residual(phase: Sequence[float], cells: list[_NearCells] = cells) -> float:
         return float(np.log(_residual("bilinear", (phase[0], phase[1]), cells) + 1e-30))
 
     def descended(corners: np.ndarray, tries: int) -> OptimizeResult:
@@ -313,8 +317,8 @@ def bilinear_phase(table: xr.DataArray, radius: float) -> FoundPhase:
         return first if first.fun > before + np.log(_FALLS) else descended(first.final_simplex[0], _TRIES)
 
     line = np.arange(-0.5, 0.5, 0.1)
-    starts = sorted((log_residual((u, v)), u, v) for u in line for v in line)[:3]
-    found = min((followed(*start) for start in starts), key=lambda one: one.fun)
+    starts = sorted((log_residual((u, v), cells[::_STARTS_FROM]), u, v) for u in line for v in line)[:3]
+    found = min((followed(log_residual((u, v)), u, v) for _, u, v in starts), key=lambda one: one.fun)
     unexplained = float(np.exp(found.fun))
     if unexplained > _LARGEST_RESIDUAL:
         raise FitError(
