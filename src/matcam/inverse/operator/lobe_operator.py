@@ -136,16 +136,13 @@ class LobeOperator:
     def record(self, ndf: NDF, masking: Masking, shifts: npt.ArrayLike) -> np.ndarray:
         """Compute the record of D G divided by cos_i, 1/sr.
 
-        F is 1. The result has shape (slices, cells) and is the mean of both directions. shifts: coordinates along the
-        axes, (axes,).
+        F is 1. The result has shape (slices, cells) and is the mean of both directions, or of the real pixels of a cell.
+        shifts: coordinates along the axes, (axes,).
         """
-        return self.directions(ndf, masking, shifts).mean(axis=-1)
+        return self.directions(ndf, masking, shifts).sum(axis=-1) / 2
 
     def directions(self, ndf: NDF, masking: Masking, shifts: npt.ArrayLike) -> np.ndarray:
-        """Compute the record of each direction, 1/sr, (slices, cells, directions).
-
-        `record` is their mean.
-        """
+        """Compute the record of each direction, 1/sr, (slices, cells, directions). Half of their sum is `record`."""
         table = lambda_table(ndf, masking)
         return np.moveaxis(self.by_blocks(lambda one: directions_of(one.moved(shifts), ndf, masking, table)), 0, -1)
 
