@@ -94,7 +94,7 @@ class _Lobe(NamedTuple):
 
     def directions(self, nodes: OperatorNodes) -> tuple[jax.Array, jax.Array]:
         """Return the directions of light and view in the form that `lambda_of` requires."""
-        return (nodes.cos_i, nodes.cos_o) if self.table is None else (nodes.position_i, nodes.position_o)
+        return (nodes.at.cos_i, nodes.at.cos_o) if self.table is None else (nodes.at.position_i, nodes.at.position_o)
 
     @property
     def masked_by(self) -> jax.Array:
@@ -185,10 +185,10 @@ def _lifted(
 def _step(nodes: OperatorNodes, lobe: _Lobe, bases: list[tuple[jax.Array, jax.Array]]) -> jax.Array:
     """Compute the rows of `_rows` for a few cells. bases: results of `_basis` for each axis."""
     kind, q = lobe.kind, lobe.q
-    weight = nodes.weight
-    for (basis, _), differences in zip(bases, nodes.along, strict=True):
-        weight = weight + jnp.tensordot(basis, differences, 1)
-    light, by_own = _lifted(kind, q, nodes.slope2, nodes.light)
+    weight = nodes.at.weight
+    for (basis, _), differences in zip(bases, nodes.at.along, strict=True):
+        weight = weight + jnp.tensordot(differences, basis, (1, 0))
+    light, by_own = _lifted(kind, q, nodes.at.slope2, nodes.light)
     seen, by_lambda = jnp.ones_like(weight), jnp.zeros(())
     if kind.masking is not None:
         directions = lobe.directions(nodes)
@@ -213,7 +213,7 @@ def _step(nodes: OperatorNodes, lobe: _Lobe, bases: list[tuple[jax.Array, jax.Ar
             def of_cells(own: jax.Array) -> list[jax.Array]:
                 return [jax.vmap(lobe.lambda_of)(own, one) for one in directions]
 
-            _, back = jax.vjp(of_cells, jnp.broadcast_to(lobe.masked_by, (len(nodes.slope2), lobe.masked_by.size)))
+            _, back = jax.vjp(of_cells, jnp.broadcast_to(lobe.masked_by, (len(nodes.at.slope2), lobe.masked_by.size)))
             by_lambda = lobe.masked_slopes @ back(list(pulled))[0].T
         else:
             by_lambda = jax.vmap(along)(lobe.masked_slopes)
@@ -221,13 +221,13 @@ def _step(nodes: OperatorNodes, lobe: _Lobe, bases: list[tuple[jax.Array, jax.Ar
     visible = seen * light
     record = _over_nodes(weight * visible)
     by_family = jnp.stack([_over_nodes(weight * seen * slope) for slope in by_own])
-    by_spline = [spline_sums(nodes.slope2, weight * visible, axes=2)] if kind.spline_size else []
+    by_spline = [spline_sums(nodes.at.slope2, weight * visible, axes=2)] if kind.spline_size else []
     by_lobe = jnp.pad(jnp.concatenate([by_family, *by_spline]), ((0, kind.shadows), (0, 0))) + by_lambda
     if lobe.by_norm is not None:
         by_lobe -= lobe.by_norm[:, None] * record
     by_rig = [
-        slopes @ jnp.sum(visible * differences, axis=(-2, -1))
-        for (_, slopes), differences in zip(bases, nodes.along, strict=True)
+        slopes @ jnp.sum(visible[:, None] * differences, axis=(-2, -1)).T
+        for (_, slopes), differences in zip(bases, nodes.at.along, strict=True)
     ]
     return jnp.stack([record, *by_lobe, *by_rig])
 

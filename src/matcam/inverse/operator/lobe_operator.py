@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import numpy as np
@@ -28,7 +28,7 @@ from matcam.camera.optics.optics import checked_isotropic
 from matcam.core import checks
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import Sampling, azimuth_difference
-from matcam.core.jax import AnyArray, placed
+from matcam.core.jax import AnyArray, jax, placed
 from matcam.core.threads import available_cores, in_order
 from matcam.core.workspace import Workspace, default_workspace
 from matcam.forward.cylinder_cells import check_cylinder
@@ -39,13 +39,13 @@ from matcam.inverse.operator.cell_rules import MOMENT_ALONG, rule_arrays
 from matcam.inverse.operator.chosen_cells import ChosenCells, chosen_cells
 from matcam.inverse.operator.lamp_lines import DISC_RULE
 from matcam.inverse.operator.operator_nodes import (
+    NodeArrays,
     OperatorNodes,
     directions_of,
     in_blocks,
     joined,
     lambda_table,
     shape_sums,
-    weights_in_blocks,
 )
 from matcam.inverse.operator.rig_axes import APERTURE, LAMP, Axis
 from matcam.inverse.operator.sample_view import FAR_AWAY, SampleView, sample_view
@@ -83,42 +83,30 @@ class LobeOperator:
         return len(self.blocks[0].points)
 
     @property
-    def weight(self) -> np.ndarray:
-        """Return the weights of all cells, (cells, directions, nodes)."""
-        return self._joined([block.weight for block in self.blocks], 0)
-
-    @property
-    def along(self) -> list[np.ndarray]:
-        """Return the differences of the weights along each axis, (points, cells, directions, nodes)."""
-        return [self._joined([block.along[n] for block in self.blocks], 1) for n in range(self.axes)]
-
-    def _joined(self, parts: list[Any], axis: int) -> np.ndarray:
-        whole = np.concatenate([np.asarray(part) for part in parts], axis)
-        return np.take(whole, np.arange(np.prod(self.shape)), axis)
+    def at(self) -> NodeArrays:
+        """Return the quantities at the nodes of all cells."""
+        return joined([block.at for block in self.blocks], int(np.prod(self.shape)))
 
     def with_weights(self, weight: np.ndarray, along: Sequence[np.ndarray]) -> LobeOperator:
-        """Build an operator with the same nodes and other weights, without a moment."""
-        parts = weights_in_blocks(weight, along)
-        blocks = [block.with_weights(*part) for block, part in zip(self.blocks, parts, strict=True)]
-        return LobeOperator(tuple(blocks), self.shape)
+        """Build an operator with the same nodes and other weights, without a moment.
+
+        weight: see `NodeArrays`. along: differences of the weights along each axis, see `NodeArrays`.
+        """
+        parts = zip(self.blocks, in_blocks((weight, tuple(along))), strict=True)
+        return LobeOperator(tuple(block.with_weights(*part) for block, part in parts), self.shape)
 
     def in_slices(self, part: slice) -> LobeOperator:
         """Restrict the operator to some of the slices."""
         slices, count = self.shape
         cells = np.arange(slices * count).reshape(slices, count)[part]
         moment = None if self.moment is None else self.moment.in_slices(part)
-        return LobeOperator(in_blocks(joined(self.blocks, cells.ravel())), cells.shape, moment)
+        at = jax.tree.map(lambda array: array[cells.ravel()], self.at)
+        return LobeOperator(_in_blocks(self.blocks[0]._replace(at=at)), cells.shape, moment)
 
     def along_axes(self, indices: Sequence[int]) -> LobeOperator:
         """Restrict the operator to some of the axes."""
-        blocks = [
-            dataclasses.replace(
-                block, along=tuple(block.along[k] for k in indices), points=tuple(block.points[k] for k in indices)
-            )
-            for block in self.blocks
-        ]
         moment = None if self.moment is None else self.moment.along_axes(indices)
-        return LobeOperator(tuple(blocks), self.shape, moment)
+        return LobeOperator(tuple(block.along_axes(indices) for block in self.blocks), self.shape, moment)
 
     def leaning(self, lean: np.ndarray) -> LobeOperator:
         """Include the variation of F within a slice in the weights.
@@ -127,11 +115,9 @@ class LobeOperator:
         """
         if self.moment is None:
             return self
-        rise = np.repeat(np.asarray(lean), self.shape[1])[:, None, None]
-        pairs = zip(self.along, self.moment.along, strict=True)
-        return self.with_weights(
-            self.weight + rise * self.moment.weight, [own + rise * moment for own, moment in pairs]
-        )
+        rise, own, moment = np.repeat(np.asarray(lean), self.shape[1])[:, None, None], self.at, self.moment.at
+        along = [one + rise[:, None] * other for one, other in zip(own.along, moment.along, strict=True)]
+        return self.with_weights(own.weight + rise * moment.weight, along)
 
     def record(self, ndf: NDF, masking: Masking, shifts: npt.ArrayLike) -> np.ndarray:
         """Compute the record of D G divided by cos_i, 1/sr.
@@ -165,6 +151,10 @@ class LobeOperator:
         return whole.reshape(*whole.shape[:-1], *self.shape)
 
 
+def _in_blocks(nodes: OperatorNodes) -> tuple[OperatorNodes, ...]:
+    return tuple(nodes._replace(at=jax.tree.map(placed, block)) for block in in_blocks(nodes.at))
+
+
 class _Rules(NamedTuple):
     """Arrays of an operator as they are stored on disk."""
 
@@ -188,23 +178,26 @@ class _Rules(NamedTuple):
         half = np.sin(theta) * np.sin(theta_d) * self.sample_cos_psi
         azimuth = azimuth_difference(theta, theta_d, np.pi - np.arccos(self.sample_cos_psi))
         cos_i, cos_o = (np.maximum(c, STEEPEST) for c in (mean + half, mean - half))
-        nodes = OperatorNodes(
+        at = NodeArrays(
             slope2=np.tan(self.theta) ** 2,
             weight=self.weight,
-            along=self.along,
+            along=_cells_first(self.along),
             cos_i=cos_i,
             cos_o=cos_o,
             position_i=position_of(cos_i),
             position_o=position_of(cos_o),
             azimuth=np.broadcast_to(azimuth, cos_i.shape),
             share=self.sample_share,
-            through_samples=placed(through),
-            points=tuple(placed(np.array(axis.points)) for axis in axes),
         )
-        own = LobeOperator(in_blocks(nodes), cells.valid.shape)
+        points = tuple(placed(np.array(axis.points)) for axis in axes)
+        own = LobeOperator(_in_blocks(OperatorNodes(at, placed(through), points)), cells.valid.shape)
         if self.moment is None:
             return own
-        return dataclasses.replace(own, moment=own.with_weights(self.moment, self.moment_along))
+        return dataclasses.replace(own, moment=own.with_weights(self.moment, _cells_first(self.moment_along)))
+
+
+def _cells_first(along: tuple[np.ndarray, ...]) -> tuple[np.ndarray, ...]:
+    return tuple(np.moveaxis(one, 0, 1) for one in along)
 
 
 class WholeRule(NamedTuple):

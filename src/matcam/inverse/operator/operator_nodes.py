@@ -5,11 +5,9 @@ All programs take the same number of cells, so that few programs serve all rigs,
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple, TypeVar
 
-import equinox as eqx
 import numpy as np
 import numpy.typing as npt
 
@@ -27,21 +25,21 @@ _STEP = 112
 """Number of cells in each step of a call. Their arrays fit into the cache of the processor."""
 
 
-class OperatorNodes(eqx.Module):
-    """Quadrature nodes of cells. Masking is evaluated at fewer samples than the lobe.
+class NodeArrays(NamedTuple):
+    """Quantities at the quadrature nodes of cells. The first axis of every array is that of the cells.
+
+    Masking is evaluated at fewer samples than the lobe.
 
     Attributes:
         slope2: squared tangent of the angle between normal and half vector, (cells, directions, nodes).
         weight: weight of each node, (cells, directions, nodes).
-        along: for each axis, differences of the weights at the points of the axis, (points, cells, directions, nodes).
+        along: for each axis, differences of the weights at the points of the axis, (cells, points, directions, nodes).
         cos_i: cosine of the angle of incidence, (cells, directions, groups of nodes, samples, 2).
         cos_o: cosine of the viewing angle, in the shape of `cos_i`.
         position_i: fractional index of the angle of incidence in a table of Lambda (`lambda_table`), in the shape of `cos_i`.
         position_o: fractional index of the viewing angle in this table, in the shape of `cos_i`.
         azimuth: azimuth between the directions of incidence and view, rad, in the shape of `cos_i`.
         share: shares of the two azimuths at which masking is evaluated, in the shape of `cos_i`; None: one half each.
-        through_samples: matrix that interpolates from the samples to the nodes of a group, (nodes of a group, samples).
-        points: points of each axis, (points,). They are arrays, so that one compiled program serves all rigs.
     """
 
     slope2: Any
@@ -52,30 +50,39 @@ class OperatorNodes(eqx.Module):
     position_i: Any
     position_o: Any
     azimuth: Any
-    share: Any
-    through_samples: Any
-    points: tuple[Any, ...]
+    share: Any = None
 
-    def of_cells(self, select: Callable[[Any, int], Any]) -> OperatorNodes:
-        """Apply a function to every array over cells. select: function of an array and of its axis of the cells."""
-        own: dict[str, Any] = {
-            name: None if getattr(self, name) is None else select(getattr(self, name), 0)
-            for name in ("slope2", "weight", "cos_i", "cos_o", "position_i", "position_o", "azimuth", "share")
-        }
-        return dataclasses.replace(self, along=tuple(select(one, 1) for one in self.along), **own)
+
+class OperatorNodes(NamedTuple):
+    """Nodes of cells, and what all cells have in common.
+
+    Attributes:
+        at: quantities at the nodes.
+        through_samples: matrix that interpolates from the samples to the nodes of a group, (nodes of a group, samples).
+        points: points of each axis, (points,). They are arrays, so that one compiled program serves all rigs.
+    """
+
+    at: NodeArrays
+    through_samples: jax.Array
+    points: tuple[jax.Array, ...]
 
     def with_weights(self, weight: Any, along: Sequence[Any]) -> OperatorNodes:
         """Replace the weights and their differences along the axes."""
-        return dataclasses.replace(self, weight=placed(weight), along=tuple(placed(one) for one in along))
+        return self._replace(at=self.at._replace(weight=placed(weight), along=tuple(placed(one) for one in along)))
+
+    def along_axes(self, indices: Sequence[int]) -> OperatorNodes:
+        """Restrict the nodes to some of the axes."""
+        along, points = (tuple(every[k] for k in indices) for every in (self.at.along, self.points))
+        return self._replace(at=self.at._replace(along=along), points=points)
 
     def moved(self, shifts: npt.ArrayLike) -> OperatorNodes:
         """Return the nodes of a rig with other parameters, without axes. shifts: coordinates along the axes, (axes,)."""
-        weight = self.weight
-        for points, differences, shift in zip(self.points, self.along, np.asarray(shifts, dtype=float), strict=True):
+        weight = self.at.weight
+        for points, differences, shift in zip(self.points, self.at.along, np.asarray(shifts, dtype=float), strict=True):
             if shift:
                 basis = np.stack(lagrange_basis(np.asarray(points), shift))
-                weight = placed(np.asarray(weight) + np.tensordot(basis, np.asarray(differences), 1))
-        return dataclasses.replace(self, weight=weight, along=(), points=())
+                weight = weight + np.tensordot(np.asarray(differences), basis, (1, 0))
+        return self._replace(at=self.at._replace(weight=placed(weight), along=()), points=())
 
     def by_steps(self, function: Callable[[OperatorNodes], jax.Array]) -> jax.Array:
         """Apply a function to a few cells at a time. The result has shape (..., cells).
@@ -83,16 +90,13 @@ class OperatorNodes(eqx.Module):
         function: function of the nodes of some cells that returns (..., cells).
         """
 
-        def one(position: jax.Array) -> jax.Array:
-            def cut(array: jax.Array, axis: int) -> jax.Array:
-                return jax.lax.dynamic_slice_in_dim(array, position * _STEP, _STEP, axis)
+        def one(at: NodeArrays) -> jax.Array:
+            return function(self._replace(at=at))
 
-            return function(self.of_cells(cut))
-
-        positions = jnp.arange(CELLS // _STEP)
+        steps = jax.tree.map(lambda array: array.reshape(-1, _STEP, *array.shape[1:]), self.at)
         # a GPU is faster if it processes all cells at once
-        found = jax.lax.map(one, positions) if jax.default_backend() == "cpu" else jax.vmap(one)(positions)
-        return jnp.moveaxis(found, 0, -2).reshape(*found.shape[1:-1], CELLS)
+        found = jax.lax.map(one, steps) if jax.default_backend() == "cpu" else jax.vmap(one)(steps)
+        return jnp.moveaxis(found, 0, -2).reshape(*found.shape[1:-1], -1)
 
     def weighted(self, ndf: NDF, masking: Masking, table: jax.Array | None) -> jax.Array:
         """Evaluate D G at the nodes, multiplied by the weights, (cells, directions, nodes).
@@ -102,7 +106,7 @@ class OperatorNodes(eqx.Module):
         light = self.light(ndf)
         if masking is not None:
             light *= self.joint_masking(masking, *self.lambdas(ndf, table))
-        return self.weight * light
+        return self.at.weight * light
 
     def lambdas(self, ndf: NDF, table: jax.Array | None) -> tuple[jax.Array, jax.Array]:
         """Evaluate Lambda at the angles of incidence and view.
@@ -110,62 +114,40 @@ class OperatorNodes(eqx.Module):
         table: table of Lambda; None: Lambda has a closed form.
         """
         if table is None:
-            return ndf.smith_lambda(self.cos_i), ndf.smith_lambda(self.cos_o)
-        return lambda_at(table, self.position_i), lambda_at(table, self.position_o)
+            return ndf.smith_lambda(self.at.cos_i), ndf.smith_lambda(self.at.cos_o)
+        return lambda_at(table, self.at.position_i), lambda_at(table, self.at.position_o)
 
     def light(self, ndf: NDF) -> jax.Array:
         """Evaluate D = P22 / cos^4 theta_h at the nodes, 1/sr."""
-        return ndf.slope_density(self.slope2) * (1 + self.slope2) ** 2
+        return ndf.slope_density(self.at.slope2) * (1 + self.at.slope2) ** 2
 
     def joint_masking(self, masking: Masking, lambda_i: jax.Array, lambda_o: jax.Array) -> jax.Array:
         """Evaluate G at the nodes from Lambda at the samples."""
-        both = g2(masking, lambda_i, lambda_o, self.azimuth)
-        if self.share is None:
+        both = g2(masking, lambda_i, lambda_o, self.at.azimuth)
+        if self.at.share is None:
             mean = jnp.mean(both, axis=-1)
         else:  # jnp.sum over the pair takes five times as long in XLA
-            mean = both[..., 0] * self.share[..., 0] + both[..., 1] * self.share[..., 1]
+            mean = both[..., 0] * self.at.share[..., 0] + both[..., 1] * self.at.share[..., 1]
         joint = mean @ self.through_samples.T
-        return joint.reshape(self.slope2.shape)
+        return joint.reshape(self.at.slope2.shape)
 
 
-def in_blocks(nodes: OperatorNodes) -> tuple[OperatorNodes, ...]:
-    """Divide nodes into blocks of `CELLS` cells. The last block is padded with copies of the last cell."""
-
-    def block(cut: Callable[[Any, int], np.ndarray]) -> OperatorNodes:
-        return nodes.of_cells(lambda array, axis: placed(cut(array, axis)))
-
-    return tuple(block(cut) for cut in _cuts(len(nodes.weight)))
+T = TypeVar("T")
 
 
-def weights_in_blocks(weight: np.ndarray, along: Sequence[np.ndarray]) -> list[tuple[np.ndarray, list[np.ndarray]]]:
-    """Divide weights, and their differences along the axes, in the same way."""
-    return [(cut(weight, 0), [cut(one, 1) for one in along]) for cut in _cuts(len(weight))]
+def in_blocks(cells: T) -> list[T]:
+    """Divide arrays over cells into blocks of `CELLS` cells. The last block is padded with copies of the last cell.
+
+    cells: array, or tree of arrays, whose first axis is that of the cells.
+    """
+    count = len(jax.tree.leaves(cells)[0])
+    index = np.minimum(np.arange(-(-count // CELLS) * CELLS), count - 1).reshape(-1, CELLS)
+    return [jax.tree.map(lambda array, some=some: np.asarray(array)[some], cells) for some in index]
 
 
-def _cuts(count: int) -> list[Callable[[Any, int], np.ndarray]]:
-    """Build the functions that select the cells of each block from an array. count: number of cells."""
-
-    def cut(first: int) -> Callable[[Any, int], np.ndarray]:
-        index = np.minimum(np.arange(first, first + CELLS), count - 1)
-        return lambda array, axis: np.take(np.asarray(array), index, axis)
-
-    return [cut(first) for first in range(0, count, CELLS)]
-
-
-def joined(blocks: Sequence[OperatorNodes], select: np.ndarray) -> OperatorNodes:
-    """Join blocks, and select cells by their index."""
-    rows = iter(zip(*(_over_cells(block) for block in blocks), strict=True))
-
-    def joined_array(_: Any, axis: int) -> np.ndarray:
-        return np.take(np.concatenate([np.asarray(part) for part in next(rows)], axis), select, axis)
-
-    return blocks[0].of_cells(joined_array)
-
-
-def _over_cells(nodes: OperatorNodes) -> list[Any]:
-    found: list[Any] = []
-    nodes.of_cells(lambda array, axis: found.append(array))
-    return found
+def joined(blocks: Sequence[T], count: int) -> T:
+    """Join blocks. count: number of cells without the padding."""
+    return jax.tree.map(lambda *parts: np.concatenate([np.asarray(part) for part in parts])[:count], *blocks)
 
 
 def lambda_table(ndf: NDF, masking: Masking) -> jax.Array | None:
@@ -192,6 +174,6 @@ def shape_sums(nodes: OperatorNodes, ndf: NDF, masking: Masking, table: jax.Arra
 
     def one(nodes: OperatorNodes) -> jax.Array:
         lobe = nodes.weighted(ndf, masking, table)
-        return jnp.concatenate([jnp.sum(lobe, axis=(-2, -1))[None], spline_sums(nodes.slope2, lobe, axes=2)])
+        return jnp.concatenate([jnp.sum(lobe, axis=(-2, -1))[None], spline_sums(nodes.at.slope2, lobe, axes=2)])
 
     return nodes.by_steps(one)
