@@ -77,7 +77,7 @@ class OperatorNodes(NamedTuple):
 
     def moved(self, shifts: npt.ArrayLike) -> OperatorNodes:
         """Return the nodes of a rig with other parameters, without axes. shifts: coordinates along the axes, (axes,)."""
-        weight = self.at.weight
+        weight = np.asarray(self.at.weight)
         for points, differences, shift in zip(self.points, self.at.along, np.asarray(shifts, dtype=float), strict=True):
             if shift:
                 basis = np.stack(lagrange_basis(np.asarray(points), shift))
