@@ -17,10 +17,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from matcam.core.grid import azimuth_difference, cosines
+from matcam.core.grid import cosines
 from matcam.core.jax import AnyArray, jax, jnp, placed
 from matcam.core.programs import kept_program
-from matcam.material.masking import g2
+from matcam.material.microfacet import Microfacet
 from matcam.material.ndf.ggx import GGX
 from matcam.material.reflectance import Dielectric
 
@@ -34,8 +34,6 @@ transmittances into and out of the coat changes by 2 % at 60 degrees.
 """
 _ALONG = 1 - 1e-12
 """Upper limit of a cosine, so that the derivative of its arccosine is finite."""
-_STEEPEST = 1e-3
-"""Lower limit of the cosines of the angles of incidence and reflection, so that a BRDF is finite at the horizon."""
 
 
 class Base(NamedTuple):
@@ -59,8 +57,11 @@ class Base(NamedTuple):
 def _with_slope(
     log_roughness: jax.Array, theta_h: jax.Array, theta_d: jax.Array, phi_d: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
+    passed = transmittance(theta_h, theta_d, phi_d)
+
     def value(log: jax.Array) -> jax.Array:
-        return _base_lobe(jnp.exp(log), theta_h, theta_d, phi_d)
+        above_horizon = jnp.nan_to_num(Microfacet(GGX(jnp.exp(log)), 1.0).brdf(theta_h, theta_d, phi_d))
+        return above_horizon * passed
 
     return jax.jvp(value, (log_roughness,), (jnp.ones_like(log_roughness),))
 
@@ -77,21 +78,8 @@ def base_and_slope(
     return np.asarray(value), np.asarray(slope)
 
 
-def _base_lobe(roughness: AnyArray, theta_h: AnyArray, theta_d: AnyArray, phi_d: AnyArray) -> jax.Array:
-    cos_i, cos_o = (jnp.maximum(cos, _STEEPEST) for cos in cosines(theta_h, theta_d, phi_d))
-    lobe = GGX(roughness)
-    facets = lobe.d(theta_h) * g2(
-        "smith", lobe.smith_lambda(cos_i), lobe.smith_lambda(cos_o), azimuth_difference(theta_h, theta_d, phi_d)
-    )
-    return facets / (4 * cos_i * cos_o) * _transmittance(cos_i, cos_o)
-
-
-def transmittance(theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> np.ndarray:
+def transmittance(theta_h: AnyArray, theta_d: AnyArray, phi_d: AnyArray) -> jax.Array:
     """Compute the transmittance of the coat, into it and out of it, in the shape of the angles, rad."""
-    return np.asarray(_transmittance(*(jnp.maximum(cos, _STEEPEST) for cos in cosines(theta_h, theta_d, phi_d))))
-
-
-def _transmittance(cos_i: AnyArray, cos_o: AnyArray) -> jax.Array:
     coat = Dielectric(_INDEX)
-    into, out = (1 - coat.at(jnp.arccos(jnp.minimum(cos, _ALONG))) for cos in (cos_i, cos_o))
+    into, out = (1 - coat.at(jnp.arccos(jnp.clip(cos, 0.0, _ALONG))) for cos in cosines(theta_h, theta_d, phi_d))
     return into * out

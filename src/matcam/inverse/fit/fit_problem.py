@@ -332,7 +332,7 @@ class FitProblem:
     def _transmittance(self) -> np.ndarray:
         """Return the transmittance of a coat in the chosen cells, (s, n)."""
         cells = self.cells
-        return transmittance(cells.theta_h, cells.theta_d[:, None], cells.phi_d)
+        return np.asarray(transmittance(cells.theta_h, cells.theta_d[:, None], cells.phi_d))
 
     def _records_and_slopes(self, index: int, p: np.ndarray) -> list[RecordAndSlopes]:
         """Compute the record of a lobe, and in a near rig the moment of the record.
