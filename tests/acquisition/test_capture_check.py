@@ -6,8 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from matcam.acquisition.capture_check import check_capture, coverage_remarks
 from matcam.acquisition.check.quick_outline import dark_disc
-from matcam.acquisition.check.table_check import cylinder_line
-from matcam.acquisition.mirror_ball import MirrorBall
+from matcam.acquisition.mirror_ball import MirrorBall, cylinder_line
 from matcam.files.capture import read_capture
 from matcam.files.capture_frames import LampGuess
 from matcam.reconstruction.stated.stated_rig import captured_lens

@@ -73,7 +73,7 @@ def test_one_exposure_that_clips_below_the_files_largest_code(tmp_path, clip):
         sensor=Sensor(clip=clip, cfa=None), seed=5,
     )  # fmt: skip
     pictures, radiometry = merge(read_capture(drawn.write(tmp_path)))
-    assert radiometry.clip_level == pytest.approx(drawn.truth["clip_dn"], abs=2)
+    assert radiometry.clip.level == pytest.approx(drawn.truth["clip_dn"], abs=2)
     assert {"clip-by-pile-up", "peak-clipped"} <= {one.code for one in radiometry.remarks}
     for picture in pictures:
         clean = noiseless(drawn, picture.name) * drawn.truth["gain_dn_per_electron"] / radiometry.gain.value
@@ -91,7 +91,7 @@ def test_an_exposure_that_is_clipped_all_over_is_left_out(tmp_path):
     }
     radiometry = measure_radiometry(read_capture(changed(drawn, frames=frames).write(tmp_path)))
     assert list(radiometry.exposures) == ["E0", "E1", "E2", "E3"]
-    assert radiometry.clip_level == 4095
+    assert radiometry.clip.level == 4095
     said = next(one for one in radiometry.remarks if one.code == "frame-clipped")
     where, what = (
         "lamps L00, L01, L02, L03: ",

@@ -58,7 +58,7 @@ def test_wrong_dials_are_named(merged):
 def test_clip_level_and_noise_come_from_the_frames(merged):
     _, _, radiometry = merged
     truth = small().truth
-    assert radiometry.clip_level == pytest.approx(truth["clip_dn"], rel=5e-3)
+    assert radiometry.clip.level == pytest.approx(truth["clip_dn"], rel=5e-3)
     assert radiometry.clip.pixels > 20
     assert radiometry.gain.value == pytest.approx(truth["gain_dn_per_electron"], rel=0.05)
     assert radiometry.gain.value == pytest.approx(truth["gain_dn_per_electron"], abs=4 * radiometry.gain.std)

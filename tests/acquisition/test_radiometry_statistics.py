@@ -41,7 +41,7 @@ def test_radiometry_of_full_captures(tmp_path):
                 error = found.value * unit / true[exposure] - 1
                 ratios.append(error)
                 pulls.append(error / (found.std / found.value))
-        clips.append(radiometry.clip_level / drawn.truth["clip_dn"] - 1)
+        clips.append(radiometry.clip.level / drawn.truth["clip_dn"] - 1)
         gains.append((radiometry.gain.value - 0.5, radiometry.gain.std))
         lamps = np.array([one["gain"] for one in drawn.truth["lamps"]])
         found = np.array([radiometry.lamp_output[one["lamp"]].value for one in drawn.truth["lamps"]])

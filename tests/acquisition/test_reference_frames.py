@@ -11,7 +11,6 @@ from matcam.acquisition.light.reference_frames import SeenReference, scatter_bet
 from matcam.acquisition.mirror_ball import MirrorBall
 from matcam.acquisition.radiometry import measure_radiometry
 from matcam.files.capture import Stated, read_capture
-from matcam.reconstruction.sphere_scene import Known
 from matcam.reconstruction.stated.lamp_light import gains_of
 from tests.acquisition.drawn import VIEW, changed, surface
 from tests.oracle.capture import Faults, draw
@@ -38,7 +37,7 @@ def light_of(capture):
     radiometry, remarks = measure_radiometry(capture), []
     ball = MirrorBall(VIEW.row, VIEW.column, VIEW.radius, VIEW.camera)
     lamps = np.array([lamp["direction"] for lamp in truth["lamps"]])
-    found = gains_of(capture, radiometry, list(capture.lamps), lamps, ball, Known(1 / VIEW.lamp, 2e-4), remarks)
+    found = gains_of(capture, radiometry, list(capture.lamps), lamps, ball, Stated(1 / VIEW.lamp, 2e-4), remarks)
     return found, np.array([lamp["gain"] for lamp in truth["lamps"]]), radiometry, {one.code for one in remarks}
 
 

@@ -9,13 +9,15 @@ from matcam import Camera, GaussianOptics, reconstruct
 from matcam.acquisition.limb.straight_outline import straight_outline
 from matcam.acquisition.merged_picture import MergedPicture
 from matcam.core.errors import FitError
+from matcam.files.capture_settings import Stated
 from matcam.inverse.fit.fit_parameters import LobeKind
 from matcam.material.diffuse_shape import TERMS
-from matcam.reconstruction.cylinder.cylinder_fit import _cylinder_problem
+from matcam.reconstruction.cylinder.cylinder_fit import cylinder_pixels
 from matcam.reconstruction.cylinder.strips import Strip, strip_profiles
 from matcam.reconstruction.joint.joint_problem import JointLayout
+from matcam.reconstruction.picture_model import lamp_frame
 from matcam.reconstruction.picture_rule import WINDOW
-from matcam.reconstruction.sphere_scene import Known, SphereScene
+from matcam.reconstruction.sphere_scene import SphereScene, joint_problem
 from tests.oracle.capture import METALS, Sensor, _channels
 from tests.oracle.cylinder_picture import Bent, Stand, backlit, draw, picture
 from tests.oracle.sphere_picture import direction, fresnel
@@ -41,8 +43,8 @@ def problem():
         radius=STAND.radius,
         outline_covariance=np.diag([0.05, 1.0, 0.05]) ** 2,
         shift_std=0.3,
-        camera_nearness=Known(1 / STAND.camera, 1e-4),
-        lamp_nearness=Known(1 / STAND.lamp, 1e-4),
+        camera_nearness=Stated(1 / STAND.camera, 1e-4),
+        lamp_nearness=Stated(1 / STAND.lamp, 1e-4),
         lamps=np.array(LAMPS),
         lamp_std=1e-4,
     )
@@ -54,11 +56,9 @@ def problem():
     for k in range(len(LAMPS)):
         p[layout.own(k)] = STAND.column, STAND.row, 0.0, 0.0
     profiles = {one.name: strip_profiles(one, STRIPS) for one in pictures}
-    slope = np.zeros((len(LAMPS), 1))
-    made = _cylinder_problem(
-        pictures, scene, scene, layout, kind, p, slope, diffuse=True, spline=0.0, strips=STRIPS, profiles=profiles
-    )
-    return made, p
+    frames = [lamp_frame(lamp) for lamp in LAMPS]
+    chosen = cylinder_pixels(pictures, scene, frames, layout, kind, p, strips=STRIPS, profiles=profiles)
+    return joint_problem(layout, kind, scene, frames, *chosen), p
 
 
 @pytest.mark.parametrize("k", range(len(LAMPS)))

@@ -11,9 +11,10 @@ from matcam.forward.integral.blur import blur_of
 from matcam.inverse.fit.fit_parameters import LobeKind
 from matcam.material.diffuse_shape import TERMS
 from matcam.reconstruction import picture_rule
-from matcam.reconstruction.observed_pixels import HighlightPosition, chosen_pixels
+from matcam.reconstruction.joint.field_change import FieldChange
+from matcam.reconstruction.observed_pixels import chosen_pixels
 from matcam.reconstruction.picture_model import PictureModel, lamp_frame
-from matcam.reconstruction.rig.field_change import FieldChange
+from matcam.reconstruction.picture_rule import HighlightPosition
 from tests.oracle.sphere_picture import Surface, View, direction, lamp_angle, mirror_angle, picture
 
 VIEW = View(radius=120.0, column=140.0, row=140.0, shape=(281, 281))

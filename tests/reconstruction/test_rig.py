@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from matcam.core.errors import ArgumentError, FileFormatError
+from matcam.reconstruction.joint.joint_problem import JointLayout
 from matcam.reconstruction.picture_model import lamp_frame, turned_lamp
 from matcam.reconstruction.rig.earlier_rig import known_rig, rig_covariance
 from matcam.reconstruction.rig.rig_document import json_schema, read_rig
@@ -134,26 +135,28 @@ def test_the_prior_holds_values_and_lamps_with_their_covariance(written):
     covariance's inverse."""
     known, _ = known_rig(read_rig(written()), NAMES, (200, 200), 25.0, 0.5)
     bases = LAMPS + 0.003 * np.random.default_rng(1).normal(size=LAMPS.shape)
-    frames = [lamp_frame(one / np.linalg.norm(one)) for one in bases]
-    rows, values = known.prior(20, [0, 2, 3, 5, 6], [8, 12, 16], frames)
-    p = np.zeros(20)
-    p[[0, 2, 3, 5, 6]] = known.values
+    frames = [lamp_frame(one) for one in bases]
+    layout = JointLayout(lobe=0, channels=1, pictures=3)
+    rows, values = known.prior(layout, frames)
+    p = np.zeros(layout.size)
+    p[layout.rig] = known.values
     for k, frame in enumerate(frames):
         along = LAMPS[k] @ frame.base
-        p[[8 + 4 * k, 9 + 4 * k]] = LAMPS[k] @ frame.first / along, LAMPS[k] @ frame.second / along
-        assert np.asarray(turned_lamp(frame, *p[8 + 4 * k : 10 + 4 * k])) == pytest.approx(LAMPS[k], abs=1e-12)
+        p[layout.turn(k)] = LAMPS[k] @ frame.first / along, LAMPS[k] @ frame.second / along
+        assert np.asarray(turned_lamp(frame, *p[layout.turn(k)])) == pytest.approx(LAMPS[k], abs=1e-12)
     assert rows @ p == pytest.approx(values, abs=0.1)  # the turn of a turn is left out
-    used = [0, 2, 3, 5, 6, 8, 9, 12, 13, 16, 17]
+    used = np.r_[layout.rig, layout.turn(0), layout.turn(1), layout.turn(2)]
     # in frames of the rig's own directions the parameters are the rig's
     own = [lamp_frame(one) for one in LAMPS]
-    rows, _ = known.prior(20, [0, 2, 3, 5, 6], [8, 12, 16], own)
+    rows, _ = known.prior(layout, own)
     assert np.linalg.inv(rows[:, used].T @ rows[:, used]) == pytest.approx(covariance(), rel=1e-4, abs=1e-12)
 
 
 def test_covariance_is_written_in_the_frames_of_the_directions():
     """The turns of lamps count from the directions that were found: a frame turned about the direction turns the covariance."""
-    whole = np.diag([1.0, 9.0, 4.0, 2.0, 5.0, 7.0, 0.0, 0.0, 3.0, 8.0])
+    layout = JointLayout(lobe=0, channels=0, pictures=1)
+    whole = np.diag([1.0, 9.0, 4.0, 2.0, 5.0, 7.0, 0.0, 0.0, 0.0, 3.0, 8.0, 0.0])
     at = lamp_frame(LAMPS[0])
     swapped = at._replace(first=at.second, second=-at.first)
-    found = rig_covariance(whole, slice(0, 4), slice(4, 6), [8], [swapped], LAMPS[:1])
+    found = rig_covariance(whole, layout, [swapped], LAMPS[:1])
     assert np.diag(found) == pytest.approx([1.0, 4.0, 2.0, 5.0, 7.0, 8.0, 3.0])

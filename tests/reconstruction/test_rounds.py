@@ -5,11 +5,12 @@ import re
 import numpy as np
 
 from matcam import Camera, GaussianOptics
+from matcam.files.capture_settings import Stated
 from matcam.reconstruction.contradiction import with_wider
 from matcam.reconstruction.joint.joint_problem import JointLayout
 from matcam.reconstruction.joint.rounds import Rounds
 from matcam.reconstruction.picture_model import lamp_frame
-from matcam.reconstruction.sphere_scene import Known, SphereScene, prior_of
+from matcam.reconstruction.sphere_scene import SphereScene, prior_of
 
 
 def test_progress_states_round_pictures_and_the_time_left():
@@ -48,11 +49,11 @@ SCENE = SphereScene(
     radius=40.0,
     outline_covariance=0.01 * np.eye(3),
     shift_std=0.3,
-    camera_nearness=Known(0.1, 1e-4),
-    lamp_nearness=Known(0.2, 1e-4),
+    camera_nearness=Stated(0.1, 1e-4),
+    lamp_nearness=Stated(0.2, 1e-4),
     lamps=np.array([[0.0, 0.0, 1.0], [0.6, 0.0, 0.8]]),
     lamp_std=0.01,
-    sample_radius=Known(25.0, 0.025),
+    sample_radius=Stated(25.0, 0.025),
 )
 
 

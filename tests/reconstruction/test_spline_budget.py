@@ -8,7 +8,7 @@ from matcam.inverse.fit.fit_parameters import LobeKind
 from matcam.inverse.fit.lobe_readings import half_maximum
 from matcam.material.ndf.free_lobe import KNOTS
 from matcam.reconstruction.error_budget import inseparable
-from matcam.reconstruction.rig.field_change import FIELD
+from matcam.reconstruction.joint.field_change import FIELD
 
 KIND = LobeKind("ggx", "smith", spline_size=KNOTS)
 LENS = KIND.size  # the first of the scene

@@ -17,7 +17,7 @@ import numpy as np
 from matcam.acquisition.check.flat_check import flat_remarks
 from matcam.acquisition.check.quick_highlights import black_level, quick_highlights
 from matcam.acquisition.check.quick_outline import quick_outline
-from matcam.acquisition.check.table_check import TableCheck, check_table
+from matcam.acquisition.check.table_check import check_table
 from matcam.acquisition.check.unmeasured_lens import lens_sigma, unmeasured_lens
 from matcam.acquisition.light.reference_patch import ReferencePatch, patch_geometry
 from matcam.acquisition.merging import bracket_misfit, merge_position, misfit_remark
@@ -105,9 +105,9 @@ def check_capture(capture: Capture) -> CaptureCheck:
         outline, said = quick_outline(capture, black_level(radiometry), lens_sigma(profile))
         found += said
     camera = capture.camera_radii
-    highlights = quick_highlights(capture, radiometry, outline, math.inf if camera is None else camera.value)
-    found += highlights.remarks
-    table: TableCheck = check_table(capture, highlights.seen, outline)
+    highlights, said = quick_highlights(capture, radiometry, outline, math.inf if camera is None else camera.value)
+    found += said
+    table = check_table(capture, highlights, outline)
     found += table.remarks
     position = table.centre if outline is None else (outline.column, outline.row, outline.radius)
     found += _lamp_remarks(capture, radiometry, position)
@@ -116,7 +116,7 @@ def check_capture(capture: Capture) -> CaptureCheck:
         tuple(one for one in unique if one.code not in HARMLESS),
         tuple(one for one in unique if one.code in HARMLESS),
         radiometry,
-        {lamp: (one.column, one.row) for lamp, one in highlights.seen.items()},
+        {lamp: (one.column, one.row) for lamp, one in highlights.items()},
         table.centre,
         table.turn,
         table.turn_std,

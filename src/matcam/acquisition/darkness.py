@@ -14,11 +14,10 @@ from matcam.core.errors import FileFormatError
 from matcam.core.remark import Remark
 from matcam.files.capture import Capture, Region
 from matcam.numerics.frame_noise import clipped_variance, fixed_pattern_variance, pair_variance
+from matcam.numerics.normal import robust_std
 
 _HOT = 12.0
 """Number of standard deviations from the dark level above which a pixel is hot."""
-_ROBUST = 1.4826
-"""Ratio of the standard deviation of a Gaussian to its median absolute deviation."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +37,11 @@ class Darkness:
     read_noise: float
     frames: int
 
+    def hot_pixels(self, shape: tuple[int, ...]) -> np.ndarray:
+        """Return the mask of the hot pixels of a frame; none if they are unknown for its shape, (height, width)."""
+        hot = np.asarray(self.hot)
+        return hot if hot.shape == shape else np.zeros(shape, bool)
+
 
 def dark_of(stack: Sequence[np.ndarray]) -> Darkness:
     """Estimate level and noise from the dark frames of one exposure, each (height, width).
@@ -48,7 +52,7 @@ def dark_of(stack: Sequence[np.ndarray]) -> Darkness:
     n = len(stack)
     mean = np.mean(np.asarray(stack, np.float32), axis=0)
     level = float(mean.mean()) if mean.size < 100 else _trimmed_mean(mean)
-    spread = _ROBUST * float(np.median(np.abs(mean - np.median(mean))))
+    spread = robust_std(mean - np.median(mean))
     if n < 2:
         noise = float(np.sqrt(clipped_variance(mean - level)))
         return Darkness(level, np.abs(mean - level) > _HOT * max(spread, noise, 0.5), noise, n)
@@ -153,7 +157,7 @@ def pair_correlation(pairs: Sequence[np.ndarray], step: int = 1) -> tuple[float,
     """
     products, squares, count = 0.0, 0.0, 0
     for one in pairs:
-        spread = 8 * max(_ROBUST * float(np.median(np.abs(one))), 0.5)
+        spread = 8 * max(robust_std(one), 0.5)
         noise = np.where(np.abs(one) <= spread, one, 0.0).astype(np.float64)
         for first, second in ((noise[:, step:], noise[:, :-step]), (noise[step:], noise[:-step])):
             products += float((first * second).sum())
@@ -165,5 +169,5 @@ def pair_correlation(pairs: Sequence[np.ndarray], step: int = 1) -> tuple[float,
 def _trimmed_mean(values: np.ndarray) -> float:
     """Average the values without hot pixels; unlike a median, the result is exact for rounded codes."""
     middle = np.median(values)
-    width = 6 * max(_ROBUST * float(np.median(np.abs(values - middle))), 1.0)
+    width = 6 * max(robust_std(values - middle), 1.0)
     return float(values[np.abs(values - middle) <= width].mean(dtype=np.float64))

@@ -8,17 +8,19 @@ do not clip them.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from matcam.acquisition.bracket_sample import BracketSample
+from matcam.files.capture_settings import Stated
+from matcam.numerics.normal import robust_std
 
 _SAFE = 0.85
 """Share of the clip level below which the prediction from shorter exposures makes a pixel usable."""
-_ROBUST = 1.4826
-"""Ratio of the standard deviation of a Gaussian to its median absolute deviation."""
+UNKNOWN_GAIN = Stated(float("nan"), float("inf"))
+"""Gain that the frames do not determine, DN per electron."""
 
 
 class ClipLevel(NamedTuple):
@@ -114,7 +116,7 @@ def measure_clip_level(samples: Sequence[BracketSample], guess: np.ndarray, larg
     if found.size < 3:
         return ClipLevel(largest, float("nan"), 0.0, 0)
     level = float(np.median(found))
-    spread = _ROBUST * float(np.median(np.abs(found - level)))
+    spread = robust_std(found - level)
     # rounding leaves the median within half a code
     return ClipLevel(level, float(np.hypot(1.25 * spread / np.sqrt(found.size), 0.29)), spread, int(found.size))
 
@@ -172,9 +174,7 @@ def fit_ratios(
     return ExposureRatios(exposures / exposures[0], covariance, misfit, _curve(sums, counts, mean, variance), linked)
 
 
-def fit_gain(
-    samples: Sequence[BracketSample], ratios: np.ndarray, clip: ClipLevel, noise: float
-) -> tuple[float, float]:
+def fit_gain(samples: Sequence[BracketSample], ratios: np.ndarray, clip: ClipLevel, noise: float) -> Stated:
     """Fit the gain, DN per electron, and its standard deviation, from differences between exposures of one scene.
 
     The difference u = d_a - (e_a/e_b) d_b has variance K m (1 + e_a/e_b) + read noise^2 (1 + (e_a/e_b)^2), where m is
@@ -196,39 +196,34 @@ def fit_gain(
             good = (brightness > 0) & (np.abs(own - brightness) < 0.2 * np.maximum(brightness, 20 * noise))
             rows.append(np.stack([difference[good], own[good], brightness[good], np.full(good.sum(), share)]))
     if not rows:
-        return float("nan"), float("inf")
+        return UNKNOWN_GAIN
     difference, mean, brightness, share = np.concatenate(rows, axis=1)
     inside = (brightness > 3 * noise) & (mean > 0)
     difference, mean, brightness, share = difference[inside], mean[inside], brightness[inside], share[inside]
     if difference.size < 200:
-        return float("nan"), float("inf")
-    # the neighbours determine the bin, because bins of the pixel's own light would truncate its noise
-    cuts = np.unique(np.quantile(brightness, np.linspace(0, 1, 25)))
-    position = np.clip(np.searchsorted(cuts, brightness, side="right") - 1, 0, len(cuts) - 2)
+        return UNKNOWN_GAIN
     slope, extra, size = [], [], []
-    for one in range(len(cuts) - 1):
-        part = position == one
-        if part.sum() < 30:
-            continue
+    # the neighbours determine the bin, because bins of the pixel's own light would truncate its noise
+    for part in _brightness_bins(brightness):
         scaled = difference[part] / np.sqrt((1 + share[part]) * mean[part])
         extra.append(float(np.mean(noise**2 * (1 + share[part] ** 2) / ((1 + share[part]) * mean[part]))))
         middle = np.median(scaled)
-        width = 6 * _ROBUST * float(np.median(np.abs(scaled - middle)))
+        width = 6 * robust_std(scaled - middle)
         kept = scaled[np.abs(scaled - middle) <= max(width, 1e-12)]
         slope.append(float(kept.var(ddof=1)) - extra[-1])
         size.append(kept.size)
     if not slope:
-        return float("nan"), float("inf")
+        return UNKNOWN_GAIN
     # the expected scatter determines the weights, because the measured scatter would favour bins that are low by chance
     value = float(np.median(slope))
     for _ in range(4):
         error = (max(value, 1e-9) + np.asarray(extra)) * np.sqrt(2 / np.asarray(size))
         value = float(np.sum(slope / error**2) / np.sum(1 / error**2))
     scatter = float(np.sum(((np.asarray(slope) - value) / error) ** 2) / max(len(slope) - 1, 1))
-    return value, float(np.sqrt(max(scatter, 1.0) / np.sum(1 / error**2)))
+    return Stated(value, float(np.sqrt(max(scatter, 1.0) / np.sum(1 / error**2))))
 
 
-def fit_gain_of_single(samples: Sequence[BracketSample], clip: ClipLevel, noise: float) -> tuple[float, float]:
+def fit_gain_of_single(samples: Sequence[BracketSample], clip: ClipLevel, noise: float) -> Stated:
     """Estimate an upper bound of the gain from differences between neighbouring pixels of a single exposure.
 
     Like noise, texture and gradients increase the variance, so the lower quartile of variance over mean in bins of
@@ -239,19 +234,24 @@ def fit_gain_of_single(samples: Sequence[BracketSample], clip: ClipLevel, noise:
     codes = np.concatenate([sample.codes[-1] for sample in samples])
     good = (around > 10 * noise) & (codes < clip.threshold)
     if good.sum() < 300:
-        return float("nan"), float("inf")
+        return UNKNOWN_GAIN
     light, around = light[good], around[good]
-    cuts = np.unique(np.quantile(around, np.linspace(0, 1, 25)))
-    position = np.clip(np.searchsorted(cuts, around, side="right") - 1, 0, len(cuts) - 2)
     found = []
+    for part in _brightness_bins(around):
+        spread = robust_std((light - around)[part])
+        # the mean of eight neighbours adds an eighth of the variance
+        found.append((spread**2 / 1.125 - noise**2) / float(around[part].mean()))
+    value = float(np.quantile(found, 0.25)) if found else float("nan")
+    return Stated(value, 0.5 * value) if value > 0 else UNKNOWN_GAIN
+
+
+def _brightness_bins(brightness: np.ndarray) -> Iterator[np.ndarray]:
+    cuts = np.unique(np.quantile(brightness, np.linspace(0, 1, 25)))
+    position = np.clip(np.searchsorted(cuts, brightness, side="right") - 1, 0, len(cuts) - 2)
     for one in range(len(cuts) - 1):
         part = position == one
         if part.sum() >= 30:
-            spread = _ROBUST * float(np.median(np.abs((light - around)[part])))
-            # the mean of eight neighbours adds an eighth of the variance
-            found.append((spread**2 / 1.125 - noise**2) / float(around[part].mean()))
-    value = float(np.quantile(found, 0.25)) if found else float("nan")
-    return (value, 0.5 * value) if value > 0 else (float("nan"), float("inf"))
+            yield part
 
 
 def _groups(

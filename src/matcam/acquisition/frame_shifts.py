@@ -17,6 +17,7 @@ from matcam.acquisition.merged_picture import MergedPicture
 from matcam.acquisition.outline import EXPONENTS, FEWEST_SECTORS, LimbLight, Outline, OutlineFit
 from matcam.core.errors import FitError
 from matcam.core.remark import Remark
+from matcam.numerics.normal import robust_std
 
 _TURNS = 5
 """Largest number of Gauss-Newton steps."""
@@ -84,7 +85,7 @@ def find_shifts(
                 chosen = fit.usable(edges) & (np.abs(edges.offset) < 2.0)
                 # near the ends of the terminator the radiance varies along the limb within a sector
                 chosen &= edges.contrast > _BRIGHT * np.max(edges.contrast, where=chosen, initial=0.0)
-                floor = 1.4826 * np.nanmedian(np.abs(edges.offset[chosen])) if chosen.any() else 0.0
+                floor = robust_std(edges.offset[chosen]) if chosen.any() else 0.0
                 std = np.sqrt(edges.std**2 * np.maximum(edges.misfit, 1.0) + min(outline.scatter, 0.2) ** 2)
                 chosen &= np.abs(edges.offset) < _OUTLIER * np.hypot(std, floor)
             if chosen.sum() < FEWEST_SECTORS:

@@ -15,7 +15,7 @@ import numpy as np
 from matcam.acquisition.bracket_sample import same_colour_neighbours
 from matcam.acquisition.light.kept_work import KeptWork, fingerprint, identity
 from matcam.acquisition.merged_picture import MergedPicture
-from matcam.acquisition.mosaic_frames import MosaicReader
+from matcam.acquisition.mosaic_frames import MosaicReader, origin_of
 from matcam.acquisition.radiometry import Progress, Radiometry, measure_radiometry
 from matcam.acquisition.radiometry_remarks import tone_curve_proof
 from matcam.core.errors import FitError
@@ -34,6 +34,9 @@ _AGREE = 4.0
 """Largest difference of a pixel from the neighbours that determine its variance, in standard deviations."""
 _BRIGHT = 30.0
 """Signal, as a multiple of the read noise, above which a pixel tests the agreement of its exposures."""
+
+_KEPT = ("values", "std", "clipped", "channel")
+"""Arrays of a merged image that are stored."""
 
 
 def merge(
@@ -95,42 +98,30 @@ def merged_pictures(
         kept: cache of merged images, from which an interrupted computation resumes. Default: None, no cache.
     """
     reader = MosaicReader(capture)
-    if kept is not None:
-        yield from _kept_pictures(capture, radiometry, reader, workers, kept)
-        return
-    yield from in_order(lambda lamp: merge_position(capture, lamp, radiometry, reader), list(radiometry.used), workers)
-
-
-def _kept_pictures(
-    capture: Capture, radiometry: Radiometry, reader: MosaicReader, workers: int, kept: KeptWork
-) -> Iterator[MergedPicture]:
-    """Yield merged images, from the cache if possible."""
-    known = radiometry.to_dict()
-    del known["remarks"], known["lamp_output"], known["reference_between"]
-    flat = radiometry.flat
-    levels = [value for one in radiometry.darkness.values() for value in (one.level, one.hot)]
-    about = fingerprint(
-        known,
-        capture.settings["camera"],
-        radiometry.region,
-        *levels,
-        *(() if flat is None else (flat.response, flat.std)),
-    )
+    about = "" if kept is None else _fingerprint(capture, radiometry)
 
     def one(lamp: str) -> MergedPicture:
-        paths = [capture.folder / frame.file for frame in radiometry.used[lamp]]
+        if kept is None:
+            return merge_position(capture, lamp, radiometry, reader)
 
         def made() -> dict[str, np.ndarray]:
             picture = merge_position(capture, lamp, radiometry, reader)
-            names = ("values", "std", "clipped", "channel", "origin")
-            return {name: np.asarray(getattr(picture, name)) for name in names}
+            return {name: getattr(picture, name) for name in _KEPT}
 
+        paths = [capture.folder / frame.file for frame in radiometry.used[lamp]]
         found = kept.store(f"merged {lamp} {about}\n{identity(paths)}", made)
-        origin = int(found["origin"][0]), int(found["origin"][1])
-        parts = {name: found[name] for name in ("values", "std", "clipped", "channel")}
-        return MergedPicture(lamp, **parts, channels=radiometry.channels, origin=origin)
+        parts = {name: found[name] for name in _KEPT}
+        return MergedPicture(lamp, **parts, channels=radiometry.channels, origin=origin_of(radiometry.region))
 
     yield from in_order(one, list(radiometry.used), workers)
+
+
+def _fingerprint(capture: Capture, radiometry: Radiometry) -> str:
+    known = radiometry.to_dict()
+    del known["remarks"], known["lamp_output"], known["reference_between"]
+    flat = () if radiometry.flat is None else (radiometry.flat.response, radiometry.flat.std)
+    levels = [value for one in radiometry.darkness.values() for value in (one.level, one.hot)]
+    return fingerprint(known, capture.settings["camera"], radiometry.region, *levels, *flat)
 
 
 def merge_position(
@@ -151,10 +142,9 @@ def merge_position(
     frames = radiometry.used[lamp]
     region = radiometry.region
     clip, noise = radiometry.clip, radiometry.read_noise.value
-    gain = radiometry.gain.value if math.isfinite(radiometry.gain.value) else 1.0
+    gain = radiometry.scale
     codes = [reader.read(frame, region) for frame in frames]
     relative = np.array([radiometry.exposures[frame.exposure].value for frame in frames])
-    step = 1 if reader.cfa is None else 2
     light, full, hot = [], [], np.zeros(codes[0].shape, bool)
     heights = []
     for frame, code in zip(frames, codes, strict=True):
@@ -162,10 +152,9 @@ def merge_position(
         light.append(code - np.asarray(dark.level, np.float32))
         full.append(code >= clip.threshold)
         heights.append(clip.level - float(np.mean(dark.level)))
-        if isinstance(dark.hot, np.ndarray) and dark.hot.shape == hot.shape:
-            hot |= dark.hot
-    use = _usable(light, full, relative, heights, noise, step, bool(clip.pixels))
-    flux, variance = _weighted(light, use, relative, gain, noise, step)
+        hot |= dark.hot_pixels(hot.shape)
+    use = _usable(light, full, relative, heights, noise, reader.step, bool(clip.pixels))
+    flux, variance = _weighted(light, use, relative, gain, noise, reader.step)
     none = ~np.any(use, axis=0)
     # for a pixel that is clipped in all exposures, the clip level of the shortest exposure is a lower bound
     floor = min(heights[0], clip.threshold - (clip.level - heights[0])) / relative[0]
@@ -173,16 +162,13 @@ def merge_position(
     variance = np.where(none, (gain * floor * relative[0] + noise**2) / relative[0] ** 2, variance)
     values, std = (flux / gain).astype(np.float32), (np.sqrt(variance) / gain).astype(np.float32)
     flat = radiometry.flat
-    channel = reader.channel_map(
-        (values.shape[0], values.shape[1]), (0, 0) if region is None else (region[1], region[0])
-    )
+    channel = reader.channel_map(values.shape, region)
     if flat is not None:
         values, std = values / flat.response, std / flat.response
         std = np.hypot(std, values * flat.std.astype(np.float32)[channel])
         hot |= np.isnan(flat.response)
     values[hot], std[hot] = np.nan, np.nan
-    origin = (0, 0) if region is None else (region[1], region[0])
-    return MergedPicture(lamp, values, std, none & ~hot, channel, radiometry.channels, origin)
+    return MergedPicture(lamp, values, std, none & ~hot, channel, radiometry.channels, origin_of(region))
 
 
 def bracket_misfit(capture: Capture, lamp: str, radiometry: Radiometry, picture: MergedPicture) -> float:
@@ -192,7 +178,7 @@ def bracket_misfit(capture: Capture, lamp: str, radiometry: Radiometry, picture:
     """
     reader = MosaicReader(capture)
     noise = radiometry.read_noise.value
-    gain = radiometry.gain.value if math.isfinite(radiometry.gain.value) else 1.0
+    gain = radiometry.scale
     total, count = 0.0, 0
     flat, std = radiometry.flat, picture.std
     response = np.ones_like(std) if flat is None else np.nan_to_num(flat.response)

@@ -7,12 +7,16 @@ axis.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-_TURNS = 60  # number of bisections, which reach double precision
+from matcam.sample.shape import highlight_between
+
+_TURNS = 60  # largest number of iterations
+_SETTLED = 1e-15  # change of an angle at convergence, rad
 
 
 def unit(vectors: np.ndarray) -> np.ndarray:
@@ -135,15 +139,7 @@ class MirrorBall(NamedTuple):
         across = lamps - (lamps @ camera)[..., None] * camera
         size = np.linalg.norm(across, axis=-1)
         full = np.arctan2(size, lamps @ camera)
-        nearness = 1 / np.asarray(lamp_distance, float)
-        # bisection: as the normal turns towards the camera, the angle of incidence grows relative to the viewing angle
-        low, high = np.zeros_like(full), full
-        for _ in range(_TURNS):
-            t = (low + high) / 2
-            view = t + np.arctan2(np.sin(t) / self.distance, 1 - np.cos(t) / self.distance)
-            light = full - t + np.arctan2(nearness * np.sin(full - t), 1 - nearness * np.cos(full - t))
-            low, high = np.where(view < light, t, low), np.where(view < light, high, t)
-        t = ((low + high) / 2)[..., None]
+        t = np.asarray(highlight_between(full, 1 / self.distance, 1 / np.asarray(lamp_distance, float)))[..., None]
         aside = across / np.where(size > 0, size, 1.0)[..., None]
         return np.cos(t) * camera + np.sin(t) * aside
 
@@ -152,6 +148,37 @@ class MirrorBall(NamedTuple):
     ) -> tuple[np.ndarray, np.ndarray]:
         """Compute row and column of the mirror images of lamps, px. The arguments are those of `mirror_normals`."""
         return self.position(self.mirror_normals(lamps, lamp_distance))
+
+
+def cylinder_line(
+    lamp: np.ndarray,
+    distance: float = np.inf,
+    lamp_distance: float = np.inf,
+    height: Callable[[float], float] = lambda depth: 0.0,
+    lean: float = 0.0,
+) -> float:
+    """Compute the distance of the brightest line on an upright cylinder to the right of its axis, radii.
+
+    Args:
+        lamp: unit vector from the axis to the lamp (3,).
+        distance: distance of the camera, radii. Default: infinite.
+        lamp_distance: distance of the lamp, radii. Default: infinite.
+        height: height above the centre of a point of the line, radii, as a function of its depth. Default: 0.
+        lean: slope around the cylinder per slope along it at which the lobe has its largest density. Default: 0, the lobe is
+            symmetric.
+    """
+    camera, source = 1 / distance, 1 / lamp_distance
+    u, end = float(np.arctan2(lamp[0], 1 + lamp[2])), np.arccos(camera) - 1e-3
+    for _ in range(_TURNS):
+        sin, cos = np.sin(u), np.cos(u)
+        point = np.array([sin, height(cos), cos])
+        half = unit(lamp - source * point) + unit(np.array([0.0, 0.0, 1.0]) - camera * point)
+        toward, aside = half[0] * sin + half[2] * cos, half[0] * cos - half[2] * sin
+        turn = np.arctan2(aside, toward) - np.arctan(lean * half[1] / max(toward, 1e-6))
+        last, u = u, float(np.clip(u + turn, -end, end))
+        if abs(u - last) < _SETTLED:
+            break
+    return float(np.sqrt(1 - camera**2) * np.sin(u) / (1 - camera * np.cos(u)))
 
 
 def pull_to_limb(theta_o: float | np.ndarray, width: float | np.ndarray) -> np.ndarray:

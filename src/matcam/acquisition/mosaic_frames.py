@@ -24,6 +24,11 @@ values are interpolated, but do not mix colours.
 """
 
 
+def origin_of(region: Region | None) -> tuple[int, int]:
+    """Return row and column of the first pixel of a region; None: a whole frame."""
+    return (0, 0) if region is None else (region[1], region[0])
+
+
 @dataclass
 class MosaicReader:
     """Reader of the frames of a capture as mosaics, which checks that they are of one kind.
@@ -53,13 +58,24 @@ class MosaicReader:
         """Return the names of the colours, to which `channel_map` refers."""
         return ("grey",) if self.cfa is None else ("R", "G", "B")
 
-    def channel_map(self, shape: tuple[int, int], origin: tuple[int, int] = (0, 0)) -> np.ndarray:
-        """Return the channel of each pixel of a region whose first pixel is at `origin` (row, column)."""
+    @property
+    def step(self) -> int:
+        """Distance of the nearest pixel of the same colour, px."""
+        return 1 if self.cfa is None else 2
+
+    def channel_map(self, shape: tuple[int, ...], region: Region | None = None) -> np.ndarray:
+        """Return the channel of each pixel of a region."""
         if self.cfa is None:
             return np.zeros(shape, np.int8)
         tile = np.array([_TILES[c] for c in self.cfa], np.int8).reshape(2, 2)
-        rows, columns = (np.arange(n) + start for n, start in zip(shape, origin, strict=True))
+        rows, columns = (np.arange(n) + start for n, start in zip(shape, origin_of(region), strict=True))
         return tile[rows[:, None] % 2, columns % 2]
+
+    def channel_means(self, codes: np.ndarray, region: Region) -> tuple[np.ndarray, np.ndarray]:
+        """Compute the mean code of a region, and its number of pixels, by channel, (channels,)."""
+        of, count = self.channel_map(codes.shape, region).ravel(), len(self.channels)
+        pixels = np.bincount(of, minlength=count)
+        return np.bincount(of, codes.ravel().astype(np.float64), count) / np.maximum(pixels, 1), pixels
 
     def read(self, frame: CaptureFrame, region: Region | None = None) -> np.ndarray:
         """Read the codes of a frame or a region, float32 (height, width).
@@ -74,8 +90,7 @@ class MosaicReader:
             full = photograph.saturation if np.isfinite(photograph.saturation) else 1.0
             values = decoded(np.asarray(values, np.float64) / full) * full
         if values.ndim == 3:
-            origin = (0, 0) if region is None else (region[1], region[0])
-            channel = self.channel_map(values.shape[:2], origin)
+            channel = self.channel_map(values.shape[:2], region)
             values = np.take_along_axis(values, channel[..., None].astype(np.intp), axis=2)[..., 0]
         return np.asarray(values, np.float32)
 

@@ -21,6 +21,7 @@ from matcam.acquisition.merged_picture import MergedPicture
 from matcam.acquisition.mirror_ball import MirrorBall
 from matcam.core.errors import ArgumentError, FitError
 from matcam.core.remark import Remark
+from matcam.numerics.normal import robust_std
 
 LimbLight = Literal["lit", "backlit"]
 EXPONENTS: dict[str, tuple[float, ...]] = {"lit": (0, 0.5, 1), "coated": (0, 0.5, 1), "backlit": (0, 1)}
@@ -241,7 +242,6 @@ def _searched(picture: MergedPicture, light: LimbLight) -> tuple[float, float, f
 
 
 def _refuse_cut(picture: MergedPicture, circle: FoundCircle) -> None:
-    """Raise FitError for a circle that leaves the frame."""
     height, width = picture.values.shape
     left = min(circle.row, height - 1 - circle.row, circle.column, width - 1 - circle.column) - circle.radius
     if left < -0.5:
@@ -345,7 +345,7 @@ class OutlineFit:
             left = np.nan_to_num(edges.offset - matrix @ step, nan=np.inf)
             freedom = used.sum() - 3
             # additional scatter that makes chi squared equal to its degrees of freedom; robust, from the median
-            middle = 1.4826 * np.median(np.abs(left[used]))
+            middle = robust_std(left[used])
             extra = float(np.sqrt(max(middle**2 - np.median(std[used]) ** 2, 0.0)))
             keep = used & (np.abs(left) < _OUTLIER * np.hypot(std, max(extra, 0.01)))
             if keep.sum() == used.sum() or keep.sum() < FEWEST_SECTORS:
@@ -403,7 +403,8 @@ class OutlineFit:
             remarks.append(
                 Remark("limb-spoilt", f"{lost} of {self.count} sectors deviate and are omitted: remove dust or a stand")
             )
-        self.refuse_outside(position)
+        row, column = position[:2] - np.array(self.picture.origin)
+        _refuse_cut(self.picture, FoundCircle(row, column, float(position[2]), 1.0))
         return Outline(
             row=float(position[0]),
             column=float(position[1]),
@@ -419,11 +420,6 @@ class OutlineFit:
             coated=self.light == "coated",
             remarks=tuple(remarks),
         )
-
-    def refuse_outside(self, position: np.ndarray) -> None:
-        """Raise FitError for an outline that leaves the frame."""
-        row, column = position[:2] - np.array(self.picture.origin)
-        _refuse_cut(self.picture, FoundCircle(row, column, float(position[2]), 1.0))
 
     def lens(self, position: np.ndarray, about: float | None = None) -> tuple[float, float]:
         """Estimate the blur of the lens from the edges, and its standard deviation, px."""

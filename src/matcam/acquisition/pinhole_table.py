@@ -69,8 +69,8 @@ class PinholeTable:
             raise ArgumentError(
                 f"{picture.name}: its colours are {picture.channels}, but the table requires {self.channels}"
             )
-        first = [max(int(np.floor(at - ball.radius * 1.1)) - start, 0) for at, start in self._corner(picture, ball)]
-        last = [max(int(np.ceil(at + ball.radius * 1.1)) - start, 0) for at, start in self._corner(picture, ball)]
+        reach, centre = 1.1 * ball.radius, np.array([ball.row, ball.column]) - picture.origin
+        first, last = (np.maximum(end, 0).astype(int) for end in (np.floor(centre - reach), np.ceil(centre + reach)))
         window = tuple(slice(a, b + 1) for a, b in zip(first, last, strict=True))
         values, clipped, channel = (a[window] for a in (picture.values, picture.clipped, picture.channel))
         rows, columns = np.indices(values.shape)
@@ -95,12 +95,7 @@ class PinholeTable:
         self.pixels += int(np.count_nonzero(seen))
 
     @staticmethod
-    def _corner(picture: MergedPicture, ball: MirrorBall) -> tuple[tuple[float, int], tuple[float, int]]:
-        return (ball.row, picture.origin[0]), (ball.column, picture.origin[1])
-
-    @staticmethod
     def _cells(normals: np.ndarray, light: np.ndarray, view: np.ndarray) -> np.ndarray:
-        """Compute the index of the cell of each pixel."""
         total, difference = light + view, light - view
         half = unit(total)
         cosine, across = (half * normals).sum(-1), np.cross(normals, half)

@@ -17,6 +17,7 @@ import numpy as np
 from matcam.acquisition.bracket_sample import BracketSample
 from matcam.acquisition.darkness import Darkness, measure_darkness
 from matcam.acquisition.exposure_ratios import (
+    UNKNOWN_GAIN,
     ClipLevel,
     ExposureRatios,
     first_guess,
@@ -96,9 +97,9 @@ class Radiometry:
     flat: FlatField | None = None
 
     @property
-    def clip_level(self) -> float:
-        """Return the code at which pixels clip, DN as read; the largest code if no pixel is clipped."""
-        return self.clip.level
+    def scale(self) -> float:
+        """Return the unit of merged values, DN: one electron, or 1 DN if the gain is not determined."""
+        return self.gain.value if math.isfinite(self.gain.value) else 1.0
 
     @property
     def unit(self) -> str:
@@ -207,7 +208,9 @@ def measure_radiometry(
     order = _order(samples, len(names))
     names = [names[k] for k in order]
     back = np.argsort(order)
-    samples = [_sorted(sample, back) for sample in samples]
+    samples = [
+        sample._replace(exposures=back[sample.exposures]).part(np.argsort(back[sample.exposures])) for sample in samples
+    ]
     nominal = np.array([capture.time(name) for name in names])
     top = largest - min(smallest, *(float(np.mean(d.level)) for d in darkness.values()))
     if top < 10 * max(noise, 0.3) or not any(sample.codes.size for sample in samples):
@@ -233,9 +236,9 @@ def measure_radiometry(
     for _ in range(2):  # weights require the gain, and the gain requires ratios
         ratios = fit_ratios(samples, ratios.value, clip, noise, gain.value)
         measured = fit_gain(samples, ratios.value, clip, noise)
-        if math.isfinite(measured[0]) and measured[0] > 0:
-            gain = Stated(*measured)
-    if not (math.isfinite(measured[0]) and measured[0] > 0):
+        known = math.isfinite(measured.value) and measured.value > 0
+        gain = measured if known else gain
+    if not known:
         gain = _gain_without_brackets(capture, samples, clip, noise, remarks)
     reference = len(names) // 2
     value = ratios.value / ratios.value[reference]
@@ -248,14 +251,16 @@ def measure_radiometry(
     if capture.reference_apart:
         shown, said = in_own_frames(reader, capture, list(used), names, darkness, clip.threshold)
         remarks += said
-        between = _between(capture, shown, value, gain, noise, remarks)
+        between = _between(capture, shown, value, scale, noise, remarks)
     elif capture.of("reference"):
         text = "the images in reference/ are not read: specify a [reference] with apart = true, or remove them"
         remarks.append(Remark("reference-unread", text))
-    output = lamp_output(capture, shown, value, gain, noise, between)
+    output = lamp_output(capture, shown, value, scale, noise, between)
     flat, said = measure_flat(reader, capture, region, darkness, clip=clip.threshold, gain=scale, noise=noise)
     remarks += said
-    seen = reference_light(shown, value, gain, noise, np.ones(len(reader.channels)) if flat is None else flat.reference)
+    seen = reference_light(
+        shown, value, scale, noise, np.ones(len(reader.channels)) if flat is None else flat.reference
+    )
     return Radiometry(
         {name: Stated(float(v), float(e)) for name, v, e in zip(names, value, error, strict=True)},
         names[reference],
@@ -350,7 +355,7 @@ def _between(
     capture: Capture,
     shown: Sequence[SeenReference],
     exposures: np.ndarray,
-    gain: Stated,
+    scale: float,
     noise: float,
     remarks: list[Remark],
 ) -> float:
@@ -360,8 +365,7 @@ def _between(
     stated = capture.settings["reference"]["between_std"]
     if stated is not None:
         return float(stated)
-    scale = gain.value if math.isfinite(gain.value) else 1.0
-    found = scatter_between(shown, exposures, scale, noise, lamp_output(capture, shown, exposures, gain, noise))
+    found = scatter_between(shown, exposures, scale, noise, lamp_output(capture, shown, exposures, scale, noise))
     if math.isfinite(found):
         return found
     if any(one.light.size for one in shown):
@@ -396,11 +400,6 @@ def _order(samples: Sequence[BracketSample], count: int) -> np.ndarray:
     return np.argsort(total / np.maximum(weight, 1), kind="stable") if (weight > 0).all() else np.arange(count)
 
 
-def _sorted(sample: BracketSample, back: np.ndarray) -> BracketSample:
-    positions = back[sample.exposures]
-    return sample._replace(exposures=positions).part(np.argsort(positions))
-
-
 def _read_noise(darkness: dict[str, Darkness]) -> float:
     """Return the read noise of one frame including rounding, DN; 2 if it is unknown."""
     known = [d.read_noise for d in {id(d): d for d in darkness.values()}.values() if math.isfinite(d.read_noise)]
@@ -424,11 +423,11 @@ def _gain_without_brackets(
         remarks.append(Remark("gain-stated", text))
         return Stated(float(camera.sensor.gain), 0.1 * float(camera.sensor.gain))
     bound = fit_gain_of_single(samples, clip, noise)
-    if math.isfinite(bound[0]):
+    if math.isfinite(bound.value):
         text = "differences of neighbouring pixels give only an upper bound of the gain: take several exposures, or give a "
         text += "profile with a sensor"
         remarks.append(Remark("gain-bound", text))
-        return Stated(*bound)
+        return bound
     remarks.append(
         Remark(
             "gain-unknown",
@@ -436,4 +435,4 @@ def _gain_without_brackets(
             "with a sensor",
         )
     )
-    return Stated(float("nan"), float("inf"))
+    return UNKNOWN_GAIN

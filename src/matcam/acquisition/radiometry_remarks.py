@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 
-from matcam.acquisition.bracket_sample import BracketSample, noise_correlation
+from matcam.acquisition.bracket_sample import BracketSample
 from matcam.acquisition.exposure_ratios import ClipLevel, ExposureRatios
 from matcam.core.remark import Remark, gathered
 from matcam.files.capture_settings import Stated
@@ -115,17 +114,6 @@ def clip_remarks(clip: ClipLevel, names: Sequence[str], samples: Sequence[Bracke
             text = f"lamp {sample.lamp}: {peak} pixels are clipped in the shortest exposure, {names[int(sample.exposures[0])]}"
             peaks.append((sample.lamp, Remark("peak-clipped", f"{text}: add a shorter one")))
     return found + gathered(peaks)
-
-
-def correlation_remarks(path: Path, light: np.ndarray, noise: float) -> list[Remark]:
-    """Report sharpening or smoothing of a frame according to its noise.
-
-    Args:
-        path: the frame's file.
-        light: the dark-subtracted frame, DN.
-        noise: read noise, DN.
-    """
-    return processing_remarks(str(path), *noise_correlation(light, noise))
 
 
 def processing_remarks(where: str, correlation: float, std: float) -> list[Remark]:

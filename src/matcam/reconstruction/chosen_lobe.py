@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import NamedTuple, Protocol, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -19,9 +19,7 @@ from matcam.core.remark import Remark
 from matcam.inverse.fit.fit_setup import AUTO, CANDIDATES
 from matcam.material.masking import Masking
 from matcam.reconstruction.contradiction import contradiction, with_wider
-from matcam.reconstruction.joint.joint_fit import Likelihood
-from matcam.reconstruction.joint.unexplained import UnexplainedLight, unexplained_in
-from matcam.reconstruction.picture_model import SCENE
+from matcam.reconstruction.joint.likelihood import Likelihood, unexplained_share
 from matcam.reconstruction.sphere_fit import SphereFit, fit_sphere, with_correlated_residuals
 from matcam.reconstruction.sphere_scene import SphereScene, part_of
 
@@ -66,15 +64,6 @@ class ChosenFit(NamedTuple):
     widened: dict[str, float]
 
 
-class FitOfPictures(Protocol):
-    """Fit of one family of lobes to all images of a sample: `fit_sphere`, or a function with its interface."""
-
-    def __call__(
-        self, pictures: Sequence[MergedPicture], scene: SphereScene, family: str = "ggx", **more: object
-    ) -> SphereFit:
-        """Fit the images. The arguments are those of `fit_sphere`."""
-
-
 def chosen_fit(
     pictures: Sequence[MergedPicture],
     scene: SphereScene,
@@ -84,7 +73,7 @@ def chosen_fit(
     masking: Masking = "smith",
     diffuse: bool = True,
     progress: Callable[[str], None] | None = None,
-    fit_pictures: FitOfPictures = fit_sphere,  # type: ignore[assignment]
+    fit_pictures: Callable[..., SphereFit] = fit_sphere,
 ) -> ChosenFit:
     """Fit lobes of the candidate families and return the most probable.
 
@@ -122,7 +111,9 @@ def chosen_fit(
     shaped = few is not None and few.fit.layout.shape > 0
     widened: dict[str, float] = {}
 
-    def fitted(name: str, scene: SphereScene, **more: object) -> SphereFit:
+    def fitted(name: str, scene: SphereScene, start: SphereFit | None = None, **more: object) -> SphereFit:
+        """Fit a lobe. If the start is spline-modified, this lobe is, too."""
+        more = {"spline": _SPLINE if start is not None and start.kind.spline_size else 0.0, **more}
         return fit_pictures(
             pictures,
             scene,
@@ -130,13 +121,14 @@ def chosen_fit(
             masking=masking,
             diffuse=diffuse,
             lamps=lamps,
+            start=start,
             progress=lambda line: say(f"{_described(name, more, widened)}: {line}"),
             **{"shaped": shaped, **more},
         )
 
-    chosen: dict[str, object] = {"rivals": CANDIDATES[1:]} if family == AUTO else {}
+    chosen: dict[str, Any] = {"rivals": CANDIDATES[1:]} if family == AUTO else {}
     if few is not None:
-        chosen = {"start": few.fit, "spline": _SPLINE if few.fit.kind.spline_size else 0.0}
+        chosen = {"start": few.fit}
     best = fitted(first, scene, **chosen)
     tried = {best.kind.family: best.solution.unexplained}
 
@@ -193,7 +185,7 @@ def chosen_fit(
         shaped = best.layout.shape > 0
         best = with_spline(rivalled(best), _AT_ONCE)
         if best.kind.spline_size:
-            chosen = {"start": best, "spline": _SPLINE}
+            chosen = {"start": best}
     first, lost = best.kind.family, best.unexplained_pictures
     whole = pictures, scene, lamps
     if lost and len(pictures) - len(lost) >= _FEWEST:
@@ -221,7 +213,7 @@ def chosen_fit(
             for k, share in odd.items():
                 gains[k] = np.hypot(gains[k], share)
             wider = replace(scene, gain_std=gains)
-            best = fitted(first, wider, start=best, spline=_SPLINE if best.kind.spline_size else 0.0, rounds=1)
+            best = fitted(first, wider, start=best, rounds=1)
         best = _with_its_lens_open(with_correlated_residuals(best))
         remarks.extend(_odd_remark(best, k, share) for k, share in odd.items())
         return best
@@ -236,8 +228,7 @@ def chosen_fit(
         source, factor, remark = found
         if source == "gain" and diffuse and not shaped and _diffuse_pixels(best) >= _DIFFUSE_PIXELS:
             # a diffuse part that departs from Lambert's law resembles light that varies between the images
-            spline = _SPLINE if best.kind.spline_size else 0.0
-            other = fitted(first, scene, start=best, spline=spline, shaped=True)
+            other = fitted(first, scene, start=best, shaped=True)
             tried[f"{first}, diffuse part shaped"] = other.solution.unexplained
             if contradiction(with_correlated_residuals(other), scene) is None:
                 best, shaped = other, True
@@ -245,7 +236,7 @@ def chosen_fit(
         widened[source] = widened.get(source, 1.0) * factor
         remarks = [*(one for one in remarks if one.code != remark.code), remark]
         scene = with_wider(scene, source, factor)
-        before, best = best, fitted(first, scene, start=best, spline=_SPLINE if best.kind.spline_size else 0.0)
+        before, best = best, fitted(first, scene, start=best)
         hopeless = bool(best.stuck) and best.solution.unexplained > _CLEARLY * before.solution.unexplained
         if hopeless:
             break  # a specified value is not the cause either
@@ -287,7 +278,7 @@ def _odd_pictures(fit: SphereFit) -> dict[int, float]:
     solution = fit.solution
     usual = max(float(np.median(solution.chi2)), 1.0)
     odd = np.flatnonzero(solution.chi2 > _ODD * usual).tolist()
-    return {k: unexplained_in(solution.problem, solution.p, k) for k in odd}
+    return {k: unexplained_share(solution.problem, solution.p, [k]) for k in odd}
 
 
 def _odd_remark(fit: SphereFit, k: int, share: float) -> Remark:
@@ -313,7 +304,7 @@ def _with_its_lens_open(fit: SphereFit) -> SphereFit:
     solution, scene = fit.solution, fit.scene
     if scene.lens_std < _GUESSED or solution.unexplained < BY_SHAPE:
         return fit
-    lens = fit.layout.lobe + SCENE.index("lens")
+    lens = fit.layout.of("lens")
 
     def opened(covariance: np.ndarray) -> np.ndarray:
         own = float(covariance[lens, lens])
@@ -343,7 +334,7 @@ def _diffuse_pixels(fit: SphereFit) -> float:
 
 def _likelier(one: SphereFit, other: SphereFit) -> bool:
     """Check whether a fit explains its pixels better than another, with the smaller of their unexplained shares for both."""
-    judge = Likelihood(UnexplainedLight(max(min(one.solution.unexplained, other.solution.unexplained), 1e-3)))
+    judge = Likelihood(max(min(one.solution.unexplained, other.solution.unexplained), 1e-3))
     surprise = []
     for fit in (one, other):
         solution = fit.solution
@@ -371,6 +362,5 @@ def _preferred(one: SphereFit, other: SphereFit) -> bool:
 
 
 def _at_bound(fit: SphereFit) -> bool:
-    """Check whether a parameter of the lobe is at a bound of its family."""
     own, problem, p = len(fit.kind.family_names), fit.solution.problem, fit.solution.p
     return bool(np.any((p <= problem.low)[:own] | (p >= problem.high)[:own]))

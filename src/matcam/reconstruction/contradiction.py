@@ -7,15 +7,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from matcam.core.remark import Remark
-from matcam.reconstruction.joint.joint_fit import Likelihood, cost_at
+from matcam.reconstruction.joint.joint_fit import cost_at
 from matcam.reconstruction.joint.joint_problem import JointProblem
 from matcam.reconstruction.sphere_fit import SphereFit
-from matcam.reconstruction.sphere_scene import Known, SphereScene, prior_of
+from matcam.reconstruction.sphere_scene import SphereScene, prior_of
 
 _FAR = 10.0
 """Number of standard deviations beyond which a distance is not printed, because it is a first-order estimate."""
@@ -30,6 +30,12 @@ _LENGTH = 0.1
 """Smallest relative standard deviation of a freed length. A length specified as exact may be 2 % wrong."""
 _IN_EACH = ("lamp", "gain", "shift")
 """Sources with a value for each image."""
+_LENGTHS = {
+    "camera distance": "camera_nearness",
+    "lamp distance": "lamp_nearness",
+    "sample radius": "sample_radius",
+}
+"""Field of the scene with the value of each length."""
 _WIDENED = {
     "lens": "the lens differs from its profile",
     "distortion": "the distortion of the lens differs from its profile",
@@ -69,8 +75,7 @@ class _Blame(NamedTuple):
         """
         if self.source not in _IN_EACH:
             return True
-        judge, p = Likelihood(fit.solution.left), fit.solution.p
-        problem = self.freed
+        judge, p, problem = fit.solution.likelihood, fit.solution.p, self.freed
         points = [np.clip(p + share * self.step, problem.low, problem.high) for share in (1.0, 0.3, 0.1)]
         return fit.solution.cost - min(cost_at(problem, judge, one) for one in points) > _MUCH
 
@@ -153,13 +158,7 @@ def _rms(values: np.ndarray) -> float:
 
 
 def _freeing(scene: SphereScene, source: str) -> float:
-    """Compute the factor by which the standard deviation of a source is multiplied to free the source."""
-    lengths = {
-        "camera distance": scene.camera_nearness,
-        "lamp distance": scene.lamp_nearness,
-        "sample radius": scene.sample_radius,
-    }
-    known = lengths.get(source)
+    known = None if source not in _LENGTHS else getattr(scene, _LENGTHS[source])
     return _FREE if known is None else max(_FREE, _LENGTH * known.value / max(known.std, 1e-30))
 
 
@@ -171,26 +170,19 @@ def with_wider(scene: SphereScene, source: str, factor: float) -> SphereScene:
         source: name of the source, as in the prior.
         factor: factor of the standard deviation, no unit.
     """
-    if source == "lamp":
-        return replace(scene, lamp_std=np.asarray(scene.lamp_std) * factor)
-    if source == "rig":
+    change: dict[str, Any]
+    if source in _LENGTHS:
+        known = getattr(scene, _LENGTHS[source])
+        change = {_LENGTHS[source]: known._replace(std=known.std * factor)}
+    elif source == "outline":
+        change = {"outline_covariance": scene.outline_covariance * factor**2}
+    elif source == "rig":
         assert scene.rig is not None
-        return replace(scene, rig=scene.rig._replace(covariance=scene.rig.covariance * factor**2))
-    if source == "distortion":
+        change = {"rig": scene.rig._replace(covariance=scene.rig.covariance * factor**2)}
+    elif source == "distortion":
         field = scene.camera.field
         assert field is not None
-        return replace(scene, camera=scene.camera.with_field(field.wider(factor)))
-    if source == "gain":
-        return replace(scene, gain_std=np.asarray(scene.gain_std) * factor)
-    if source == "outline":
-        return replace(scene, outline_covariance=scene.outline_covariance * factor**2)
-    if source == "shift":
-        return replace(scene, shift_std=scene.shift_std * factor)
-    if source == "camera distance":
-        return replace(scene, camera_nearness=Known(scene.camera_nearness.value, scene.camera_nearness.std * factor))
-    if source == "sample radius":
-        assert scene.sample_radius is not None
-        return replace(scene, sample_radius=scene.sample_radius._replace(std=scene.sample_radius.std * factor))
-    if source == "lamp distance":
-        return replace(scene, lamp_nearness=Known(scene.lamp_nearness.value, scene.lamp_nearness.std * factor))
-    return replace(scene, lens_std=scene.lens_std * factor)
+        change = {"camera": scene.camera.with_field(field.wider(factor))}
+    else:  # lens, lamp, gain or shift
+        change = {f"{source}_std": np.asarray(getattr(scene, f"{source}_std")) * factor}
+    return replace(scene, **change)

@@ -10,16 +10,16 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import block_diag
 
-from matcam.inverse.fit.fit_parameters import LobeKind, readable_value
+from matcam.files.capture_settings import Stated
+from matcam.inverse.fit.fit_parameters import LobeKind
 from matcam.inverse.fit.lobe_readings import HALF_WIDTH, half_maximum, lobe_readings
 from matcam.numerics.budget import UncertaintyBudget, UncertaintySource
 from matcam.numerics.fit_budget import Readings, StatedParameter, Statement, posterior_budget
-from matcam.reconstruction.picture_model import SCENE
+from matcam.reconstruction.joint.field_change import FIELD
 from matcam.reconstruction.reflectance_curve import ReflectanceCurve
-from matcam.reconstruction.rig.field_change import FIELD
 from matcam.reconstruction.sphere_fit import SphereFit
-from matcam.reconstruction.sphere_scene import Known
 
 NOISE = "noise"
 """Source of the uncertainty that remains if all specified values are exact: photon noise, read noise, and residuals of the
@@ -64,86 +64,53 @@ class Ratio(NamedTuple):
     std: float
 
 
-class _Shared(NamedTuple):
-    """Reported parameters that all images share. A spline-modified lobe has a half width instead of coefficients.
+class FitReading(NamedTuple):
+    """Value that is derived from a joint fit.
 
     Attributes:
-        names: names in the order of `slopes`.
-        slopes: derivatives with respect to the coordinates of the fit, (names, coordinates).
+        value: the value, in its unit.
+        slope: derivatives with respect to the parameters of the fit, (size,).
+        more: sources of uncertainty other than the parameters.
     """
 
-    names: tuple[str, ...]
-    slopes: np.ndarray
+    value: float
+    slope: np.ndarray
+    more: tuple[UncertaintySource, ...] = ()
 
-    def covariance(self, whole: np.ndarray) -> np.ndarray:
-        """Compute the covariance of the shared parameters. whole: covariance of the coordinates of the fit."""
-        size = self.slopes.shape[1]
-        return self.slopes @ whole[:size, :size] @ self.slopes.T
-
-
-def _shared(fit: SphereFit) -> _Shared:
-    diffuse = [f"diffuse {channel}" for channel in fit.channels]
-    others = ("lens", "radius", "camera distance", "lamp distance", *diffuse, *FIELD)
-    own = fit.kind.size
-    lobe = lobe_readings(fit.kind, fit.solution.p[:own]) if fit.kind.spline_size else None
-    names, rows = (fit.kind.names, np.eye(own)) if lobe is None else (lobe.names, lobe.slopes.copy())
-    if lobe is not None:
-        rows[0] /= lobe.values[0]  # the logarithm, as for the roughness of a family
-    slopes = np.zeros((len(names) + len(others), own + len(others)))
-    slopes[: len(names), :own], slopes[len(names) :, own:] = rows, np.eye(len(others))
-    return _Shared((*names, *others), slopes)
+    def std(self, covariance: np.ndarray) -> float:
+        """Compute the standard deviation of the value. covariance: covariance of the parameters of the fit."""
+        own = sum(source.contribution**2 for source in self.more)
+        return float(np.sqrt(max(float(self.slope @ covariance @ self.slope) + own, 0.0)))
 
 
-def reflectance_ratio(fit: SphereFit, curve: ReflectanceCurve, covariance: np.ndarray, theta_d: float) -> Ratio:
-    """Compute F(theta_d) over the mean of F from 10 to 45 degrees, within the range of the images.
+def ratio_reading(fit: SphereFit, curve: ReflectanceCurve, channel: int, theta_d: float) -> FitReading:
+    """Derive F(theta_d) over the mean of F from 10 to 45 degrees, within the range of the images.
 
     Args:
         fit: the fit.
-        curve: F of one channel.
-        covariance: covariance of that channel's strengths.
+        curve: F of the channel.
+        channel: index of the channel.
         theta_d: angle, rad.
     """
-    ratio, row = _ratio(fit, curve, theta_d)
-    variance = row @ (curve.gain @ covariance @ curve.gain.T + curve.own) @ row
-    return Ratio(theta_d, ratio, float(np.sqrt(max(variance, 0.0))))
-
-
-def _ratio(fit: SphereFit, curve: ReflectanceCurve, theta_d: float) -> tuple[float, np.ndarray]:
-    """Compute F at an angle over its mean from 10 to 45 degrees, and the derivatives with respect to the coefficients."""
     at = np.append(_normal_angles(fit), theta_d)
     value, slopes = curve.at(at), curve.slopes(at)
     mean = value[:-1].mean()
     ratio = value[-1] / mean
-    return float(ratio), ratio * (slopes[-1] / value[-1] - slopes[:-1].mean(axis=0) / mean)
+    row = ratio * (slopes[-1] / value[-1] - slopes[:-1].mean(axis=0) / mean)
+    return _of_curve(fit, curve, channel, float(ratio), row)
 
 
-def mean_level_std(fit: SphereFit, curve: ReflectanceCurve, covariance: np.ndarray) -> float:
-    """Compute the relative standard deviation of the mean of F from 10 to 45 degrees, excluding the unit.
-
-    Args:
-        fit: the fit.
-        curve: F of one channel.
-        covariance: covariance of that channel's strengths.
-    """
+def _level_reading(fit: SphereFit, curve: ReflectanceCurve, channel: int, unit: float) -> FitReading:
+    """Derive the mean of F from 10 to 45 degrees. unit: strength that corresponds to F = 1."""
     at = _normal_angles(fit)
-    row = curve.slopes(at).mean(axis=0) / curve.at(at).mean()
-    return float(np.sqrt(max(row @ (curve.gain @ covariance @ curve.gain.T + curve.own) @ row, 0.0)))
+    level = float(curve.at(at).mean()) / unit
+    return _of_curve(fit, curve, channel, level, curve.slopes(at).mean(axis=0) / unit)
 
 
 def _normal_angles(fit: SphereFit) -> np.ndarray:
     seen = fit.solution.theta_d
     normal = np.array([angle for angle in _NORMAL if seen.min() <= angle <= seen.max()])
     return normal if normal.size else np.array([seen.min()])
-
-
-def channel_covariance(fit: SphereFit, channel: int, covariance: np.ndarray | None = None) -> np.ndarray:
-    """Return the covariance of the strengths of one channel, (pictures, pictures).
-
-    covariance: covariance of all parameters; None: that of the fit.
-    """
-    whole = fit.strengths_covariance(covariance)
-    pick = np.arange(fit.layout.pictures) * fit.layout.channels + channel
-    return whole[np.ix_(pick, pick)]
 
 
 def error_budget(
@@ -166,22 +133,19 @@ def error_budget(
         parameter, or of the half width of a spline-modified lobe), "radius_px", "lens" (relative). Source "total"
         includes all sources; "reference" is the uncertainty of the unit.
     """
+    solution, layout, unity = fit.solution, fit.layout, np.eye(fit.layout.size)
+    ratio, width = ratio_reading(fit, curve, channel, theta_d), next(iter(_lobe_readings(fit).values()))
     absolute = bool(np.isfinite(unit_std))
-    solution, shared = fit.solution, _shared(fit)
-    size = shared.slopes.shape[1]
+    readings = {"ratio": (ratio, ratio.value)}
+    if absolute:
+        level = _level_reading(fit, curve, channel, 1.0)
+        readings["level"] = level, level.value
+    readings["roughness"] = width, width.value
+    readings["radius_px"] = FitReading(0.0, unity[layout.of("radius")]), 1.0
+    readings["lens"] = FitReading(0.0, unity[layout.of("lens")]), 1.0
 
     def stds(covariance: np.ndarray) -> dict[str, float]:
-        ratio = reflectance_ratio(fit, curve, channel_covariance(fit, channel, covariance), theta_d)
-        scene = np.sqrt(np.maximum(np.diag(covariance)[fit.layout.scene], 0))
-        width = float(shared.slopes[0] @ covariance[:size, :size] @ shared.slopes[0])
-        level = {"level": mean_level_std(fit, curve, channel_covariance(fit, channel, covariance))} if absolute else {}
-        return {
-            "ratio": ratio.std / abs(ratio.value),
-            **level,
-            "roughness": float(np.sqrt(max(width, 0))),
-            "radius_px": float(scene[SCENE.index("radius")]),
-            "lens": float(scene[SCENE.index("lens")]),
-        }
+        return {name: one.std(covariance) / abs(unit) for name, (one, unit) in readings.items()}
 
     total = stds(solution.covariance)
     budget = {"total": dict(total)}
@@ -199,6 +163,23 @@ def error_budget(
     return budget
 
 
+def _shared(fit: SphereFit) -> tuple[tuple[str, ...], np.ndarray]:
+    """Collect the reported parameters that all images share.
+
+    A spline-modified lobe has a half width instead of coefficients.
+
+    Returns:
+        Names, and derivatives with respect to the coordinates of the fit, (names, coordinates).
+    """
+    diffuse = [f"diffuse {channel}" for channel in fit.channels]
+    others = ("lens", "radius", "camera distance", "lamp distance", *diffuse, *FIELD)
+    own = fit.kind.size
+    names, rows = fit.kind.names, np.eye(own)
+    if fit.kind.spline_size:
+        names, _, rows = lobe_readings(fit.kind, fit.solution.p[:own])
+    return (*names, *others), block_diag(rows, np.eye(len(others)))
+
+
 def inseparable(fit: SphereFit) -> tuple[Inseparable, ...]:
     """Find shared parameters that the images alone do not distinguish from the lens, the distances or the outline.
 
@@ -206,16 +187,19 @@ def inseparable(fit: SphereFit) -> tuple[Inseparable, ...]:
     exceeds 0.95, and its standard deviation more than triples, the images do not determine the freed parameter. The parameter
     with the largest correlation is reported.
     """
-    solution, shared = fit.solution, _shared(fit)
-    names = shared.names
-    before = np.diag(shared.covariance(solution.fitted))
+    solution, (names, slopes) = fit.solution, _shared(fit)
+
+    def shared(covariance: np.ndarray) -> np.ndarray:
+        return slopes @ covariance[: slopes.shape[1], : slopes.shape[1]] @ slopes.T
+
+    before = np.diag(shared(solution.fitted))
     found: list[Inseparable] = []
     for source, name in (("lens", "lens"), ("camera distance",) * 2, ("lamp distance",) * 2, ("outline", "radius")):
         information = solution.problem.information_of(source)
         if not information.any():
             continue
         position = names.index(name)
-        after = shared.covariance(solution.covariance_without((1 - _KEPT) * information))
+        after = shared(solution.covariance_without((1 - _KEPT) * information))
         grown = after[position, position] / max(before[position], 1e-300)
         if not np.isfinite(grown) or grown < _WEAK**2:
             continue
@@ -233,27 +217,8 @@ def inseparable(fit: SphereFit) -> tuple[Inseparable, ...]:
     return tuple(found)
 
 
-class FitReading(NamedTuple):
-    """Value that is derived from a joint fit.
-
-    Attributes:
-        value: the value, in its unit.
-        slope: derivatives with respect to the parameters of the fit, (size,).
-        more: sources of uncertainty other than the parameters.
-    """
-
-    value: float
-    slope: np.ndarray
-    more: tuple[UncertaintySource, ...] = ()
-
-    def std(self, covariance: np.ndarray) -> float:
-        """Compute the standard deviation of the value. covariance: covariance of the parameters of the fit."""
-        own = sum(source.contribution**2 for source in self.more)
-        return float(np.sqrt(max(float(self.slope @ covariance @ self.slope) + own, 0.0)))
-
-
 def parameter_readings(
-    fit: SphereFit, curves: Sequence[ReflectanceCurve], units: Sequence[Known]
+    fit: SphereFit, curves: Sequence[ReflectanceCurve], units: Sequence[Stated]
 ) -> dict[str, FitReading]:
     """Derive the parameters of lobe, lens, F (n and k) and diffuse parts from a fit, by reported name.
 
@@ -261,10 +226,10 @@ def parameter_readings(
     """
     p, layout, unity = fit.solution.p, fit.layout, np.eye(fit.layout.size)
     found = _lobe_readings(fit)
-    width = float(fit.scene.camera.parameters().get("optics.sigma_px", np.nan))
-    lens, name = (width, "sigma_px") if np.isfinite(width) else (1.0, "lens_scale")
-    lens *= float(np.exp(p[layout.scene][0]))
-    found[name] = FitReading(lens, lens * unity[layout.scene.start])
+    sigma = fit.scene.sigma
+    lens, name = (sigma, "sigma_px") if np.isfinite(sigma) else (1.0, "lens_scale")
+    lens *= float(np.exp(p[layout.of("lens")]))
+    found[name] = FitReading(lens, lens * unity[layout.of("lens")])
     for index, (channel, curve) in enumerate(zip(fit.channels, curves, strict=True)):
         for name, (value, row) in curve.parameters().items():
             found[f"{name}_{channel}"] = _of_curve(fit, curve, index, value, row)
@@ -276,7 +241,7 @@ def parameter_readings(
 
 
 def reflectance_readings(
-    fit: SphereFit, curves: Sequence[ReflectanceCurve], units: Sequence[Known], theta_d: float
+    fit: SphereFit, curves: Sequence[ReflectanceCurve], units: Sequence[Stated], theta_d: float
 ) -> dict[str, FitReading]:
     """Derive the ratio of F at an angle to its mean, by channel.
 
@@ -285,19 +250,16 @@ def reflectance_readings(
     curves, units: arguments of `parameter_readings`. theta_d: difference angle, rad.
     """
     found = {}
-    at = _normal_angles(fit)
     for index, (channel, curve, unit) in enumerate(zip(fit.channels, curves, units, strict=True)):
-        found[f"F({np.degrees(theta_d):.0f} deg) / F(10 to 45 deg), {channel}"] = _of_curve(
-            fit, curve, index, *_ratio(fit, curve, theta_d)
-        )
+        ratio = ratio_reading(fit, curve, index, theta_d)
+        found[f"F({np.degrees(theta_d):.0f} deg) / F(10 to 45 deg), {channel}"] = ratio
         if np.isfinite(unit.std):
-            level = float(curve.at(at).mean()) / unit.value
-            one = _of_curve(fit, curve, index, level, curve.slopes(at).mean(axis=0) / unit.value)
+            one = _level_reading(fit, curve, index, unit.value)
             source = UncertaintySource(
                 f"{REFERENCE}: value of the images for F = 1",
                 unit.value,
                 unit.std * unit.value,
-                -level / unit.value,
+                -one.value / unit.value,
                 "B",
             )
             found[f"F(10 to 45 deg), {channel}"] = one._replace(more=(*one.more, source))
@@ -309,14 +271,12 @@ def length_readings(fit: SphereFit) -> dict[str, FitReading]:
 
     A distance that the images do not determine is omitted.
     """
-    scene, unity = fit.layout.scene, np.eye(fit.layout.size)
-    p = fit.solution.p[scene]
-    position = {name: scene.start + index for index, name in enumerate(SCENE)}
-    found = {"outline_radius_px": FitReading(float(p[SCENE.index("radius")]), unity[position["radius"]])}
+    layout, p, unity = fit.layout, fit.solution.p, np.eye(fit.layout.size)
+    found = {"outline_radius_px": FitReading(float(p[layout.of("radius")]), unity[layout.of("radius")])}
     for name in ("camera", "lamp"):
-        nearness = float(p[SCENE.index(name)])
+        nearness = float(p[layout.of(name)])
         if nearness > 0:
-            found[f"{name}_distance_radii"] = FitReading(1 / nearness, -unity[position[name]] / nearness**2)
+            found[f"{name}_distance_radii"] = FitReading(1 / nearness, -unity[layout.of(name)] / nearness**2)
     return found
 
 
@@ -344,12 +304,11 @@ def _statements(fit: SphereFit) -> list[Statement]:
     A source that specifies one parameter has the name and unit of that parameter.
     """
     problem, layout, scene = fit.solution.problem, fit.layout, fit.scene
-    sigma = float(scene.camera.parameters().get("optics.sigma_px", np.nan))
+    sigma = scene.sigma
     radius = np.nan if scene.sample_radius is None else scene.sample_radius.value
+    lens = ("lens: optics.sigma_px", sigma, sigma) if np.isfinite(sigma) else ("lens: scale of its kernel", 1.0, 1.0)
     named = {
-        "lens": StatedParameter(layout.scene.start, "lens: optics.sigma_px", sigma, sigma)
-        if np.isfinite(sigma)
-        else StatedParameter(layout.scene.start, "lens: scale of its kernel", 1.0, 1.0),
+        "lens": StatedParameter(layout.of("lens"), *lens),
         "sample radius": StatedParameter(layout.sample_radius, "sample radius, mm", radius, radius),
     }
     found = []
@@ -373,13 +332,10 @@ def _lobe_readings(fit: SphereFit) -> dict[str, FitReading]:
         return FitReading(value, row)
 
     read = lobe_readings(kind, q)
+    rows = zip(read.names, read.values.tolist(), read.slopes, strict=True)
+    found = {name: reading(value, slope) for name, value, slope in rows}
     if kind.spline_size:
-        rows = zip(read.names, read.values.tolist(), read.slopes, strict=True)
-        return {name: reading(value, slope) for name, value, slope in rows}
-    found = {}
-    for index, name in enumerate(kind.family_names):
-        value, slope = readable_value(name, float(q[index]))
-        found[name] = reading(value, np.array([slope]), index)
+        return found
     if not kind.stretched:
         return found | {HALF_WIDTH: reading(*half_maximum(kind, q))}
     # along an axis of the slopes the lobe is an isotropic lobe with the roughness of that axis
@@ -391,8 +347,7 @@ def _lobe_readings(fit: SphereFit) -> dict[str, FitReading]:
 
 def _of_curve(fit: SphereFit, curve: ReflectanceCurve, channel: int, value: float, row: np.ndarray) -> FitReading:
     """Build a value derived from the curve of a channel. row: derivatives with respect to the coefficients."""
-    pick = np.arange(fit.layout.pictures) * fit.layout.channels + channel
-    slope = row @ curve.gain @ fit.strengths_rows()[pick]
+    slope = row @ curve.gain @ fit.strengths_rows()[channel :: fit.layout.channels]
     by_scale, by_misfit = (float(np.sqrt(max(row @ part @ row, 0.0))) for part in (curve.by_scale, curve.by_misfit))
     degrees = max(float(fit.layout.pictures - len(row)), 1.0)
     more = (

@@ -3,26 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from matcam.acquisition.light.kept_work import KeptWork
+from matcam.acquisition.radiometry import Progress
 from matcam.core import checks
 from matcam.core.errors import ArgumentError
 from matcam.core.registry import FAMILIES
 from matcam.files.capture import Capture, read_capture
 from matcam.inverse.fit.fit_setup import AUTO
 from matcam.material.masking import MASKINGS, Masking
-from matcam.reconstruction.cylinder.captured_cylinder import CapturedCylinder, captured_cylinder
+from matcam.reconstruction.cylinder.captured_cylinder import captured_cylinder
 from matcam.reconstruction.cylinder.cylinder_fit import fit_cylinder
 from matcam.reconstruction.flat.flat_reconstruction import FlatReconstruction, reconstruct_flat
-from matcam.reconstruction.pinhole_reading import pinhole_reading
 from matcam.reconstruction.reconstruction import Reconstruction, reconstructed
 from matcam.reconstruction.rig.rig_document import EarlierRig, read_rig
-from matcam.reconstruction.stated.captured_scene import CapturedScene, Progress, captured_scene
+from matcam.reconstruction.sphere_fit import SphereFit, fit_sphere
+from matcam.reconstruction.stated.captured_scene import captured_scene
 
 
 def reconstruct(
@@ -88,63 +88,33 @@ def reconstruct(
     if rig_from is not None and kind != "sphere":
         raise ArgumentError(f"rig_from is for photographs of a sphere, but sample.kind is {kind}: omit rig_from")
     kept = None if keep is None else KeptWork(Path(keep))
+    if kind == "flat":
+        return reconstruct_flat(capture, ndf, masking=masking, progress=progress, workers=workers, kept=kept)
     steps = iter(range(1, 1000))
 
     def fitting(line: str) -> None:
         say(f"fitting ({line})", next(steps), 0)
 
-    if kind == "flat":
-        return reconstruct_flat(capture, ndf, masking=masking, progress=progress, workers=workers, kept=kept)
+    fit_pictures: Callable[..., SphereFit] = fit_sphere
     if kind == "cylinder":
-        strips = captured_cylinder(capture, progress, workers=workers, kept=kept)
-        result = _of_cylinder(strips, ndf, masking, diffuse, fitting)
+        cylinder = captured_cylinder(capture, progress, workers=workers, kept=kept)
+        # strips of different orientations distinguish two roughnesses
+        turned = len({round(float(np.degrees(strip.turn)) % 180, 3) for strip in cylinder.strips}) > 1
+        stretched = ndf == AUTO and turned
+        found, family = cylinder.scene, "ggx" if stretched else ndf
+        fit_pictures = partial(fit_cylinder, strips=cylinder.strips, stretched=stretched)
     else:
         earlier = read_rig(rig_from) if isinstance(rig_from, str | Path) else rig_from
-        found = captured_scene(capture, progress, earlier, workers=workers, kept=kept)
-        result = _of_sphere(found, ndf, masking, diffuse, fitting)
+        found, family = captured_scene(capture, progress, earlier, workers=workers, kept=kept), ndf
+    result = reconstructed(
+        found,
+        family,
+        sample=kind,
+        masking=masking,
+        diffuse=diffuse,
+        progress=fitting,
+        fit_pictures=fit_pictures,
+    )
     if kept is not None:
         kept.clear()
     return result
-
-
-def _of_sphere(
-    found: CapturedScene, ndf: str, masking: Masking, diffuse: bool, progress: Callable[[str], None]
-) -> Reconstruction:
-    """Reconstruct the material of a sphere, with a pinhole table of the images that the fit explains."""
-    result = reconstructed(
-        found.pictures,
-        found.scene,
-        found.lamps,
-        units=found.units,
-        family=ndf,
-        masking=masking,
-        diffuse=diffuse,
-        remarks=found.remarks,
-        pinhole=lambda fit, units: pinhole_reading(
-            [one for one in found.pictures if one.name in fit.names], fit, units
-        ),
-        progress=progress,
-    )
-    return replace(result, captured=found)
-
-
-def _of_cylinder(
-    found: CapturedCylinder, ndf: str, masking: Masking, diffuse: bool, progress: Callable[[str], None]
-) -> Reconstruction:
-    """Reconstruct the material of a cylinder, with two roughnesses if strips of different orientations can distinguish them."""
-    scene = found.scene
-    turned = len({round(float(np.degrees(strip.turn)) % 180, 3) for strip in found.strips}) > 1
-    stretched = ndf == AUTO and turned
-    result = reconstructed(
-        scene.pictures,
-        scene.scene,
-        scene.lamps,
-        units=scene.units,
-        family="ggx" if stretched else ndf,
-        masking=masking,
-        diffuse=diffuse,
-        remarks=scene.remarks,
-        progress=progress,
-        fit_pictures=partial(fit_cylinder, strips=found.strips, stretched=stretched),
-    )
-    return replace(result, captured=scene, sample="cylinder")

@@ -14,7 +14,7 @@ from scipy.ndimage import uniform_filter1d
 
 from matcam.acquisition.merged_picture import MergedPicture
 from matcam.camera.lens_field import LensField
-from matcam.reconstruction.picture_rule import WINDOW, window_about
+from matcam.reconstruction.picture_rule import WINDOW, HighlightPosition, window_about
 
 SCATTERED = 768
 """Number of pixels of an image outside its window."""
@@ -41,7 +41,6 @@ class ObservedPixels(NamedTuple):
         clipped: True for pixels whose value is a lower bound.
         channel: index of the colour of each pixel.
         used: True for pixels that have a value and are fitted.
-        seen: columns and rows of the scattered pixels in the frame, px, (2, SCATTERED).
         positions: columns and rows of all pixels in the frame, px, (2, WINDOW^2 + SCATTERED).
     """
 
@@ -53,8 +52,12 @@ class ObservedPixels(NamedTuple):
     clipped: np.ndarray
     channel: np.ndarray
     used: np.ndarray
-    seen: np.ndarray
     positions: np.ndarray
+
+    @property
+    def seen(self) -> np.ndarray:
+        """Columns and rows of the scattered pixels in the frame, px, (2, SCATTERED)."""
+        return self.positions[:, self.positions.shape[1] - self.column.size :]
 
     def noise_at(self, level: np.ndarray) -> np.ndarray:
         """Compute the standard deviation of the noise of pixels whose expected values are known, (pixels,).
@@ -73,24 +76,6 @@ class ObservedPixels(NamedTuple):
             gain = uniform_filter1d(self.std[order] ** 2 / level[order], _SIMILAR_LEVELS, mode="nearest")
             expected[order] = np.sqrt(gain * level[order])
         return expected
-
-
-class HighlightPosition(NamedTuple):
-    """Position of a highlight and its sphere in the frame, without the distortion of the lens.
-
-    Attributes:
-        column: column of the outline's centre, px.
-        row: row of the outline's centre, px.
-        radius: radius of the outline, px.
-        lamp: direction to the lamp, (3,).
-        highlight: p_x, p_y of the mirror point on the disc of the outline.
-    """
-
-    column: float
-    row: float
-    radius: float
-    lamp: np.ndarray
-    highlight: tuple[float, float]
 
 
 def chosen_pixels(
@@ -115,9 +100,7 @@ def chosen_pixels(
         field: distortion and blur of the lens over the field. Default: None, uniform.
     """
     window = window_about(
-        (position.column, position.row),
-        position.radius,
-        position.highlight,
+        position,
         scale=scale,
         plateau=plateau,
         keep=None if keep is None else keep.window,
@@ -132,24 +115,19 @@ def chosen_pixels(
         return keep._replace(window=window, column=far[0], row=far[1])
     first, second = np.meshgrid(window.pixel_u, window.pixel_v)
     near_column, near_row = (second, first) if window.turned else (first, second)
-    far_column, far_row = _scattered(picture, position, (near_column, near_row), seed, field)
-    column = np.concatenate([near_column.ravel(), far_column])
-    row = np.concatenate([near_row.ravel(), far_row])
-    positions = np.stack([column, row])
+    far = _scattered(picture, position, (near_column, near_row), seed, field)
+    column, row = positions = np.concatenate([[near_column.ravel(), near_row.ravel()], far], axis=1)
     at_row, at_column = row.astype(int) - picture.origin[0], column.astype(int) - picture.origin[1]
     height, width = picture.values.shape
     inside = (at_row >= 0) & (at_row < height) & (at_column >= 0) & (at_column < width)
-    at_row, at_column = np.where(inside, at_row, 0), np.where(inside, at_column, 0)
-    values, std = picture.values[at_row, at_column], picture.std[at_row, at_column]
+    at = np.where(inside, at_row, 0), np.where(inside, at_column, 0)
+    values, std = picture.values[at], picture.std[at]
     if field is not None:
         column, row = field.true_position(column, row)
     away = np.hypot(column - position.column, row - position.row)
     used = inside & np.isfinite(values) & (std > 0) & (away < position.radius + _OUTSIDE)
     # the limb, with dirt and supports, is read only near the highlight
-    peak_column, peak_row = (
-        position.column + position.radius * position.highlight[0],
-        position.row - position.radius * position.highlight[1],
-    )
+    peak_column, peak_row = position.at
     used &= (away < position.radius - _LIMB) | (np.hypot(column - peak_column, row - peak_row) < _BESIDE)
     return ObservedPixels(
         window=window,
@@ -157,10 +135,9 @@ def chosen_pixels(
         row=row[near_row.size :],
         values=np.where(used, values, 0.0),
         std=np.where(used, std, 1.0),
-        clipped=picture.clipped[at_row, at_column] & used,
-        channel=picture.channel[at_row, at_column].astype(int),
+        clipped=picture.clipped[at] & used,
+        channel=picture.channel[at].astype(int),
         used=used,
-        seen=np.array([far_column, far_row]),
         positions=positions,
     )
 
@@ -170,8 +147,8 @@ def _scattered(
     position: HighlightPosition,
     near: tuple[np.ndarray, np.ndarray],
     seed: int,
-    field: LensField | None = None,
-) -> tuple[np.ndarray, np.ndarray]:
+    field: LensField | None,
+) -> np.ndarray:
     """Draw pixels outside the window, uniformly in strata of ln theta_h. Missing pixels have positions outside the frame."""
     height, width = picture.values.shape
     row, column = np.mgrid[0:height, 0:width]
@@ -200,8 +177,7 @@ def _scattered(
         chosen.append(random.choice(members, share, replace=False))
         left -= share
     picked = index[np.concatenate(chosen)] if chosen else np.zeros(0, int)
-    column_out, row_out = np.full(SCATTERED, -1.0), np.full(SCATTERED, -1.0)
-    column_out[: picked.size], row_out[: picked.size] = column[picked], row[picked]
     # positions without a pixel are far outside the frame, so that they are not used
-    column_out[picked.size :], row_out[picked.size :] = np.nan, np.nan
-    return np.nan_to_num(column_out, nan=-(10.0**6)), np.nan_to_num(row_out, nan=-(10.0**6))
+    chosen_at = np.full((2, SCATTERED), -(10.0**6))
+    chosen_at[:, : picked.size] = column[picked], row[picked]
+    return chosen_at

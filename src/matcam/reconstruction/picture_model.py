@@ -14,12 +14,14 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import numpy as np
 
+from matcam.acquisition.mirror_ball import unit
 from matcam.core.jax import AnyArray, jax, jit_plainly, jnp
+from matcam.core.shading import Vector
 from matcam.forward.integral.blur import Blur
 from matcam.inverse.fit.fit_parameters import LobeKind
 from matcam.inverse.fit.lobe_slopes import table_slopes
 from matcam.reconstruction.picture_rule import Window
-from matcam.reconstruction.sphere_in_picture import light_and_view, normal_at, radiance, sphere_shading
+from matcam.reconstruction.sphere_in_picture import normal_at, radiance, sphere_tangent, surface_shading, theta_d_at
 
 SCENE = ("lens", "radius", "camera", "lamp")
 """Shared parameters after those of the lobe: ln of the scale of the lens, radius in px, inverse distances of camera and lamp.
@@ -73,14 +75,6 @@ class ShownLight(NamedTuple):
     by_lobe: Any = None
 
 
-class ShownSlopes(NamedTuple):
-    """Derivatives with respect to the parameters of a `ShownLight`, on a trailing axis."""
-
-    lobe: Any
-    pose: Any
-    shape: Any
-
-
 class KernelSlopes(NamedTuple):
     """One term of the kernel along one axis, 1/px, and its derivatives with respect to offset and ln scale."""
 
@@ -90,10 +84,10 @@ class KernelSlopes(NamedTuple):
 
 
 def lamp_frame(direction: np.ndarray) -> LampFrame:
-    """Build the frame of a lamp from its direction of length 1, (3,)."""
+    """Build the frame of a lamp from its direction, (3,)."""
+    direction = unit(direction)
     helper = np.eye(3)[np.argmin(np.abs(direction))]
-    first = np.cross(direction, helper)
-    first /= np.linalg.norm(first)
+    first = unit(np.cross(direction, helper))
     return LampFrame(direction, first, np.cross(direction, first))
 
 
@@ -101,6 +95,37 @@ def turned_lamp(frame: LampFrame, a: Any, b: Any) -> Any:
     """Compute the unit vector to a lamp that is rotated by (a, b) from its base direction."""
     vector = frame.base + a * frame.first + b * frame.second
     return vector / jnp.sqrt(jnp.sum(vector**2))
+
+
+def over_source(
+    radiance_under: Callable[[Vector], tuple[jax.Array, jax.Array]],
+    source: tuple[AnyArray, AnyArray],
+    frame: LampFrame,
+    turn: Any,
+    start: jax.Array,
+) -> tuple[jax.Array, jax.Array]:
+    """Average the radiance of lobe and diffuse part over the source disc.
+
+    Args:
+        radiance_under: function that computes both under a direction to the lamp.
+        source: positions on the source disc, as rotations of the direction to the lamp, rad, (points, 2), and their weights.
+        frame: base direction of the lamp.
+        turn: rotation of the lamp from its base direction, rad.
+        start: zeros in the shape of the result.
+    """
+
+    def under(position: jax.Array, weight: jax.Array) -> tuple[jax.Array, jax.Array]:
+        lobe, lambert = radiance_under(tuple(turned_lamp(frame, turn[0] + position[0], turn[1] + position[1])))
+        return weight * lobe, weight * lambert
+
+    positions, weights = source
+    if len(weights) == 1:
+        return under(positions[0], weights[0])
+
+    def add(total: Any, point: Any) -> tuple[Any, None]:
+        return jax.tree.map(jnp.add, total, under(*point)), None
+
+    return jax.lax.scan(add, (start, start), (jnp.asarray(positions), jnp.asarray(weights)))[0]
 
 
 class PictureModel(eqx.Module):
@@ -190,11 +215,8 @@ class PictureModel(eqx.Module):
             slopes += weight * jnp.concatenate([over_v(of_v.value, lit), by_kernel])
         ends = np.cumsum([part.shape[-1] for part in by_each])
         pair = jnp.moveaxis(slopes, 0, -1)
-        angle = _by_each(lambda x: theta_d(x, kernel), light), jax.jacfwd(theta_d, argnums=1)(light, kernel)
-        lobe, lambert = (
-            self._in_order(ShownSlopes(*by_light), by_kernel)
-            for *by_light, by_kernel in (jnp.split(part, ends, axis=-1) for part in pair)
-        )
+        angle = *_by_each(lambda x: theta_d(x, kernel), light), jax.jacfwd(theta_d, argnums=1)(light, kernel)
+        lobe, lambert = (self._in_order(*jnp.split(part, ends, axis=-1)) for part in pair)
         derivative = Recorded(lobe, lambert, self._in_order(*angle))
         return Recorded(value[0], value[1], theta_d(light, kernel)), derivative
 
@@ -250,7 +272,7 @@ class PictureModel(eqx.Module):
     def _pixels_slopes(self, light: ShownLight, kernel: jax.Array, *rest: Any) -> tuple[Recorded, Recorded]:
         by_light = _by_each(lambda x: self._of_pixels(x, kernel, *rest), light)
         by_kernel = jax.jacfwd(lambda x: self._of_pixels(light, x, *rest))(kernel)
-        slopes = (self._in_order(ShownSlopes(*each), own) for *each, own in zip(*by_light, by_kernel, strict=True))
+        slopes = (self._in_order(*each) for each in zip(*by_light, by_kernel, strict=True))
         return self._of_pixels(light, kernel, *rest), Recorded(*slopes)
 
     def _of_pixels(
@@ -259,8 +281,8 @@ class PictureModel(eqx.Module):
         lens, radius, column, row = kernel
         centre_x, centre_y = (at[0] - column) / radius, (row - at[1]) / radius
         lobe, lambert = jnp.zeros_like(centre_x), jnp.zeros_like(centre_x)
+        scaled = widened(self.blur, lens)
         for term in range(self.blur.stds.size):
-            scaled = _with_stds(self.blur, self.blur.stds * jnp.exp(lens))
             offset, weight = scaled.rule(term, jnp.zeros(()))
             p_x = centre_x[:, None, None] + offset[:, None] / radius
             p_y = centre_y[:, None, None] + offset[None, :] / radius
@@ -279,26 +301,17 @@ class PictureModel(eqx.Module):
         """Average the radiance of lobe and diffuse part at positions of the outline's disc over the source disc."""
         ndf, (camera, lamp, a, b), terms = self.kind.ndf(light.lobe), light.pose, light.shape
         normal = normal_at(p_x, p_y, depth, camera)
+        tangent = sphere_tangent(normal)
 
-        def under(point: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-            position, weight = point
-            x, y, z = turned_lamp(frame, a + position[0], b + position[1])
-            shaded = sphere_shading(normal, (x, y, z), camera, lamp)
-            lobe, lambert = radiance(ndf, self.kind.masking, terms, *shaded, light.table)
-            return weight * lobe, weight * lambert
+        def under(direction: Vector) -> tuple[jax.Array, jax.Array]:
+            at = surface_shading(normal, tangent, normal, direction, camera, lamp)
+            return radiance(ndf, self.kind.masking, terms, *at, light.table)
 
-        if len(self.weights) == 1:
-            return under((self.positions[0], self.weights[0]))
+        return over_source(under, (self.positions, self.weights), frame, (a, b), jnp.zeros_like(p_x * depth))
 
-        def add(total: Any, point: Any) -> tuple[Any, None]:
-            return jax.tree.map(jnp.add, total, under(point)), None
-
-        start = (jnp.zeros_like(p_x * depth), jnp.zeros_like(p_x * depth))
-        return jax.lax.scan(add, start, (jnp.asarray(self.positions), jnp.asarray(self.weights)))[0]
-
-    def _in_order(self, light: ShownSlopes, kernel: jax.Array) -> jax.Array:
+    def _in_order(self, lobe: jax.Array, pose: jax.Array, shape: jax.Array, kernel: jax.Array) -> jax.Array:
         """Arrange derivatives in the order of the parameters of an image: lobe, scene, diffuse part, own parameters."""
-        parts = [light.lobe, kernel[..., :2], light.pose[..., :2], light.shape, kernel[..., 2:], light.pose[..., 2:]]
+        parts = [lobe, kernel[..., :2], pose[..., :2], shape, kernel[..., 2:], pose[..., 2:]]
         return jnp.concatenate(parts, axis=-1)
 
     def _theta_d(self, light: ShownLight, frame: LampFrame, p_x: jax.Array, p_y: jax.Array) -> jax.Array:
@@ -311,14 +324,10 @@ class PictureModel(eqx.Module):
         shrink = 1 / jnp.maximum(beyond, 1.0)
         p_x, p_y = p_x * shrink, p_y * shrink
         depth = jnp.sqrt(1 - p_x**2 - p_y**2)
-        normal = normal_at(p_x, p_y, depth, camera)
-        x, y, z = turned_lamp(frame, a, b)
-        towards_lamp, view, _ = light_and_view(normal, (x, y, z), camera, lamp)
-        cos2 = sum(s * t for s, t in zip(towards_lamp, view, strict=True))
-        return jnp.arccos(jnp.clip(cos2, -1 + 1e-12, 1 - 1e-12)) / 2
+        return theta_d_at(normal_at(p_x, p_y, depth, camera), tuple(turned_lamp(frame, a, b)), camera, lamp)
 
 
-def _by_each(function: Callable[[ShownLight], Any], light: ShownLight) -> ShownSlopes:
+def _by_each(function: Callable[[ShownLight], Any], light: ShownLight) -> tuple[Any, Any, Any]:
     """Differentiate a function of the light with respect to each part separately.
 
     Intermediate values that do not depend on a part are therefore not differentiated.
@@ -330,7 +339,7 @@ def _by_each(function: Callable[[ShownLight], Any], light: ShownLight) -> ShownS
     def along_lobe(change: jax.Array, of_table: jax.Array | None) -> Any:
         return jax.jvp(of_lobe, (light.lobe, light.table), (change, of_table))[1]
 
-    return ShownSlopes(
+    return (
         jax.vmap(along_lobe, out_axes=-1)(jnp.eye(light.lobe.size), light.by_lobe),
         jax.jacfwd(lambda pose: function(light._replace(pose=pose)))(light.pose),
         jax.jacfwd(lambda shape: function(light._replace(shape=shape)))(light.shape),
@@ -361,8 +370,9 @@ def _compiled(method: str) -> Callable[..., tuple[Recorded, Recorded | None]]:
     return jit_plainly(getattr(PictureModel, method), runs="many")
 
 
-def _with_stds(blur: Blur, stds: jax.Array) -> Blur:
-    return eqx.tree_at(lambda b: b.stds, blur, stds)
+def widened(blur: Blur, lens: jax.Array) -> Blur:
+    """Scale the lens of a blur. lens: ln of the scale."""
+    return eqx.tree_at(lambda b: b.stds, blur, blur.stds * jnp.exp(lens))
 
 
 def _along(window: Window) -> jax.Array:

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from matcam.camera.lens_field import LensField
+from matcam.numerics.approximation import nodes_in_panels
 
 NODES = 112
 """Number of nodes along each axis of a window."""
@@ -60,10 +61,32 @@ class Window(NamedTuple):
     widened: float = 1.0
 
 
+class HighlightPosition(NamedTuple):
+    """Position of a highlight and its sphere in the frame, without the distortion of the lens.
+
+    Attributes:
+        column: column of the outline's centre, px.
+        row: row of the outline's centre, px.
+        radius: radius of the outline, px.
+        lamp: direction to the lamp, (3,).
+        highlight: p_x, p_y of the mirror point on the disc of the outline.
+    """
+
+    column: float
+    row: float
+    radius: float
+    lamp: np.ndarray
+    highlight: tuple[float, float]
+
+    @property
+    def at(self) -> tuple[float, float]:
+        """Column and row of the highlight, px."""
+        p_x, p_y = self.highlight
+        return float(self.column + self.radius * p_x), float(self.row - self.radius * p_y)
+
+
 def window_about(
-    centre: tuple[float, float],
-    radius: float,
-    position: tuple[float, float],
+    position: HighlightPosition,
     *,
     scale: float,
     plateau: float = 0.0,
@@ -73,9 +96,7 @@ def window_about(
     """Build the window about a highlight.
 
     Args:
-        centre: column and row of the outline's centre, px.
-        radius: radius of the outline, px.
-        position: p_x and p_y of the highlight on the disc of the outline.
+        position: positions of sphere and highlight.
         scale: angle over which the lobe changes near its peak, rad.
         plateau: angle over which a source disc spreads the peak, half the angular radius of the lamp, rad. Default: 0.
         keep: earlier window, whose pixels are kept if the highlight has moved by at most a pixel. Default: None.
@@ -84,14 +105,13 @@ def window_about(
     Returns:
         Window with nodes and pixels.
     """
-    p_x, p_y = position
+    radius, (p_x, p_y) = position.radius, position.highlight
     turned = abs(p_y) > abs(p_x)
     along, across = (p_y, p_x) if turned else (p_x, p_y)
-    column, row = centre[0] + radius * p_x, centre[1] - radius * p_y
-    true, tilt = (float(column), float(row)), 0.0
+    column, row = position.at
     if field is not None:
-        column, row = map(float, field.seen_at(*true))
-        tilt = _tilt(field, true, turned)
+        tilt = _tilt(field, position.at, turned)
+        column, row = map(float, field.seen_at(*position.at))
         cos, sin = np.cos(tilt), np.sin(tilt)
         along, across = along * cos + across * sin, across * cos - along * sin
     column, row = np.round(column), np.round(row)
@@ -117,7 +137,7 @@ def window_about(
     )
     weight = (np.cos(v) ** 2 * weight_v)[:, None] * (np.cos(u) * weight_u)[None, :]
     window = Window(u, v, weight, pixel_u, pixel_v, float(turned))
-    return window if field is None else through_lens(window, field, true)
+    return window if field is None else through_lens(window, field, position.at)
 
 
 def through_lens(window: Window, field: LensField, highlight: tuple[float, float]) -> Window:
@@ -170,9 +190,7 @@ def graded_nodes(
     shares = share(table)
     borders = np.interp(np.linspace(shares[0], shares[-1], nodes // _ORDER + 1), shares, table)
     borders[0], borders[-1] = low, high
-    x, w = np.polynomial.legendre.leggauss(_ORDER)
-    middle, half = (borders[1:] + borders[:-1]) / 2, np.diff(borders) / 2
-    return (middle[:, None] + half[:, None] * x).ravel(), (half[:, None] * w).ravel()
+    return nodes_in_panels(borders, _ORDER)
 
 
 def lamp_disc(points: int) -> tuple[np.ndarray, np.ndarray]:
@@ -195,27 +213,17 @@ def lamp_disc(points: int) -> tuple[np.ndarray, np.ndarray]:
     return np.concatenate(positions), np.concatenate(weights)
 
 
-class LampPositions(NamedTuple):
-    """Positions that represent a source disc.
-
-    Attributes:
-        turns: rotations of the direction to the lamp that give each position, rad, (points, 2).
-        weights: weights of the positions, (points,); their sum is 1.
-        plateau: angle over which the disc spreads the peak of a lobe, rad.
-    """
-
-    turns: np.ndarray
-    weights: np.ndarray
-    plateau: float
-
-
-def lamp_positions(lamp_radius: float, width: float) -> LampPositions:
+def lamp_positions(lamp_radius: float, width: float) -> tuple[np.ndarray, np.ndarray, float]:
     """Choose the positions on a source disc: its centre alone if the disc is much smaller than the lobe.
 
     Args:
         lamp_radius: angular radius of the lamp, rad.
         width: width of the lobe, rad.
+
+    Returns:
+        Rotations of the direction to the lamp that give each position, rad, (points, 2); weights of the positions, whose sum
+        is 1, (points,); and the angle over which the disc spreads the peak of a lobe, rad.
     """
     radius = lamp_radius if lamp_radius / 2 > _NO_DISC * width else 0.0
     positions, weights = lamp_disc(_DISC_POINTS if radius else 1)
-    return LampPositions(positions * radius, weights, radius / 2)
+    return positions * radius, weights, radius / 2

@@ -2,44 +2,43 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
-from matcam.acquisition.merged_picture import MergedPicture
 from matcam.camera.profile import field_document
 from matcam.core.errors import ArgumentError
 from matcam.core.remark import Remark
 from matcam.core.results.summary import Quantity, Summarised, Summary
+from matcam.files.capture_settings import Stated
 from matcam.inverse.fit.fit_setup import AUTO
 from matcam.material.masking import Masking
 from matcam.numerics.budget import UncertaintyBudget
-from matcam.reconstruction.chosen_lobe import FitOfPictures, chosen_fit
+from matcam.reconstruction.chosen_lobe import chosen_fit
 from matcam.reconstruction.cylinder.anisotropic_table import anisotropic_table
 from matcam.reconstruction.error_budget import (
     FitReading,
     Inseparable,
     Ratio,
-    channel_covariance,
     error_budget,
     inseparable,
     length_readings,
     parameter_readings,
+    ratio_reading,
     reading_budget,
-    reflectance_ratio,
     reflectance_readings,
 )
+from matcam.reconstruction.joint.field_change import found_field
 from matcam.reconstruction.material_table import material_table
 from matcam.reconstruction.picture_model import SCENE
+from matcam.reconstruction.pinhole_reading import pinhole_reading
 from matcam.reconstruction.reflectance_curve import ReflectanceCurve, reflectance_curve
 from matcam.reconstruction.rig.earlier_rig import rig_covariance
-from matcam.reconstruction.rig.field_change import found_field
 from matcam.reconstruction.rig.rig_document import FORMAT, SCENE_NAMES, VERSION
 from matcam.reconstruction.sphere_fit import SphereFit, fit_sphere
-from matcam.reconstruction.sphere_scene import Known, SphereScene
 from matcam.reconstruction.stated.captured_scene import INCOMPLETE, CapturedScene
 
 _JUDGED = np.radians(75.0)
@@ -64,8 +63,8 @@ class Reconstruction(Summarised):
         not_determined: parameters that the images alone do not distinguish.
         tried: unexplained share of the light by lobe.
         remarks: remarks on the result.
-        captured: data of the capture before the fit. Default: None, the images were merged elsewhere.
-        sample: kind of the sample, "sphere" or "cylinder". Default: "sphere".
+        captured: data of the capture before the fit.
+        sample: kind of the sample, "sphere" or "cylinder".
 
     Source:
         docs/model.md 10.
@@ -82,13 +81,13 @@ class Reconstruction(Summarised):
     pinhole: xr.DataArray | None
     fit: SphereFit
     curves: tuple[ReflectanceCurve, ...]
-    units: tuple[Known, ...]
+    units: tuple[Stated, ...]
     budget: dict[str, dict[str, float]]
     not_determined: tuple[Inseparable, ...]
     tried: dict[str, float]
     remarks: tuple[Remark, ...]
-    captured: CapturedScene | None = None
-    sample: str = "sphere"
+    captured: CapturedScene
+    sample: str
 
     @property
     def parameters(self) -> dict[str, tuple[float, float]]:
@@ -143,25 +142,22 @@ class Reconstruction(Summarised):
         fit, solution, layout = self.fit, self.fit.solution, self.fit.layout
         p, covariance = solution.p, solution.covariance
         std = np.sqrt(np.maximum(np.diag(covariance), 0))
-        centres = np.array([p[layout.own(k)][:2] for k in range(layout.pictures)])
-        spread = np.array([std[layout.own(k)][:2] for k in range(layout.pictures)])
+        centres = np.array([p[layout.centre(k)] for k in range(layout.pictures)])
+        spread = np.array([std[layout.centre(k)] for k in range(layout.pictures)])
         scene = dict(zip(SCENE, zip(p[layout.scene], std[layout.scene], strict=True), strict=True))
 
         def distance(name: str) -> list[float | None]:
             value, one = scene[name]
             return [1 / value, one / value**2] if value > 0 else [None, None]
 
-        sigma = float(fit.scene.camera.parameters().get("optics.sigma_px", np.nan))
-        field, frames = fit.scene.camera.field, solution.problem.frames
-        own = [layout.own(k).start + 2 for k in range(layout.pictures)]
-        rig = rig_covariance(covariance, layout.scene, layout.field, own, frames, fit.lamps)
+        sigma, field = fit.scene.sigma, fit.scene.camera.field
+        rig = rig_covariance(covariance, layout, solution.problem.frames, fit.lamps)
         turns = [f"{name} {turn}" for name in fit.names for turn in "ab"]
-        captured = self.captured
-        radius = None
-        if captured is not None and captured.sample_radius is not None:
+        captured, radius = self.captured, None
+        if captured.sample_radius is not None:
             radius = captured.sample_radius.value * float(np.exp(p[layout.sample_radius]))
         return {
-            "frame_px": None if captured is None or captured.frame is None else list(captured.frame),
+            "frame_px": None if captured.frame is None else list(captured.frame),
             "sample_radius_mm": radius,
             "centre_px": [centres.mean(axis=0).tolist(), spread.mean(axis=0).tolist()],
             "radius_px": [float(x) for x in scene["radius"]],
@@ -169,7 +165,7 @@ class Reconstruction(Summarised):
                 {
                     "name": name,
                     "direction": direction.tolist(),
-                    "std_deg": float(np.degrees(np.hypot(*std[layout.own(k)][2:]) / np.sqrt(2))),
+                    "std_deg": float(np.degrees(np.hypot(*std[layout.turn(k)]) / np.sqrt(2))),
                     "centre_px": centres[k].tolist(),
                     "gain": float(np.exp(p[layout.gain(k)])),
                 }
@@ -225,7 +221,8 @@ class Reconstruction(Summarised):
             theta_d: angle, rad.
             channel: index of the channel, no unit. Default: 0.
         """
-        return reflectance_ratio(self.fit, self.curves[channel], channel_covariance(self.fit, channel), theta_d)
+        one = ratio_reading(self.fit, self.curves[channel], channel, theta_d)
+        return Ratio(theta_d, one.value, one.std(self.fit.solution.covariance))
 
     @property
     def measured_range(self) -> tuple[float, float]:
@@ -270,8 +267,6 @@ class Reconstruction(Summarised):
     @property
     def left_out(self) -> list[str]:
         """Names of the lamp positions that could not be used."""
-        if self.captured is None:
-            return []
         return [*self.captured.left_out, *(p.name for p in self.captured.pictures if p.name not in self.fit.names)]
 
     @property
@@ -343,72 +338,64 @@ class Reconstruction(Summarised):
                 for name, chi2, out in zip(fit.names, solution.chi2.tolist(), solution.left_out.tolist(), strict=True)
             ],
             "not_determined": [one.to_dict() for one in self.not_determined],
-            "radiometry": None if self.captured is None else self.captured.radiometry.to_dict(),
+            "radiometry": self.captured.radiometry.to_dict(),
             "left_out": self.left_out,
             "remarks": [remark.to_dict() for remark in self.remarks],
         }
 
 
 def reconstructed(
-    pictures: Sequence[MergedPicture],
-    scene: SphereScene,
-    lamps: np.ndarray,
-    units: Sequence[Known] | None = None,
+    captured: CapturedScene,
     family: str = AUTO,
     *,
+    sample: str = "sphere",
     masking: Masking = "smith",
     diffuse: bool = True,
-    remarks: Sequence[Remark] = (),
-    pinhole: Callable[[SphereFit, np.ndarray], xr.DataArray] | None = None,
     progress: Callable[[str], None] | None = None,
-    fit_pictures: FitOfPictures = fit_sphere,  # type: ignore[assignment]
+    fit_pictures: Callable[..., SphereFit] = fit_sphere,
 ) -> Reconstruction:
-    """Reconstruct a material from merged images with approximate geometry.
+    """Reconstruct a material from the data of a capture.
 
     Args:
-        pictures: merged images, one per lamp position.
-        scene: prior knowledge of camera, outline, lamps and distances.
-        lamps: directions to the lamps, derived from the highlights, (pictures, 3).
-        units: unit of each channel: value per radiance under unit irradiance, with its relative standard deviation.
-            Default: None, unknown.
+        captured: merged images with approximate geometry, and prior knowledge of camera, outline, lamps and distances.
         family: family of the lobe. Default: "auto".
+        sample: kind of the sample, "sphere" or "cylinder". Default: "sphere", with a pinhole table of the images that the
+            fit explains.
         masking: masking G of the lobe. Default: "smith".
         diffuse: True to include a Lambertian part. Default: True.
-        remarks: remarks of the preceding steps. Default: ().
-        pinhole: function that computes the pinhole table from the fit and the units. Default: None,
-            this table is omitted.
         progress: function that is called with a line about each step. Default: None.
         fit_pictures: function that fits one family, for samples other than a sphere. Default: `fit_sphere`.
     """
     chosen = chosen_fit(
-        pictures,
-        scene,
-        lamps,
+        captured.pictures,
+        captured.scene,
+        captured.lamps,
         family,
         masking=masking,
         diffuse=diffuse,
         progress=progress,
         fit_pictures=fit_pictures,
     )
-    fit = chosen.fit
-    theta = fit.solution.theta_d
+    fit, units = chosen.fit, captured.units
+    theta, channels = fit.solution.theta_d, fit.layout.channels
+    covariance = fit.strengths_covariance(fit.solution.fitted)
     curves = tuple(
         reflectance_curve(
             theta,
             fit.strengths[:, c],
-            channel_covariance(fit, c, fit.solution.fitted),
+            covariance[c::channels, c::channels],
             None if units is None else units[c],
         )
-        for c in range(fit.layout.channels)
+        for c in range(channels)
     )
     if units is None:
         # a scale that keeps F below 1 everywhere: F is relative, and a remark reports it
         low, high = theta.min(), theta.max()
         top = max(float(curve.at(np.linspace(low, high, 60)).max()) for curve in curves)
-        units = (Known(max(top, 1e-300), np.nan),) * fit.layout.channels
-    middle = fit.layout.channels // 2
+        units = (Stated(max(top, 1e-300), np.nan),) * channels
+    middle = channels // 2
     judged = min(_JUDGED, float(theta.max()))
-    every = [*remarks, *chosen.remarks]
+    every = [*captured.remarks, *chosen.remarks]
     pairs = inseparable(fit)
     every.extend(
         Remark(
@@ -428,14 +415,16 @@ def reconstructed(
         )
     return Reconstruction(
         table=(anisotropic_table if fit.kind.stretched else material_table)(fit, curves, units),
-        pinhole=None if pinhole is None else pinhole(fit, np.array([one.value for one in units])),
+        pinhole=pinhole_reading(captured.pictures, fit, units) if sample == "sphere" else None,
         fit=fit,
         curves=curves,
-        units=tuple(units),
+        units=units,
         budget=error_budget(fit, curves[middle], middle, judged, units[middle].std),
         not_determined=pairs,
         tried=chosen.tried,
         remarks=tuple(every),
+        captured=captured,
+        sample=sample,
     )
 
 

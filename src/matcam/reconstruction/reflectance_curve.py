@@ -14,9 +14,9 @@ from scipy.linalg import cholesky, solve_triangular
 from scipy.optimize import least_squares
 
 from matcam.core.jax import jax
+from matcam.files.capture_settings import Stated
 from matcam.inverse.fit.fit_parameters import fresnel_start, readable_value, reflectance_at
 from matcam.numerics.linalg import scaled_inverse
-from matcam.reconstruction.sphere_scene import Known
 
 _WORST = 2.5
 """Mean squared residual, relative to the variance, up to which a curve of n and k explains the strengths."""
@@ -52,11 +52,11 @@ class ReflectanceCurve:
 
     def at(self, theta: np.ndarray) -> np.ndarray:
         """Evaluate F at angles, rad."""
-        return _curve(self.model, self.coefficients, theta)
+        return _curve(self.model, self.coefficients, theta)[0]
 
     def slopes(self, theta: np.ndarray) -> np.ndarray:
         """Evaluate the derivatives of F with respect to the coefficients, (angles, coefficients)."""
-        return _slopes(self.model, self.coefficients, theta)
+        return _curve(self.model, self.coefficients, theta)[1]
 
     def parameters(self) -> dict[str, tuple[float, np.ndarray]]:
         """Return n and k with their derivatives with respect to the coefficients. A smooth curve has neither."""
@@ -72,7 +72,7 @@ class ReflectanceCurve:
 
 
 def reflectance_curve(
-    theta: np.ndarray, strengths: np.ndarray, covariance: np.ndarray, unit: Known | None
+    theta: np.ndarray, strengths: np.ndarray, covariance: np.ndarray, unit: Stated | None
 ) -> ReflectanceCurve:
     """Fit F over theta_d to strengths. The curve has the unit of the strengths.
 
@@ -91,24 +91,24 @@ def reflectance_curve(
     def white(rows: np.ndarray) -> np.ndarray:
         return np.asarray(solve_triangular(root, rows, lower=True))
 
-    scale = Known(float(np.abs(strengths).max(initial=1e-12)), _ANYTHING) if unit is None else unit
+    scale = Stated(float(np.abs(strengths).max(initial=1e-12)), _ANYTHING) if unit is None else unit
     curves = [one for one in (_conductor(theta, strengths, white, scale), _smooth(theta, strengths, white)) if one]
     explained = [one for one in curves if one.model == "conductor" and one.misfit < _WORST]
     return explained[0] if explained else min(curves, key=lambda one: one.misfit)
 
 
-def _conductor(theta: np.ndarray, strengths: np.ndarray, white: Whitener, unit: Known) -> ReflectanceCurve | None:
+def _conductor(theta: np.ndarray, strengths: np.ndarray, white: Whitener, unit: Stated) -> ReflectanceCurve | None:
     if len(theta) < 4 or not (strengths > 0).all():
         return None
     start = fresnel_start("conductor", theta, strengths / unit.value, (unit.value / strengths) ** 2)
     about, prior = float(np.log(unit.value)), max(unit.std, 1e-6)
 
     def rows(c: np.ndarray) -> np.ndarray:
-        return np.append(white(strengths - _curve("conductor", c, theta)), (c[2] - about) / prior)
+        return np.append(white(strengths - _curve("conductor", c, theta)[0]), (c[2] - about) / prior)
 
     def slopes(c: np.ndarray) -> np.ndarray:
         last = np.array([[0, 0, 1 / prior]])
-        return np.concatenate([-white(_slopes("conductor", c, theta)), last])
+        return np.concatenate([-white(_curve("conductor", c, theta)[1]), last])
 
     low, high = ([*(b[side] for b in _LOG_BOUNDS), (-90.0, 90.0)[side]] for side in (0, 1))
     found = least_squares(
@@ -122,7 +122,7 @@ def _conductor(theta: np.ndarray, strengths: np.ndarray, white: Whitener, unit: 
 
 
 def _smooth(theta: np.ndarray, strengths: np.ndarray, white: Whitener) -> ReflectanceCurve:
-    basis = _slopes("smooth", np.zeros(min(5, max(len(theta) - 2, 1))), theta)
+    _, basis = _curve("smooth", np.zeros(min(5, max(len(theta) - 2, 1))), theta)
     coefficients = np.linalg.lstsq(white(basis), white(strengths), rcond=None)[0]
     return _with_gain("smooth", coefficients, theta, strengths, white, np.zeros((len(coefficients),) * 2))
 
@@ -130,8 +130,8 @@ def _smooth(theta: np.ndarray, strengths: np.ndarray, white: Whitener) -> Reflec
 def _with_gain(
     model: str, coefficients: np.ndarray, theta: np.ndarray, strengths: np.ndarray, white: Whitener, prior: np.ndarray
 ) -> ReflectanceCurve:
-    slopes = white(_slopes(model, coefficients, theta))
-    residual = white(strengths - _curve(model, coefficients, theta))
+    value, by_coefficients = _curve(model, coefficients, theta)
+    slopes, residual = white(by_coefficients), white(strengths - value)
     inverse = scaled_inverse(slopes.T @ slopes + prior, undetermined=1e14)
     whitener = white(np.eye(len(theta)))
     misfit = float(residual @ residual / max(len(theta) - len(coefficients), 1))
@@ -139,18 +139,15 @@ def _with_gain(
     return ReflectanceCurve(model, coefficients, inverse @ slopes.T @ whitener, by_scale, by_misfit, misfit)
 
 
-def _curve(model: str, coefficients: np.ndarray, theta: np.ndarray) -> np.ndarray:
-    if model == "smooth":
-        return _slopes(model, coefficients, theta) @ coefficients
-    return _conductor_slopes(coefficients[:2], theta)[0] * np.exp(coefficients[2])
-
-
-def _slopes(model: str, coefficients: np.ndarray, theta: np.ndarray) -> np.ndarray:
+def _curve(model: str, coefficients: np.ndarray, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Evaluate a curve, and its derivatives with respect to the coefficients, (angles, coefficients)."""
     if model == "smooth":
         c = 1 - np.cos(theta)
-        return np.column_stack([np.ones_like(c), c, c**3, c**5, c**9])[:, : len(coefficients)]
-    value, by_index = _conductor_slopes(coefficients[:2], theta)
-    return np.exp(coefficients[2]) * np.column_stack([by_index, value])
+        basis = np.column_stack([np.ones_like(c), c, c**3, c**5, c**9])[:, : len(coefficients)]
+        return basis @ coefficients, basis
+    value, by_index = map(np.asarray, _compiled_conductor()(coefficients[:2], theta))
+    value, by_index = np.exp(coefficients[2]) * value, np.exp(coefficients[2]) * by_index
+    return value, np.column_stack([by_index, value])
 
 
 @cache
@@ -159,8 +156,3 @@ def _compiled_conductor() -> Callable[..., tuple[jax.Array, jax.Array]]:
         return reflectance_at("conductor", c).at(theta)
 
     return jax.jit(lambda c, theta: (curve(c, theta), jax.jacfwd(curve)(c, theta)))
-
-
-def _conductor_slopes(coordinates: np.ndarray, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    value, slopes = _compiled_conductor()(coordinates, theta)
-    return np.asarray(value), np.asarray(slopes)

@@ -8,12 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 
 from matcam.acquisition.merged_picture import MergedPicture
-from matcam.acquisition.mirror_ball import MirrorBall
 from matcam.core.errors import ArgumentError
 from matcam.core.registry import WITH_POWER
 from matcam.forward.integral.blur import blur_of
@@ -21,15 +19,15 @@ from matcam.inverse.fit.fit_parameters import LobeKind
 from matcam.material.diffuse_shape import TERMS
 from matcam.material.masking import Masking
 from matcam.material.ndf.free_lobe import KNOTS
-from matcam.reconstruction.joint.joint_fit import JointSolution, Likelihood, solve, summed_up
-from matcam.reconstruction.joint.joint_problem import JointLayout, JointProblem
+from matcam.reconstruction.joint.field_change import FieldChange, changed_field
+from matcam.reconstruction.joint.joint_fit import JointSolution, solve, summed_up
+from matcam.reconstruction.joint.joint_problem import JointLayout, JointProblem, PixelModel
+from matcam.reconstruction.joint.likelihood import Likelihood, likelihood_at, unexplained_share
 from matcam.reconstruction.joint.rounds import Rounds
-from matcam.reconstruction.joint.unexplained import UnexplainedLight, unexplained_by, unexplained_share
-from matcam.reconstruction.observed_pixels import HighlightPosition, ObservedPixels, chosen_pixels
-from matcam.reconstruction.picture_model import PictureModel, lamp_frame, turned_lamp
-from matcam.reconstruction.picture_rule import lamp_positions
-from matcam.reconstruction.rig.field_change import FieldChange, changed_field
-from matcam.reconstruction.sphere_scene import SphereScene, joint_problem, part_of
+from matcam.reconstruction.observed_pixels import ObservedPixels, chosen_pixels
+from matcam.reconstruction.picture_model import LampFrame, PictureModel, lamp_frame, turned_lamp
+from matcam.reconstruction.picture_rule import HighlightPosition, lamp_positions
+from matcam.reconstruction.sphere_scene import SphereScene, joint_problem, mirror_ball, part_of
 from matcam.rigs import Rig
 from matcam.sample.curved import Sphere
 
@@ -48,25 +46,8 @@ _BETWEEN, _ABOUT = np.array([0.75, 1.33]), np.array([0.4, 0.7, 1.1, 1.8])
 """Relative widths of the second search, for the best family of the first search and for a rival family."""
 
 
-class LayProblem(Protocol):
-    """Setup of the problem for a kind of sample: pixels, model, prior."""
-
-    def __call__(
-        self,
-        pictures: Sequence[MergedPicture],
-        scene: SphereScene,
-        known: SphereScene,
-        layout: JointLayout,
-        kind: LobeKind,
-        p: np.ndarray,
-        slope: np.ndarray,
-        *,
-        diffuse: bool,
-        spline: float,
-        disc: bool = True,
-        keep: Sequence[ObservedPixels] | None = None,
-    ) -> JointProblem:
-        """Build the problem at the parameters p, with the prior of `scene` and the lamps of `known` as base directions."""
+Observe = Callable[..., tuple[PixelModel, list[ObservedPixels], list[FieldChange]]]
+"""Choice of the pixels and the model for a kind of sample: `sphere_pixels`, or a function with its interface."""
 
 
 @dataclass(frozen=True)
@@ -98,9 +79,7 @@ class SphereFit:
     def lamps(self) -> np.ndarray:
         """Fitted directions to the lamps, (pictures, 3)."""
         problem, p = self.solution.problem, self.solution.p
-        return np.array(
-            [np.asarray(turned_lamp(f, *p[problem.layout.own(k)][2:])) for k, f in enumerate(problem.frames)]
-        )
+        return np.array([np.asarray(turned_lamp(f, *p[problem.layout.turn(k)])) for k, f in enumerate(problem.frames)])
 
     @property
     def strengths(self) -> np.ndarray:
@@ -132,14 +111,14 @@ class SphereFit:
 
     def strengths_rows(self) -> np.ndarray:
         """Compute the derivatives of the strengths at fixed angles, (strengths, size)."""
-        layout, solution = self.layout, self.solution
+        layout, solution, strengths = self.layout, self.solution, self.strengths
         rows = np.zeros((layout.pictures * layout.channels, layout.size))
         for k in range(layout.pictures):
             for c in range(layout.channels):
                 row = rows[k * layout.channels + c]
                 row[layout.strengths(k).start + c] = 1.0
                 # F at the fixed angle = F at the fitted angle less slope times the error of the angle
-                row -= self.strengths[k, c] * solution.problem.slope[k, c] * solution.theta_d_slope[k]
+                row -= strengths[k, c] * solution.problem.slope[k, c] * solution.theta_d_slope[k]
         return rows
 
 
@@ -156,7 +135,7 @@ def fit_sphere(
     widths: np.ndarray = _WIDTHS,
     rounds: int = _ROUNDS,
     progress: Callable[[str], None] | None = None,
-    lay: LayProblem | None = None,
+    observe: Observe | None = None,
     stretched: bool = False,
     rivals: Sequence[str] = (),
     shaped: bool = False,
@@ -176,27 +155,27 @@ def fit_sphere(
         widths: lattice of widths (first parameter of the lobe) for a search without `start`.
         rounds: largest number of rounds of refinement. Default: 4.
         progress: function that is called with a line about each round. Default: None.
-        lay: function that sets up the problem for a sample other than a sphere. Default: None, a sphere.
+        observe: function that chooses pixels and model for a sample other than a sphere. Default: None, a sphere.
         stretched: True for a lobe with two roughnesses, "ggx" only. Default: False.
         shaped: True if the diffuse part of a sphere may depart from Lambert's law. Default: False.
         rivals: families that replace `family` if their lattice gives a smaller residual. Default: ().
     """
     if len(pictures) < 2:
         raise ArgumentError(f"a joint fit needs at least 2 images, got {len(pictures)}")
-    again = lay is None
-    lay = lay or sphere_problem
+    again = observe is None
+    observe = observe or sphere_pixels
     kind = LobeKind(family, masking, KNOTS if spline else 0, stretched=stretched)
     channels = pictures[0].channels
     say = progress or (lambda _: None)
     known = scene if lamps is None else replace(scene, lamps=np.asarray(lamps, dtype=float))
     if start is None:
-        cost, lobe = _searched(pictures, known, kind, widths, lay)
+        cost, lobe = _searched(pictures, known, kind, widths, observe)
         if rivals:  # they are compared at their best widths
-            between = _searched(pictures, known, kind, np.exp(lobe[0]) * _BETWEEN, lay)
+            between = _searched(pictures, known, kind, np.exp(lobe[0]) * _BETWEEN, observe)
             cost, lobe = min((cost, lobe), between, key=lambda one: one[0])
         for rival in rivals:
             other = LobeKind(rival, masking, kind.spline_size)
-            least, found_lobe = _searched(pictures, known, other, np.exp(lobe[0]) * _ABOUT, lay)
+            least, found_lobe = _searched(pictures, known, other, np.exp(lobe[0]) * _ABOUT, observe)
             if least < cost:
                 cost, lobe, kind = least, found_lobe, other
         say(f"start: {kind.family} of width {np.exp(lobe[0]):.4g}")
@@ -218,37 +197,39 @@ def fit_sphere(
                 j = start.names.index(one.name)
                 p[layout.own(k).start : layout.strengths(k).stop] = q[old.own(j).start : old.strengths(j).stop]
                 directions[k] = start.lamps[j]
-            p[layout.own(k)][2:] = 0.0
+            p[layout.turn(k)] = 0.0
         known = replace(scene, lamps=directions)
-    slope = np.zeros((layout.pictures, layout.channels))
-    left, solution = UnexplainedLight(0.02), None
+    slope: np.ndarray | None = None
+    likelihood, solution = Likelihood(0.02), None
     tally = Rounds(rounds, say, len(pictures))
     best: SphereFit | None = None
     for turn in range(rounds):
         tally.begin()
         last = None if solution is None else solution.problem.pixels
-        problem = lay(pictures, scene, known, layout, kind, p, slope, diffuse=diffuse, spline=spline, keep=last)
+        frames = [lamp_frame(one) for one in known.lamps]
+        chosen = observe(pictures, scene, frames, layout, kind, p, keep=last)
+        problem = joint_problem(layout, kind, scene, frames, *chosen, slope=slope, diffuse=diffuse, spline=spline)
         p = p.copy()  # the previous round may be returned
         for k in range(layout.pictures):
-            p[layout.own(k).start + 2 : layout.own(k).stop] = 0.0
+            p[layout.turn(k)] = 0.0
         if turn == 0:
-            p = _with_strengths(problem, p, left.share)
+            p = _with_strengths(problem, p, likelihood.share)
             p[layout.diffuse] *= diffuse
         before = p.copy()
         # the windows of the first round are placed again
-        rough = rounds > 1 if turn == 0 else left.share > _SYSTEMATIC
-        p = solve(problem, p, left, _ROUGHLY if rough else _ENOUGH)
+        rough = rounds > 1 if turn == 0 else likelihood.share > _SYSTEMATIC
+        p = solve(problem, p, likelihood, _ROUGHLY if rough else _ENOUGH)
         share = unexplained_share(problem, p)
-        settled = abs(share - left.share) < 0.05 * left.share + 1e-4
-        left = UnexplainedLight(share)
-        solution = summed_up(problem, p, left)
+        settled = abs(share - likelihood.share) < 0.05 * likelihood.share + 1e-4
+        likelihood = Likelihood(share)
+        solution = summed_up(problem, p, likelihood)
         found = SphereFit(scene, kind, solution, channels, tuple(one.name for one in pictures))
         lamps_now = _lamps_again(found, pictures) if again else found.lamps
         known, slope = replace(scene, lamps=lamps_now), _slopes(found)
-        tally.end(left.share)
+        tally.end(likelihood.share)
         if tally.stuck and best is not None:
             return replace(best, stuck=tuple(tally.shares))
-        best = found if best is None or left.share < best.solution.unexplained else best
+        best = found if best is None or likelihood.share < best.solution.unexplained else best
         std = np.sqrt(np.maximum(np.diag(solution.covariance), 1e-30))
         if (
             turn
@@ -267,11 +248,11 @@ def with_correlated_residuals(fit: SphereFit) -> SphereFit:
     would not converge.
     """
     problem, p = fit.solution.problem, fit.solution.p
-    left = unexplained_by(problem, p)
-    if left.share == 0:
+    likelihood = likelihood_at(problem, p)
+    if likelihood.share == 0:
         return fit
-    p = solve(problem, p, left, _NEARLY if left.share > _SYSTEMATIC else _ENOUGH)
-    return replace(fit, solution=summed_up(problem, p, left))
+    p = solve(problem, p, likelihood, _NEARLY if likelihood.share > _SYSTEMATIC else _ENOUGH)
+    return replace(fit, solution=summed_up(problem, p, likelihood))
 
 
 def _write_scene(p: np.ndarray, layout: JointLayout, scene: SphereScene) -> None:
@@ -286,7 +267,7 @@ def _searched(
     scene: SphereScene,
     kind: LobeKind,
     widths: np.ndarray,
-    lay: LayProblem,
+    observe: Observe,
 ) -> tuple[float, np.ndarray]:
     """Find the lobe of a lattice that fits few images best, with strengths solved for. Returns: cost and lobe."""
     few = np.unique(np.linspace(0, len(pictures) - 1, min(_FEW, len(pictures))).round().astype(int))
@@ -298,10 +279,10 @@ def _searched(
         p = np.zeros(layout.size)
         p[: len(lobe)] = np.log(lobe)
         _write_scene(p, layout, part)
-        slope = np.zeros((layout.pictures, layout.channels))
-        problem = lay(some, part, part, layout, kind, p, slope, diffuse=True, spline=0.0, disc=False)
+        frames = [lamp_frame(one) for one in part.lamps]
+        problem = joint_problem(layout, kind, part, frames, *observe(some, part, frames, layout, kind, p, disc=False))
         p = _with_strengths(problem, p, 0.05)
-        judge = Likelihood(UnexplainedLight(0.05))
+        judge = Likelihood(0.05)
         cost = sum(
             judge.cost(problem.pixels[k], problem.picture(p, k, slopes=False).value) for k in range(layout.pictures)
         )
@@ -344,79 +325,67 @@ def _with_strengths(problem: JointProblem, p: np.ndarray, unexplained: float) ->
     return np.clip(p, problem.low, problem.high)
 
 
-def sphere_problem(
+def sphere_pixels(
     pictures: Sequence[MergedPicture],
     scene: SphereScene,
-    known: SphereScene,
+    frames: Sequence[LampFrame],
     layout: JointLayout,
     kind: LobeKind,
     p: np.ndarray,
-    slope: np.ndarray,
     *,
-    diffuse: bool,
-    spline: float,
     disc: bool = True,
     keep: Sequence[ObservedPixels] | None = None,
-) -> JointProblem:
-    """Build the problem of a sphere at the parameters p: windows about the highlights, and the prior of `scene`.
+) -> tuple[PixelModel, list[ObservedPixels], list[FieldChange]]:
+    """Choose the pixels of a sphere at the parameters p, with windows about the highlights, and their model.
 
-    The base directions of the lamps are those of `known`.
+    Args:
+        pictures: merged images.
+        scene: prior knowledge of the scene.
+        frames: base direction of the lamp of each image.
+        layout: order of the parameters.
+        kind: family, masking and splines of the lobe.
+        p: parameters, (size,).
+        disc: False for a lamp without extent. Default: True.
+        keep: earlier choice of the pixels of each image. Default: None.
+
+    Returns:
+        Model of the pixels, pixels of each image, and effect of a change of the lens field on each image.
     """
     width = float(np.exp(p[0]))
-    _, radius, camera, lamp = p[layout.scene]
-    lit = lamp_positions(scene.lamp_radius if disc else 0.0, width)
+    turns, weights, plateau = lamp_positions(scene.lamp_radius if disc else 0.0, width)
     blur = blur_of(Rig(scene.camera, Sphere(scene.radius)))
-    model = PictureModel(kind, blur, lit.turns, lit.weights, layout.shape)
-    frames = [lamp_frame(one / np.linalg.norm(one)) for one in known.lamps]
     pixels, changes = [], list[FieldChange]()
     known_field = scene.camera.field
     field = None if known_field is None else changed_field(known_field, p[layout.field])
     for k, picture in enumerate(pictures):
-        column, row = p[layout.own(k)][:2]
-        distance, far = (1 / max(nearness, 1e-12) for nearness in (camera, lamp))
-        at_row, at_column = MirrorBall(row, column, radius, distance).mirror_position(frames[k].base, far)
-        highlight = float((at_column - column) / radius), float((row - at_row) / radius)
-        position = HighlightPosition(column, row, radius, frames[k].base, highlight)
+        ball, far = mirror_ball(layout, p, k)
+        row, column = ball.mirror_position(frames[k].base, far)
+        highlight = float((column - ball.column) / ball.radius), float((ball.row - row) / ball.radius)
+        position = HighlightPosition(ball.column, ball.row, ball.radius, frames[k].base, highlight)
         last = None if keep is None else keep[k]
         pixels.append(
-            chosen_pixels(picture, position, scale=width / 3, plateau=lit.plateau, seed=k, keep=last, field=field)
+            chosen_pixels(picture, position, scale=width / 3, plateau=plateau, seed=k, keep=last, field=field)
         )
         if scene.field is not None:
-            at = float(column + radius * highlight[0]), float(row - radius * highlight[1])
-            changes.append(FieldChange(scene.field, at, pixels[-1].seen))
-    changes, unstated = ([], changes) if known_field is None else (changes, [])
-    return joint_problem(
-        layout,
-        kind,
-        scene,
-        model,
-        pixels,
-        frames,
-        slope,
-        diffuse=diffuse,
-        spline=spline,
-        changes=changes,
-        unstated=unstated,
-    )
+            changes.append(FieldChange(scene.field, position.at, pixels[-1].seen))
+    return PictureModel(kind, blur, turns, weights, layout.shape), pixels, changes
 
 
 def _lamps_again(fit: SphereFit, pictures: Sequence[MergedPicture]) -> np.ndarray:
     """Return the fitted directions to the lamps. In an unexplained image, the brightest pixel determines the direction."""
     lamps = fit.lamps
-    _, radius, camera, lamp = fit.solution.p[fit.layout.scene]
     for k in fit.unexplained_pictures:
-        column, row = fit.solution.p[fit.layout.own(k)][:2]
-        ball = MirrorBall(row, column, radius, 1 / max(camera, 1e-12))
+        ball, far = mirror_ball(fit.layout, fit.solution.p, k)
         picture = pictures[k]
         rows, columns = np.indices(picture.values.shape) + np.array(picture.origin)[:, None, None]
         if fit.scene.camera.field is not None:
             columns, rows = fit.scene.camera.field.true_position(columns, rows)
-        away = np.hypot(rows - row, columns - column)
-        light = np.where(np.isfinite(picture.values) & (away < radius - 0.5), picture.values, -np.inf)
+        away = np.hypot(rows - ball.row, columns - ball.column)
+        light = np.where(np.isfinite(picture.values) & (away < ball.radius - 0.5), picture.values, -np.inf)
         at = np.unravel_index(int(np.argmax(light)), light.shape)
         normal = ball.normals(rows[at], columns[at])
         if np.all(np.isfinite(normal)):
-            lamps[k] = ball.lamp_seen_at(normal, 1 / max(lamp, 1e-12))
+            lamps[k] = ball.lamp_seen_at(normal, far)
     return lamps
 
 

@@ -40,35 +40,48 @@ def normal_at(p_x: jax.Array, p_y: jax.Array, depth: jax.Array, camera_nearness:
 
 
 def light_and_view(
-    normal: Vector, lamp: Vector, camera_nearness: jax.Array, lamp_nearness: jax.Array
+    point: Vector, lamp: Vector, camera_nearness: jax.Array, lamp_nearness: jax.Array
 ) -> tuple[Vector, Vector, jax.Array]:
-    """Compute the directions of light and view at points of the sphere, and the relative irradiance.
+    """Compute the directions of light and view at points of the sample, and the relative irradiance.
 
     The relative irradiance is the squared ratio of the lamp's distances from the centre and from the point.
 
     Args:
-        normal: points on the sphere, which equal their normals.
+        point: points of the sample, radii; those of a sphere equal their normals.
         lamp: direction from the centre to the lamp, of length 1.
         camera_nearness: inverse of the camera's distance, 1/radii.
         lamp_nearness: inverse of the lamp's distance, 1/radii.
     """
-    light, closeness = _towards(lamp, normal, lamp_nearness)
+    light, closeness = _towards(lamp, point, lamp_nearness)
     zero = jnp.zeros(())
-    view, _ = _towards((zero, zero, jnp.ones(())), normal, camera_nearness)
+    view, _ = _towards((zero, zero, jnp.ones(())), point, camera_nearness)
     return light, view, closeness
 
 
-def sphere_shading(
-    normal: Vector, lamp: Vector, camera_nearness: jax.Array, lamp_nearness: jax.Array
+def surface_shading(
+    normal: Vector, tangent: Vector, point: Vector, lamp: Vector, camera_nearness: jax.Array, lamp_nearness: jax.Array
 ) -> tuple[Shading, jax.Array]:
-    """Compute the shading of points of the sphere, and their irradiance relative to the centre, without the cosine."""
-    light, view, closeness = light_and_view(normal, lamp, camera_nearness, lamp_nearness)
-    x, _, z = normal
-    across = jnp.sqrt(
-        x**2 + z**2
-    )  # visible points have z > 0, or lie at the start of a row, so x and z are never both 0
-    tangent = z / across, jnp.zeros(()), -x / across
+    """Compute the shading of points, and their irradiance relative to the centre, without the cosine.
+
+    normal, tangent: normals of the points, and x axis of the material. The other arguments are those of `light_and_view`.
+    """
+    light, view, closeness = light_and_view(point, lamp, camera_nearness, lamp_nearness)
     return shading(normal, tangent, light, view), closeness
+
+
+def theta_d_at(point: Vector, lamp: Vector, camera_nearness: jax.Array, lamp_nearness: jax.Array) -> jax.Array:
+    """Compute theta_d at points of the sample, rad. The arguments are those of `light_and_view`."""
+    light, view, _ = light_and_view(point, lamp, camera_nearness, lamp_nearness)
+    cos2 = sum(s * t for s, t in zip(light, view, strict=True))
+    return jnp.arccos(jnp.clip(cos2, -1 + 1e-12, 1 - 1e-12)) / 2
+
+
+def sphere_tangent(normal: Vector) -> Vector:
+    """Compute the horizontal tangents at points of the sphere."""
+    x, _, z = normal
+    # visible points have z > 0, or lie at the start of a row, so x and z are never both 0
+    across = jnp.sqrt(x**2 + z**2)
+    return z / across, jnp.zeros(()), -x / across
 
 
 def radiance(

@@ -4,21 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 
-from matcam.acquisition.mirror_ball import MirrorBall
+from matcam.acquisition.mirror_ball import MirrorBall, unit
 from matcam.camera.camera import Camera
 from matcam.camera.lens_field import Coefficient, LensField
+from matcam.files.capture_settings import Stated
 from matcam.inverse.fit.fit_parameters import LobeKind
 from matcam.inverse.operator.rig_axes import known_lens
 from matcam.material.ndf.free_lobe import KNOTS, spline_smoothness
+from matcam.reconstruction.joint.field_change import FIELD, FieldChange, outline_slopes
 from matcam.reconstruction.joint.joint_problem import JointLayout, JointProblem, PixelModel
 from matcam.reconstruction.observed_pixels import ObservedPixels
-from matcam.reconstruction.picture_model import SCENE, LampFrame
+from matcam.reconstruction.picture_model import LampFrame
 from matcam.reconstruction.rig.earlier_rig import KnownRig
-from matcam.reconstruction.rig.field_change import FIELD, FieldChange, outline_slopes
 
 _UNSTATED_DISTORTION = 5e-4
 """Standard deviation of an unspecified distortion at the limb of the sphere, as a share of the radius."""
@@ -28,13 +28,6 @@ _LARGEST_CHANGE = 1.0
 """Largest change of ln of the radius of the sample. Larger errors indicate a wrong unit of the radius."""
 _DEPARTURE = 0.5
 """Standard deviation of the coefficients of a non-Lambertian diffuse part, no unit."""
-
-
-class Known(NamedTuple):
-    """Value with its standard deviation."""
-
-    value: float
-    std: float
 
 
 @dataclass(frozen=True)
@@ -71,8 +64,8 @@ class SphereScene:
     radius: float
     outline_covariance: np.ndarray
     shift_std: float
-    camera_nearness: Known
-    lamp_nearness: Known
+    camera_nearness: Stated
+    lamp_nearness: Stated
     lamps: np.ndarray
     lamp_std: float | np.ndarray
     lamp_radius: float = 0.0
@@ -81,12 +74,25 @@ class SphereScene:
     gain_correlation: np.ndarray | None = None
     rig: KnownRig | None = None
     unstated_field: LensField | None = None
-    sample_radius: Known | None = None
+    sample_radius: Stated | None = None
+
+    @property
+    def sigma(self) -> float:
+        """Standard deviation of the lens according to its profile, px; NaN if the lens is not Gaussian."""
+        return float(self.camera.parameters().get("optics.sigma_px", np.nan))
 
     @property
     def field(self) -> LensField | None:
         """Distortion and blur over the field: those of the profile, otherwise the unspecified distortion."""
         return self.camera.field or self.unstated_field
+
+
+def mirror_ball(layout: JointLayout, p: np.ndarray, k: int) -> tuple[MirrorBall, float]:
+    """Build the sphere in image k from the parameters p, and the distance of the lamp, radii."""
+    column, row = map(float, p[layout.centre(k)])
+    _, radius, *nearness = map(float, p[layout.scene])
+    distance, far = (1 / one if one > 0 else np.inf for one in nearness)
+    return MirrorBall(row, column, radius, distance), far
 
 
 def part_of(scene: SphereScene, pictures: Sequence[int]) -> SphereScene:
@@ -122,53 +128,41 @@ def prior_of(
         values.append(value)
         sources.append(source)
 
-    def unit(source: str, index: int, std: float, value: float) -> None:
+    def single(source: str, index: int, std: float, value: float) -> None:
         row = np.zeros(layout.size)
         row[index] = 1 / std
         add(source, row, value / std)
 
     field, in_rig = scene.field, np.zeros(5, bool)
-    lens = layout.lobe + SCENE.index("lens")
     if scene.rig is not None:
         in_rig = scene.rig.knows
-        positions = [lens, *(layout.lobe + SCENE.index(name) for name in ("camera", "lamp"))]
-        positions += [layout.field.start, layout.field.start + 1]
-        own_lamps = [layout.own(i).start + 2 for i in range(layout.pictures)]
-        for row, value in zip(*scene.rig.prior(layout.size, positions, own_lamps, frames), strict=True):
+        for row, value in zip(*scene.rig.prior(layout, frames), strict=True):
             add("rig", row, float(value))
     if scene.lens_std > 0 and not in_rig[0]:
-        unit("lens", layout.lobe, scene.lens_std, 0.0)
+        single("lens", layout.of("lens"), scene.lens_std, 0.0)
     for at, (name, known) in enumerate((("camera", scene.camera_nearness), ("lamp", scene.lamp_nearness))):
         if known.std > 0 and not in_rig[1 + at]:
             row = np.zeros(layout.size)
-            row[layout.lobe + SCENE.index(name)] = 1 / known.std
+            row[layout.of(name)] = 1 / known.std
             # a larger sample has smaller distances in radii of the sample
             row[layout.sample_radius] = -known.value / known.std if scene.sample_radius else 0.0
             add(f"{name} distance", row, known.value / known.std)
     if scene.sample_radius is not None and any(row[layout.sample_radius] for row in rows):
-        unit("sample radius", layout.sample_radius, scene.sample_radius.std / scene.sample_radius.value, 0.0)
+        single("sample radius", layout.sample_radius, scene.sample_radius.std / scene.sample_radius.value, 0.0)
     # outline: column, row and radius are common, and each image has its own shift of the centre
     k = layout.pictures
-    common = np.asarray(scene.outline_covariance, dtype=float)
-    covariance = np.zeros((2 * k + 1, 2 * k + 1))
-    covariance[:k, :k] = common[0, 0]
-    covariance[k : 2 * k, k : 2 * k] = common[1, 1]
-    covariance[:k, k : 2 * k] = covariance[k : 2 * k, :k] = common[0, 1]
-    covariance[:k, -1] = covariance[-1, :k] = common[0, 2]
-    covariance[k : 2 * k, -1] = covariance[-1, k : 2 * k] = common[1, 2]
-    covariance[-1, -1] = common[2, 2]
+    which = np.repeat(range(3), [k, k, 1])
+    covariance = np.asarray(scene.outline_covariance, dtype=float)[np.ix_(which, which)]
     covariance[np.arange(2 * k), np.arange(2 * k)] += max(scene.shift_std, 1e-4) ** 2
     root = np.linalg.inv(np.linalg.cholesky(covariance))
-    positions = [layout.own(i).start for i in range(k)] + [layout.own(i).start + 1 for i in range(k)]
-    positions.append(layout.lobe + SCENE.index("radius"))
-    expected = np.concatenate([scene.centres[:, 0], scene.centres[:, 1], [scene.radius]])
+    positions = [layout.centre(i).start + axis for axis in (0, 1) for i in range(k)] + [layout.of("radius")]
+    expected = np.append(scene.centres.T.ravel(), scene.radius)
     moved = np.zeros(2 * k + 1)
     if field is not None:
-        column, line_up, grown = outline_slopes(field, tuple(scene.centres.mean(axis=0)), scene.radius)
-        moved = np.repeat([column, line_up, grown], [k, k, 1])
+        moved = outline_slopes(field, tuple(scene.centres.mean(axis=0)), scene.radius)[which]
         for index, one in enumerate((field.k1, field.growth)):
             if one.std > 0 and not in_rig[3 + index]:
-                unit(FIELD[index], layout.field.start + index, one.std, 0.0)
+                single(FIELD[index], layout.field.start + index, one.std, 0.0)
     for line in root:
         row = np.zeros(layout.size)
         row[positions] = line
@@ -179,11 +173,11 @@ def prior_of(
     gains = np.zeros(k) if scene.gain is None else np.log(scene.gain)
     for i, frame in enumerate(frames):
         # coordinates of the specified direction in this frame, whose base is the last fitted direction
-        stated = scene.lamps[i] / np.linalg.norm(scene.lamps[i])
+        stated = unit(scene.lamps[i])
         along = float(stated @ frame.base)
         for axis, tangent in enumerate((frame.first, frame.second)):
             if scene.rig is None or scene.rig.lamps[i] < 0:
-                unit("lamp", layout.own(i).start + 2 + axis, float(stds[i]), float(stated @ tangent) / max(along, 0.1))
+                single("lamp", layout.turn(i).start + axis, float(stds[i]), float(stated @ tangent) / max(along, 0.1))
     root = np.eye(k)
     if scene.gain_correlation is not None:
         root = np.linalg.inv(np.linalg.cholesky(scene.gain_correlation + 1e-9 * np.eye(k)))
@@ -192,10 +186,9 @@ def prior_of(
         row[[layout.gain(i) for i in range(k)]] = line
         add("gain", row, float(line @ gains))
     for index in range(layout.diffuse_shape.start, layout.diffuse_shape.stop):
-        unit("diffuse shape", index, _DEPARTURE, 0.0)
+        single("diffuse shape", index, _DEPARTURE, 0.0)
     if spline:
-        smooth = spline_smoothness()
-        for line in smooth:
+        for line in spline_smoothness():
             row = np.zeros(layout.size)
             row[own : own + KNOTS] = line / spline
             add("smooth lobe", row, 0.0)
@@ -206,15 +199,14 @@ def joint_problem(
     layout: JointLayout,
     kind: LobeKind,
     scene: SphereScene,
+    frames: Sequence[LampFrame],
     model: PixelModel,
     pixels: Sequence[ObservedPixels],
-    frames: Sequence[LampFrame],
-    slope: np.ndarray,
-    *,
-    diffuse: bool,
-    spline: float,
     changes: Sequence[FieldChange] = (),
-    unstated: Sequence[FieldChange] = (),
+    *,
+    slope: np.ndarray | None = None,
+    diffuse: bool = True,
+    spline: float = 0.0,
 ) -> JointProblem:
     """Build the problem of chosen pixels and their model, with bounds, priors and constant parameters.
 
@@ -222,14 +214,14 @@ def joint_problem(
         layout: order of the parameters.
         kind: family, masking and splines of the lobe.
         scene: prior knowledge of the scene.
+        frames: base direction of the lamp of each image.
         model: model of the pixels.
         pixels: pixels of each image.
-        frames: base direction of the lamp of each image.
-        slope: d ln F / d theta_d of each image and channel, 1/rad.
-        diffuse: True to include a Lambertian part.
-        spline: prior standard deviation of the departure of ln D from its family.
-        changes: effect of a change of the lens field on each image. Default: (), the field is not fitted.
-        unstated: effect of an unspecified distortion on each image. Default: (), it is neglected.
+        changes: effect of a change of `scene.field` on each image. A field without a profile is not fitted. Default: (),
+            the effect is neglected.
+        slope: d ln F / d theta_d of each image and channel, 1/rad. Default: None, 0.
+        diffuse: True to include a Lambertian part. Default: True.
+        spline: prior standard deviation of the departure of ln D from its family. Default: 0, no departure.
     """
     low, high = _bounds(layout, kind, scene)
     fixed = low == high
@@ -237,17 +229,22 @@ def joint_problem(
         fixed[layout.diffuse] = fixed[layout.diffuse_shape] = True
     for name, known_value in (("camera", scene.camera_nearness), ("lamp", scene.lamp_nearness)):
         if known_value.std == 0:
-            fixed[layout.lobe + SCENE.index(name)] = True
+            fixed[layout.of(name)] = True
     known_field = scene.camera.field
     for index in range(len(FIELD)):
         fixed[layout.field.start + index] = known_field is None or (known_field.k1, known_field.growth)[index].std == 0
     rows, values, sources = prior_of(layout, scene, frames, spline, len(kind.family_names))
-    for position in (layout.lobe, layout.sample_radius):  # an exact lens, or a radius without distances relative to it
+    for position in (
+        layout.of("lens"),
+        layout.sample_radius,
+    ):  # an exact lens, or a radius without distances relative to it
         fixed[position] |= not rows[:, position].any()
     for k, one in enumerate(pixels):  # a colour without pixels in an image
         for c in range(layout.channels):
             if not (one.used & (one.channel == c)).any():
                 fixed[layout.strengths(k).start + c] = True
+    slope = np.zeros((layout.pictures, layout.channels)) if slope is None else slope
+    changes, unstated = ((), changes) if known_field is None else (changes, ())
     return JointProblem(
         model, layout, pixels, frames, rows, values, sources, low, high, slope, fixed, changes, unstated
     )

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from matcam.acquisition.mirror_ball import unit
 from matcam.acquisition.mosaic_frames import MosaicReader
-from matcam.core.errors import FileFormatError
+from matcam.core.errors import ArgumentError, FileFormatError
 from matcam.core.remark import Remark, some_of
 from matcam.files.capture import Capture
 
-_FEWEST = 3
+FEWEST = 3
 """Number of images that the maps of a flat sample require."""
 _SPREAD = 10.0
 """Range of half angles, degrees, below which the roughness is not determined."""
@@ -42,28 +43,39 @@ def flat_remarks(capture: Capture) -> list[Remark]:
             )
         )
     names = list(capture.lamps)
-    if len(names) < _FEWEST:
+    if len(names) < FEWEST:
         text = (
-            f"the capture has only {len(names)} images of the flat sample, but at least {_FEWEST} are needed: add some"
+            f"the capture has only {len(names)} images of the flat sample, but at least {FEWEST} are needed: add some"
         )
         found.append(Remark("too-few", text))
     lost = [name for name in names if not np.isfinite(capture.lamps[name].direction).all()]
     if lost:
         text = f"lamp {some_of(lost)}: the direction is not specified: add angle_deg and azimuth_deg to frames.csv"
         found.append(Remark("no-direction", text))
-    tilts = capture.settings["sample"]["tilt_deg"] or [0.0]
-    if len(tilts) not in (1, len(names)):
-        text = f"sample.tilt_deg has {len(tilts)} angles for {len(names)} lamp positions: give one, or one for each position"
-        found.append(Remark("tilts-differ", text))
-    elif not lost and len(names) >= _FEWEST:
-        found += _half_angles(capture, np.radians(tilts * len(names) if len(tilts) == 1 else tilts))
-    return found
+    try:
+        tilts = sample_tilts(capture)
+    except ArgumentError as error:
+        return [*found, Remark("tilts-differ", str(error))]
+    return found if lost or len(names) < FEWEST else found + _half_angles(capture, tilts)
+
+
+def sample_tilts(capture: Capture) -> np.ndarray:
+    """Return the specified tilt of a flat sample at each lamp position, rad.
+
+    An ArgumentError is raised if their number is wrong.
+    """
+    stated, count = capture.settings["sample"]["tilt_deg"] or [0.0], len(capture.lamps)
+    if len(stated) not in (1, count):
+        raise ArgumentError(
+            f"{capture.folder}: sample.tilt_deg has {len(stated)} angles for {count} lamp positions: give one "
+            "angle, or one for each lamp position in the order of frames.csv"
+        )
+    return np.broadcast_to(np.radians(stated), count)
 
 
 def _half_angles(capture: Capture, tilts: np.ndarray) -> list[Remark]:
     towards = np.array([guess.direction for guess in capture.lamps.values()])
-    half = towards + np.array([0.0, 0.0, 1.0])
-    half /= np.linalg.norm(half, axis=1, keepdims=True)
+    half = unit(towards + np.array([0.0, 0.0, 1.0]))
     normals = np.column_stack([np.sin(tilts), 0 * tilts, np.cos(tilts)])
     angle = np.degrees(np.arccos(np.clip((half * normals).sum(axis=1), -1, 1)))
     if np.ptp(angle) >= _SPREAD:

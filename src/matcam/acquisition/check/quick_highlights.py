@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -13,12 +12,13 @@ from matcam.acquisition.highlights import find_highlight
 from matcam.acquisition.light.pile_up import TopCodes, find_pile_up, top_codes
 from matcam.acquisition.merged_picture import MergedPicture
 from matcam.acquisition.mirror_ball import MirrorBall
-from matcam.acquisition.mosaic_frames import MosaicReader
+from matcam.acquisition.mosaic_frames import MosaicReader, origin_of
 from matcam.acquisition.radiometry import Radiometry
 from matcam.core.errors import FileFormatError, FitError
 from matcam.core.remark import Remark, gathered
 from matcam.files.capture import Capture
 from matcam.files.capture_frames import CaptureFrame
+from matcam.numerics.normal import robust_std
 
 _SPOT_STD, _LEAST_STD = 0.3, 0.5
 """Standard deviation of a centroid, in radii of the bright spot, and its smallest value, px. The centroid of a rough
@@ -46,25 +46,12 @@ class Seen(NamedTuple):
     std: float
 
 
-@dataclass
-class QuickHighlights:
-    """Highlights and clipped pixels of all lamp positions.
-
-    Attributes:
-        seen: highlight by lamp position, only for lamp positions that show a highlight.
-        remarks: remarks on lamp positions without a highlight or with clipped pixels.
-    """
-
-    seen: dict[str, Seen] = field(default_factory=dict)
-    remarks: list[Remark] = field(default_factory=list)
-
-
 def quick_highlights(
     capture: Capture,
     radiometry: Radiometry | None,
     outline: QuickOutline | None,
     camera: float = math.inf,
-) -> QuickHighlights:
+) -> tuple[dict[str, Seen], list[Remark]]:
     """Read the shortest frame of every lamp position, find its highlight and count its clipped pixels.
 
     If a frame shows no highlight, the next exposure is read. For a flat sample only clipping is checked.
@@ -74,11 +61,16 @@ def quick_highlights(
         radiometry: radiometric calibration from a few lamp positions; None if unknown.
         outline: outline of the sample; None: unknown, and a highlight is the centroid of the bright spot.
         camera: distance of the camera, radii. Default: infinite.
+
+    Returns:
+        Highlight by lamp position, only for lamp positions that show one; and remarks on lamp positions without a highlight
+        or with clipped pixels.
     """
     reader = MosaicReader(capture)
     kind = capture.settings["sample"]["kind"]
     order = list(radiometry.exposures) if radiometry is not None else capture.exposures
-    found = QuickHighlights()
+    found: dict[str, Seen] = {}
+    remarks: list[Remark] = []
     level = _clip_threshold(reader, radiometry)
     shortest: dict[str, tuple[CaptureFrame, int]] = {}
     tops: list[TopCodes] = []
@@ -100,13 +92,13 @@ def quick_highlights(
                 break
             position = _position(capture, reader, codes, radiometry, outline, camera)
             if position is not None:
-                found.seen[lamp] = position
+                found[lamp] = position
                 break
         if position is None and frames and kind != "flat":
             text = (
                 f"{capture.folder / frames[-1].file}: lamp {lamp} shows no highlight; check the lamp and the exposures"
             )
-            found.remarks.append(Remark("no-highlight", text))
+            remarks.append(Remark("no-highlight", text))
     piled = _piled(tops, radiometry)
     peaks = []
     for k, (lamp, (frame, above)) in enumerate(shortest.items()):
@@ -116,15 +108,14 @@ def quick_highlights(
                 f"lamp {lamp}: {count} pixels are clipped in the shortest exposure, {frame.exposure}: add a shorter one"
             )
             peaks.append((lamp, Remark("peak-clipped", text)))
-    found.remarks += gathered(peaks)
-    return found
+    return found, remarks + gathered(peaks)
 
 
 def _codes(capture: Capture, reader: MosaicReader, frame: CaptureFrame) -> np.ndarray:
     """Read the codes of a frame, and replace those of the reference region by the median."""
     codes = reader.read(frame, capture.region)
     if capture.reference_region is not None:
-        top, left = (0, 0) if capture.region is None else (capture.region[1], capture.region[0])
+        top, left = origin_of(capture.region)
         column, row, width, height = capture.reference_region
         rows = slice(max(row - top - 2, 0), max(row - top + height + 2, 0))
         codes = codes.copy()
@@ -142,15 +133,12 @@ def _clip_threshold(reader: MosaicReader, radiometry: Radiometry | None) -> floa
 def _top_codes(codes: np.ndarray, frame: CaptureFrame, reader: MosaicReader, radiometry: Radiometry) -> TopCodes:
     """Collect the largest codes of a frame, for a clip level that the complete brackets do not reveal."""
     dark = radiometry.darkness.get(frame.exposure)
-    hot = np.zeros(codes.shape, bool)
-    if dark is not None and isinstance(dark.hot, np.ndarray) and dark.hot.shape == hot.shape:
-        hot = dark.hot
+    hot = np.zeros(codes.shape, bool) if dark is None else dark.hot_pixels(codes.shape)
     level = black_level(radiometry) if dark is None else dark.level
-    return top_codes(codes, level, hot, 1 if reader.cfa is None else 2, radiometry.read_noise.value)
+    return top_codes(codes, level, hot, reader.step, radiometry.read_noise.value)
 
 
 def _piled(tops: list[TopCodes], radiometry: Radiometry | None) -> dict[int, int]:
-    """Count the pixels at the largest code in each frame, by its index."""
     if radiometry is None or not tops:
         return {}
     value, std = radiometry.gain
@@ -167,22 +155,20 @@ def _position(
     camera: float,
 ) -> Seen | None:
     """Find the highlight of one frame; None if there is no bright spot."""
-    origin = (0, 0) if capture.region is None else (capture.region[1], capture.region[0])
+    origin = origin_of(capture.region)
     if capture.settings["sample"]["kind"] == "cylinder":
         return _bright_line(codes, origin[1], outline)
     seen = _bright_spot(codes, origin)
     if seen is None or outline is None:
         return seen
-    black = black_level(radiometry)
-    gain = 1.0 if radiometry is None or not math.isfinite(radiometry.gain.value) else radiometry.gain.value
-    noise = 2.0 if radiometry is None else radiometry.read_noise.value
-    light = codes.astype(np.float64) - black
+    gain, noise = (1.0, 2.0) if radiometry is None else (radiometry.scale, radiometry.read_noise.value)
+    light = codes.astype(np.float64) - black_level(radiometry)
     picture = MergedPicture(
         "frame",
         light,
         np.sqrt(noise**2 + gain * np.maximum(light, 0)),
         codes >= _clip_threshold(reader, radiometry),
-        reader.channel_map((codes.shape[0], codes.shape[1]), origin),
+        reader.channel_map(codes.shape, capture.region),
         reader.channels,
         origin,
     )
@@ -202,11 +188,10 @@ def black_level(radiometry: Radiometry | None) -> float:
 
 
 def _bright_spot(codes: np.ndarray, origin: tuple[int, int]) -> Seen | None:
-    """Compute the centroid of pixels above half of the maximum, near the brightest cell."""
     height, width = (n // 2 * 2 for n in codes.shape)
     cells = codes[:height, :width].astype(np.float64).reshape(height // 2, 2, width // 2, 2).mean((1, 3))
     level = float(np.median(cells))
-    noise = 1.4826 * float(np.median(np.abs(cells - level)))
+    noise = robust_std(cells - level)
     peak = np.unravel_index(int(cells.argmax()), cells.shape)
     if cells[peak] - level < max(30 * noise, 20.0):
         return None
@@ -223,7 +208,6 @@ def _bright_spot(codes: np.ndarray, origin: tuple[int, int]) -> Seen | None:
 
 
 def _bright_line(codes: np.ndarray, first: int, outline: QuickOutline | None) -> Seen | None:
-    """Find the column of the brightest line along a cylinder, from the mean over the rows."""
     width = codes.shape[1] // 2 * 2
     profile = codes[: codes.shape[0] // 2 * 2, :width].astype(np.float64).mean(axis=0).reshape(-1, 2).mean(axis=1)
     columns = np.arange(profile.size) * 2 + 0.5 + first

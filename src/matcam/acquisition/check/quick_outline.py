@@ -10,11 +10,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from matcam.acquisition.limb.backlight import grazing_reflection
+from matcam.acquisition.limb.backlight import field_reach, grazing_reflection
 from matcam.acquisition.limb.clipped_field import field_is_clipped, hidden_by_clipping
-from matcam.acquisition.limb.given_outline import mask_outline, stated_circle
+from matcam.acquisition.limb.given_outline import given_outline
 from matcam.acquisition.limb.straight_outline import straight_outline
-from matcam.acquisition.mosaic_frames import MosaicReader
+from matcam.acquisition.mosaic_frames import MosaicReader, origin_of
 from matcam.acquisition.outline import Sighting
 from matcam.core.errors import FileFormatError, FitError, MatcamError
 from matcam.core.remark import Remark
@@ -29,6 +29,14 @@ _DISC_STD = 0.4
 """Standard deviation of centre and radius from the moments of the disc, px: measured on simulated frames, rounded up."""
 _STATED_STD = 0.5
 """Standard deviation of an axis or radius of a cylinder that is specified without a standard deviation, px."""
+
+_NO_SPHERE = (
+    "there is no outline frame, so lit limbs or highlights determine the radius of the sphere: add a frame to outline/"
+)
+_NO_CYLINDER = (
+    "the cylinder has no outline, which `reconstruct` requires: add a frame of the cylinder in front of a bright "
+    "field to outline/, or specify sample.outline_radius_px and sample.axis_column_px"
+)
 
 
 class QuickOutline(NamedTuple):
@@ -67,7 +75,7 @@ def quick_outline(capture: Capture, black: float, sigma: float) -> tuple[QuickOu
     given, found = (_stated(capture), []) if cylinder else _given(capture, sigma)
     if not frames:
         if given is None:
-            found.append(_missing_cylinder() if cylinder else _missing_sphere())
+            found.append(Remark("no-outline", _NO_CYLINDER if cylinder else _NO_SPHERE))
         return given, found
     reader = MosaicReader(capture)
     positions: list[tuple[CaptureFrame, QuickOutline]] = []
@@ -98,9 +106,7 @@ def _measured(
         codes = reader.read(frame, capture.region)
     except FileFormatError as error:
         return None, [Remark("bad-frame", str(error))]
-    origin = (0, 0) if capture.region is None else (capture.region[1], capture.region[0])
-    beyond = math.radians(capture.settings["outline"]["field_beyond_deg"])
-    reach = (beyond, beyond / 3)
+    origin, reach = origin_of(capture.region), field_reach(capture)
     found: list[Remark] = []
     hidden = 0.0
     if field_is_clipped(codes, reader.saturation):
@@ -110,7 +116,7 @@ def _measured(
         try:
             stripe = straight_outline(
                 codes.astype(np.float64) - black,
-                reader.channel_map((codes.shape[0], codes.shape[1]), origin),
+                reader.channel_map(codes.shape, capture.region),
                 origin=origin,
                 reach=reach,
             )
@@ -132,40 +138,21 @@ def _measured(
 
 
 def _given(capture: Capture, sigma: float) -> tuple[QuickOutline | None, list[Remark]]:
-    """Return the outline of a sphere from a specified circle or a mask; None if neither is usable."""
     try:
-        if capture.circle is not None:
-            (column, row), radius = capture.circle
-            outline = stated_circle((column, row), radius.value, radius.std, Sighting(), sigma)
-        elif capture.mask is not None:
-            outline = mask_outline(capture.mask, capture.settings["outline"]["mask_std_px"], Sighting(), sigma)
-        else:
-            return None, []
+        outline = given_outline(capture, Sighting(), sigma)
     except MatcamError as error:
         return None, [Remark("outline-left-out", str(error))]
+    if outline is None:
+        return None, []
     return QuickOutline(outline.column, outline.row, outline.radius, outline.std[[1, 0, 2]]), []
 
 
 def _stated(capture: Capture) -> QuickOutline | None:
-    """Return the outline of a cylinder from capture.toml; None if it is not specified."""
     radius, axis = capture.stated("outline_radius_px"), capture.stated("axis_column_px")
     if radius is None or axis is None:
         return None
     std = np.array([axis.std or _STATED_STD, math.nan, radius.std or _STATED_STD])
     return QuickOutline(axis.value, math.nan, radius.value, std)
-
-
-def _missing_sphere() -> Remark:
-    text = "there is no outline frame, so lit limbs or highlights determine the radius of the sphere: add a frame to outline/"
-    return Remark("no-outline", text)
-
-
-def _missing_cylinder() -> Remark:
-    text = (
-        "the cylinder has no outline, which `reconstruct` requires: add a frame of the cylinder in front of a bright "
-        "field to outline/, "
-    )
-    return Remark("no-outline", f"{text}or specify sample.outline_radius_px and sample.axis_column_px")
 
 
 def dark_disc(codes: np.ndarray) -> tuple[float, float, float]:

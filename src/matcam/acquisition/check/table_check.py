@@ -19,10 +19,12 @@ from scipy.spatial.transform import Rotation
 
 from matcam.acquisition.check.quick_highlights import Seen
 from matcam.acquisition.check.quick_outline import QuickOutline
+from matcam.acquisition.check.unmeasured_lens import GUESSED_NEARNESS
 from matcam.acquisition.lamps.lamp_table import explain_lamp_table
-from matcam.acquisition.mirror_ball import MirrorBall
+from matcam.acquisition.mirror_ball import MirrorBall, cylinder_line
 from matcam.core.remark import Remark
 from matcam.files.capture import Capture, Stated
+from matcam.numerics.normal import robust_std
 
 _FEWEST = 4
 """Number of highlights with a specified direction that a comparison requires: three angles are unknown, and one lamp
@@ -41,8 +43,6 @@ and `reconstruct` fits this rotation.
 """
 _LEAST_GROWTH = 0.01
 """Relative difference of radii below which there is no report, because `reconstruct` fits the radius."""
-_NEARNESS = (0.02, 0.02)
-"""Inverse of an unspecified distance, 1/radii, with its standard deviation, as in `reconstruct`."""
 
 
 class TableCheck(NamedTuple):
@@ -80,8 +80,8 @@ class _Rig(NamedTuple):
 
 
 def _rig(capture: Capture) -> _Rig:
-    def known(value: Stated | None) -> tuple[float, float]:
-        return _NEARNESS if value is None else (1 / value.value, value.std / value.value**2)
+    def known(value: Stated | None) -> Stated:
+        return GUESSED_NEARNESS if value is None else Stated(1 / value.value, value.std / value.value**2)
 
     (camera, camera_std), (lamp, lamp_std) = known(capture.camera_radii), known(capture.lamp_radii)
     return _Rig(1 / camera, 1 / lamp, math.hypot(camera_std, lamp_std) / 2)
@@ -125,17 +125,16 @@ def _of_sphere(
         start = np.array([0, 0, 0, outline.column, outline.row, outline.radius])
         known = np.hypot(outline.std, [0, 0, outline.radius * rig.growth_std])
         std = np.array([np.inf, np.inf, np.inf, *known])
-    free = start.copy()
     loose = np.array([0, 0, 0, np.inf, np.inf, np.inf])
     errors = _errors(capture, seen, start[5])
-    right, flipped = (_fitted(partial(expected, flip=way), free, loose, positions, errors) for way in (1.0, -1.0))
+    right, flipped = (_fitted(partial(expected, flip=way), start, loose, positions, errors) for way in (1.0, -1.0))
     spread = float(np.ptp(directions[:, 1]))
     apart, other = float(np.median(right.off)), float(np.median(flipped.off))
     if spread > 0.2 and other < 0.2 * apart and apart > 2:
         text = (
             "the highlights move opposite to the specified lamp directions: measure azimuths from +x (right) to +y (up)"
         )
-        return TableCheck(_sphere(right), np.zeros(3), np.full(3, math.nan), (Remark("table-flipped", text),))
+        return _NOTHING._replace(centre=_sphere(right), remarks=(Remark("table-flipped", text),))
     if outline is not None:
         ball = MirrorBall(outline.row, outline.column, outline.radius, rig.camera)
         lamps = ball.lamp_seen_at(ball.normals(positions[:, 1], positions[:, 0]), rig.lamp)
@@ -143,7 +142,7 @@ def _of_sphere(
         if good.sum() >= _FEWEST:
             verdict = explain_lamp_table(lamps[good], directions[good])
             if verdict.mistake not in ("none", "unexplained"):
-                return TableCheck(_sphere(right), np.zeros(3), np.full(3, math.nan), verdict.remarks)
+                return _NOTHING._replace(centre=_sphere(right), remarks=verdict.remarks)
             start[:3] = Rotation.align_vectors(lamps[good], directions[good])[0].as_rotvec()
     fit = _fitted(expected, start, std, positions, errors)
     remarks = _turn_remarks(fit, std, "sphere's")
@@ -195,7 +194,6 @@ def _fitted(
     """Fit the parameters whose prior standard deviation is above 0, robustly against single wrong lamps."""
     free = np.flatnonzero(std > 0)
     known = free[np.isfinite(std[free])]
-    center = start.copy()
 
     def whole(q: np.ndarray) -> np.ndarray:
         p = start.copy()
@@ -207,11 +205,11 @@ def _fitted(
 
     def residual(q: np.ndarray) -> np.ndarray:
         p = whole(q)
-        return np.append((away(q) / errors[:, None]).ravel(), (p[known] - center[known]) / std[known])
+        return np.append((away(q) / errors[:, None]).ravel(), (p[known] - start[known]) / std[known])
 
     found = least_squares(residual, start[free], loss="soft_l1", x_scale="jac")
     off = np.hypot(*away(found.x).T) if positions.shape[1] == 2 else np.abs(away(found.x)[:, 0])
-    scatter = 1.4826 * float(np.median(np.abs((away(found.x) / errors[:, None]).ravel())))
+    scatter = robust_std(away(found.x) / errors[:, None])
     covariance = np.zeros((start.size, start.size))
     covariance[np.ix_(free, free)] = np.linalg.pinv(found.jac.T @ found.jac) * max(1.0, scatter) ** 2
     return _Fit(whole(found.x), covariance, off)
@@ -222,7 +220,6 @@ def _sphere(fit: _Fit) -> tuple[float, float, float]:
 
 
 def _turn_remarks(fit: _Fit, std: np.ndarray, whose: str) -> list[Remark]:
-    """Report a rotation of the axes of the table relative to the camera, with its size and standard deviation."""
     free = std[:3] > 0
     turn, covariance = fit.p[:3], fit.covariance[:3, :3]
     size = float(np.linalg.norm(turn))
@@ -240,7 +237,6 @@ def _turn_remarks(fit: _Fit, std: np.ndarray, whose: str) -> list[Remark]:
 
 
 def _radius_remarks(fit: _Fit, outline: QuickOutline, std: float) -> list[Remark]:
-    """Report a radius from highlights that differs from that of the outline by more than the errors allow."""
     change = float(fit.p[5] - outline.radius)
     known = math.sqrt(max(std**2 - float(fit.covariance[5, 5]), 1e-12))
     if abs(change) < max(_SIGNIFICANT * known, _LEAST_GROWTH * outline.radius):
@@ -251,7 +247,6 @@ def _radius_remarks(fit: _Fit, outline: QuickOutline, std: float) -> list[Remark
 
 
 def _single_remarks(capture: Capture, names: list[str], fit: _Fit) -> list[Remark]:
-    """Report single lamp positions whose highlight lies far from its expected position."""
     scatter = float(np.median(fit.off))
     allowed = max(_OFF, 5 * scatter, abs(fit.p[5]) * 2 * capture.direction_std)
     return [
@@ -262,21 +257,3 @@ def _single_remarks(capture: Capture, names: list[str], fit: _Fit) -> list[Remar
         for name, off in zip(names, fit.off, strict=True)
         if off > allowed
     ]
-
-
-def cylinder_line(direction: np.ndarray, camera: float, lamp: float) -> float:
-    """Compute the distance of the brightest line on an upright cylinder to the right of its axis, radii.
-
-    Args:
-        direction: unit vector from the axis to the lamp (3,).
-        camera: distance of the camera, radii; infinite for an orthographic one.
-        lamp: distance of the lamp, radii.
-    """
-    q, w = (0.0 if math.isinf(d) else 1 / d for d in (camera, lamp))
-    normal = np.array([0.0, 0.0, 1.0])
-    for _ in range(30):
-        light, view = direction - w * normal, np.array([0.0, 0.0, 1.0]) - q * normal
-        half = light / max(float(np.linalg.norm(light)), 1e-12) + view / np.linalg.norm(view)
-        normal = np.array([half[0], 0.0, half[2]])
-        normal /= max(float(np.linalg.norm(normal)), 1e-12)
-    return float(math.sqrt(1 - q**2) * normal[0] / (1 - q * normal[2]))

@@ -1,4 +1,4 @@
-"""Assumption about a lens without a camera profile."""
+"""Assumptions about a lens without a camera profile, and about unspecified distances."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ GUESSED_LENS = Stated(0.5, 0.35)
 """Assumed standard deviation of the blur of a lens without a profile, and its standard error, px. Two standard errors
 include lenses of up to 1.2 px.
 """
+GUESSED_NEARNESS = Stated(0.02, 0.02)
+"""Prior mean and standard deviation of the inverse of an unspecified distance, 1/radii."""
 BY_SHAPE = 0.01
 """Unexplained share of the light above which the blurs of lens and lobe, which differ in shape only, are not
 separated.

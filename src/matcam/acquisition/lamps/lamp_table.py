@@ -94,7 +94,9 @@ def radius_by_highlights(
     inverse, inverse_std = 2 * (ratio - 1), 2 * ratio_std
     # rotation of the table's axes relative to the camera, after the correction of the radius
     near = MirrorBall(ball.row, ball.column, ball.radius * ratio)
-    turn = _turn(near.lamp_seen_at(near.normals(rows, columns)), lamps)
+    seen = near.lamp_seen_at(near.normals(rows, columns))
+    good = np.isfinite(seen).all(1)
+    turn = Rotation.align_vectors(lamps[good], seen[good])[0].as_rotvec()
     remarks = []
     if abs(ratio - 1) > 2 * ratio_std:
         cause = (
@@ -131,12 +133,6 @@ def radius_by_highlights(
         turn,
         tuple(remarks),
     )
-
-
-def _turn(lamps: np.ndarray, table: np.ndarray) -> np.ndarray:
-    """Compute the rotation vector from lamps to their table, rad (3,)."""
-    good = np.isfinite(lamps).all(1)
-    return Rotation.align_vectors(table[good], lamps[good])[0].as_rotvec()
 
 
 class LampArc(NamedTuple):

@@ -8,12 +8,12 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from matcam.acquisition.bracket_sample import BracketSample, choose_pixels, same_colour_neighbours
+from matcam.acquisition.bracket_sample import BracketSample, choose_pixels, noise_correlation, same_colour_neighbours
 from matcam.acquisition.darkness import Darkness
 from matcam.acquisition.light.kept_work import KeptWork, fingerprint, identity
 from matcam.acquisition.light.pile_up import top_codes
 from matcam.acquisition.mosaic_frames import MosaicReader
-from matcam.acquisition.radiometry_remarks import correlation_remarks
+from matcam.acquisition.radiometry_remarks import processing_remarks
 from matcam.core.errors import FileFormatError
 from matcam.core.remark import Remark
 from matcam.files.capture import Capture, Region
@@ -111,13 +111,13 @@ class BracketReading:
         if number == 0:
             frame, codes = bracket[0]
             light = codes - np.asarray(self.darkness[frame.exposure].level, np.float32)
-            remarks += correlation_remarks(self.capture.folder / frame.file, light, self.noise)
-        largest, smallest = max(_most(codes) for _, codes in bracket), min(float(codes.min()) for _, codes in bracket)
+            correlation = noise_correlation(light, self.noise)
+            remarks += processing_remarks(str(self.capture.folder / frame.file), *correlation)
+        largest, smallest = (
+            max(float(codes.max()) for _, codes in bracket),
+            min(float(codes.min()) for _, codes in bracket),
+        )
         return ReadBracket(tuple(f for f, _ in bracket), lacking, sample, largest, smallest, tuple(remarks))
-
-    @property
-    def _step(self) -> int:
-        return 1 if self.reader.cfa is None else 2
 
     def _bracket(self, lamp: str, remarks: list[Remark]) -> list[tuple[CaptureFrame, np.ndarray]]:
         """Read the usable frames of one lamp position, with their codes, in the order of `names`."""
@@ -154,10 +154,9 @@ class BracketReading:
         around, light = [], []
         for frame, codes in bracket:
             dark = darkness[frame.exposure]
-            if isinstance(dark.hot, np.ndarray) and dark.hot.shape == hot.shape:
-                hot |= dark.hot
+            hot |= dark.hot_pixels(hot.shape)
             light.append(codes - np.asarray(dark.level, np.float32))
-            around.append(same_colour_neighbours(light[-1], self._step).ravel())
+            around.append(same_colour_neighbours(light[-1], self.reader.step).ravel())
         neighbours = np.stack(around)
         neighbours[:, hot.ravel()] = 0
         order = np.argsort(neighbours.mean(1))
@@ -166,14 +165,12 @@ class BracketReading:
         reference, numbers = np.full((len(bracket), channels), np.nan), np.zeros(channels, int)
         patch_region = self.capture.reference_region
         if patch_region is not None:
-            ceiling = max(_most(codes) for _, codes in bracket)
+            ceiling = max(codes.max() for _, codes in bracket)
             for i, (frame, _) in enumerate(bracket):
                 patch = reader.read(frame, patch_region)
-                of = reader.channel_map((patch.shape[0], patch.shape[1]), (patch_region[1], patch_region[0])).ravel()
-                numbers = np.bincount(of, minlength=channels)
+                means, numbers = reader.channel_means(patch, patch_region)
                 if patch.max() < 0.9 * ceiling:
-                    total = np.bincount(of, patch.ravel().astype(np.float64), channels)
-                    reference[i] = total / np.maximum(numbers, 1) - float(np.mean(darkness[frame.exposure].level))
+                    reference[i] = means - float(np.mean(darkness[frame.exposure].level))
         return BracketSample(
             lamp,
             np.array([list(self.names).index(frame.exposure) for frame, _ in bracket]),
@@ -184,7 +181,10 @@ class BracketReading:
             numbers,
             np.array([float(np.median(codes[::3, ::3])) for _, codes in bracket]),
             np.array(
-                [top_codes(codes, darkness[f.exposure].level, hot, self._step, self.noise) for f, codes in bracket]
+                [
+                    top_codes(codes, darkness[f.exposure].level, hot, self.reader.step, self.noise)
+                    for f, codes in bracket
+                ]
             ),
         )
 
@@ -217,7 +217,3 @@ def _unpacked(arrays: Mapping[str, np.ndarray], lamp: str, frames: Sequence[Capt
         smallest,
         tuple(Remark(*pair) for pair in zip(arrays["codes"].tolist(), arrays["texts"].tolist(), strict=True)),
     )
-
-
-def _most(codes: np.ndarray) -> float:
-    return float(codes.max())

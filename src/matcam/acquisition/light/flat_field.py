@@ -21,6 +21,7 @@ from matcam.core.remark import Remark
 from matcam.files.capture import Capture, Region
 from matcam.files.capture_frames import CaptureFrame
 from matcam.files.picture_header import read_exif
+from matcam.numerics.normal import robust_std
 
 _MOST = 16
 """Largest number of flat frames that are used, which bounds the time of reading."""
@@ -32,8 +33,6 @@ _SMOOTH = 33
 """Width of the square moving average that is applied twice for the smooth field, px."""
 _LEAST = 0.1
 """Response below which a pixel is omitted, because a correction would amplify its noise more than tenfold."""
-_ROBUST = 1.4826
-"""Ratio of the standard deviation of a Gaussian to its median absolute deviation."""
 
 
 @dataclass(frozen=True)
@@ -106,15 +105,14 @@ def measure_flat(
         count += 1
     if total is None:
         return None, remarks
-    origin = (0, 0) if region is None else (region[1], region[0])
-    channel = reader.channel_map((total.shape[0], total.shape[1]), origin)
+    channel = reader.channel_map(total.shape, region)
     response, stds, spreads, levels = np.ones(total.shape, np.float32), [], [], []
     for c in range(len(reader.channels)):
         of = channel == c
         field, level = smooth_field(total, of)
         departure = total[of] / field - 1
         chance = float(np.mean((gain * field + count * noise**2) / field**2))
-        scatter = (_ROBUST * float(np.median(np.abs(departure)))) ** 2
+        scatter = robust_std(departure) ** 2
         own = max(scatter - chance, 0.0)
         share = own / max(own + chance, 1e-30)
         response[of] = field / level * (1 + share * departure)
@@ -142,7 +140,7 @@ def smooth_field(total: np.ndarray, of: np.ndarray) -> tuple[np.ndarray, float]:
     for _ in range(3):
         found = np.linalg.lstsq(a[usual], b[usual], rcond=None)[0]
         residual = b - a @ found
-        usual = np.abs(residual) <= 5 * _ROBUST * np.median(np.abs(residual)) + 1e-12
+        usual = np.abs(residual) <= 5 * robust_std(residual) + 1e-12
     coefficients = np.zeros((5, 5))
     coefficients[tuple(np.transpose(pairs))] = found
     trend = np.maximum(powers[0] @ coefficients @ powers[1].T, 1e-9)
@@ -170,15 +168,12 @@ def _dark(
 def _beside(
     reader: MosaicReader, capture: Capture, frame: CaptureFrame, darkness: dict[str, Darkness]
 ) -> np.ndarray | None:
-    """Average the light of a flat frame at the position of the reference, by channel."""
     region = capture.reference_position
     if region is None:
         return None
-    codes = reader.read(frame, region)
-    of = reader.channel_map((codes.shape[0], codes.shape[1]), (region[1], region[0])).ravel()
+    means, _ = reader.channel_means(reader.read(frame, region), region)
     level = darkness.get(frame.exposure, next(iter(darkness.values()))).level
-    total = np.bincount(of, codes.ravel().astype(np.float64), len(reader.channels))
-    return np.asarray(total / np.maximum(np.bincount(of, minlength=len(reader.channels)), 1) - float(np.mean(level)))
+    return np.asarray(means - float(np.mean(level)))
 
 
 def _wrong(

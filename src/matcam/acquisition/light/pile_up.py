@@ -21,6 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from matcam.acquisition.exposure_ratios import ClipLevel
+from matcam.numerics.normal import robust_std
 
 _HAZARD = 5.5
 """Largest hazard rate of a normal variable, in inverse standard deviations, up to 5.3 standard deviations above its
@@ -38,8 +39,6 @@ _BINS, _IN_BIN = 12, 200
 """Number of brightness bins in which noise is measured, and smallest number of pixels in a bin, which gives an accuracy
 of 6 %.
 """
-_ROBUST = 1.4826
-"""Ratio of the standard deviation of a Gaussian to its median absolute deviation."""
 _LARGEST_SIDE = 1500
 """Largest side of the part of a frame in which noise is measured, px; it bounds the time for frames of many
 megapixels.
@@ -192,6 +191,6 @@ def _least_gain(light: np.ndarray, below: float, step: int, noise: float) -> flo
     order = np.argsort(mean)
     found = []
     for part in np.array_split(order, max(1, min(_BINS, len(order) // _IN_BIN))):
-        variance = (_ROBUST * float(np.median(np.abs(both[part])))) ** 2 / 36
+        variance = robust_std(both[part]) ** 2 / 36
         found.append((variance - noise**2) / float(mean[part].mean()))
     return max(min(found), 0.0)

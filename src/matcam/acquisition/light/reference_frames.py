@@ -106,16 +106,14 @@ def in_own_frames(
         except FileFormatError as error:
             remarks.append(Remark("bad-frame", str(error)))
             continue
-        of = reader.channel_map((codes.shape[0], codes.shape[1]), (region[1], region[0])).ravel()
-        pixels = np.bincount(of, minlength=len(pixels))
+        means, pixels = reader.channel_means(codes, region)
         if not pixels.all() or not np.isfinite(codes).all():
             wrong.setdefault("the region lacks a colour, or contains values that are not finite", []).append(frame.file)
         elif codes.max() >= threshold:
             wrong.setdefault("the reference is clipped", []).append(frame.file)
         else:
             level = float(np.mean(darkness[frame.exposure].level))
-            light = np.bincount(of, codes.ravel().astype(np.float64), len(pixels)) / pixels - level
-            found[frame.lamp].append((list(exposures).index(frame.exposure), light))
+            found[frame.lamp].append((list(exposures).index(frame.exposure), means - level))
             if not grazing[frame.lamp]:
                 remarks += _uneven(capture, frame, codes - level, region)
     remarks += [

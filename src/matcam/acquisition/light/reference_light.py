@@ -17,7 +17,7 @@ _NONE = Stated(math.nan, math.nan)
 def reference_light(
     seen: Sequence[SeenReference],
     exposures: np.ndarray,
-    gain: Stated,
+    scale: float,
     noise: float,
     response: np.ndarray,
 ) -> dict[str, tuple[Stated, ...]]:
@@ -26,34 +26,39 @@ def reference_light(
     Args:
         seen: the reference in the frames of each lamp position.
         exposures: light of each exposure relative to the one that defines the unit of merged values.
-        gain: DN per electron; not finite: merged values are DN.
+        scale: unit of merged values, DN.
         noise: read noise, DN.
         response: response of the pixels of the reference in each channel, from flat frames, (channels,).
 
     Returns:
         Value of each channel with its standard deviation, by lamp position.
     """
-    scale = gain.value if math.isfinite(gain.value) else 1.0
     found = {}
     for one in seen:
         good = np.isfinite(one.light).all(1)
-        relative = exposures[one.exposures[good]]
         if not good.any() or not one.pixels.all():
             found[one.lamp] = tuple(_NONE for _ in one.pixels)
             continue
-        light = one.light[good]
-        value = light.sum(0) / relative.sum() / response
-        variance = (np.maximum(light, 0) * scale + noise**2).sum(0) / one.pixels
-        std = np.sqrt(variance) / relative.sum() / response
-        found[one.lamp] = tuple(Stated(float(v / scale), float(s / scale)) for v, s in zip(value, std, strict=True))
+        value, std = _merged(one.light[good], exposures[one.exposures[good]], scale, noise, one.pixels)
+        pairs = zip(value / response / scale, std / response / scale, strict=True)
+        found[one.lamp] = tuple(Stated(float(v), float(s)) for v, s in pairs)
     return found
+
+
+def _merged(
+    light: np.ndarray, relative: np.ndarray, scale: float, noise: float, pixels: np.ndarray | int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Merge mean values over pixels from several exposures on the first axis, DN, with their noise."""
+    total = relative.sum()
+    variance = (np.maximum(light, 0) * scale + noise**2).sum(0) / pixels
+    return light.sum(0) / total, np.sqrt(variance) / total
 
 
 def lamp_output(
     capture: Capture,
     seen: Sequence[SeenReference],
     exposures: np.ndarray,
-    gain: Stated,
+    scale: float,
     noise: float,
     between: float = 0.0,
 ) -> dict[str, Stated]:
@@ -65,23 +70,20 @@ def lamp_output(
         capture: capture with the specified properties of reference and lamps.
         seen: the reference in the frames of each lamp position.
         exposures: light of each exposure relative to the one that defines the unit of merged values.
-        gain: DN per electron; not finite: merged values are DN.
+        scale: unit of merged values, DN.
         noise: read noise, DN.
         between: standard deviation of the change of light between an image of the reference and one of the sample,
             relative. Default: 0, one frame shows both.
     """
     diffuse = capture.settings["reference"] is not None and capture.settings["reference"]["kind"] == "diffuse"
     found: dict[str, Stated] = {}
-    scale = gain.value if math.isfinite(gain.value) else 1.0
     for one in seen:
         pixels = max(int(one.pixels.sum()), 1)
         mean = one.light @ one.pixels / pixels
         good = np.isfinite(mean)
         value, std = math.nan, math.nan
         if good.any() and one.pixels.any():
-            relative, light = exposures[one.exposures[good]], mean[good]
-            value = float(light.sum() / relative.sum())
-            std = math.sqrt(float(np.sum(np.maximum(light, 0) * scale + noise**2)) / pixels) / float(relative.sum())
+            value, std = map(float, _merged(mean[good], exposures[one.exposures[good]], scale, noise, pixels))
             if diffuse:  # a white patch that faces the camera
                 angle = capture.lamps[one.lamp].angle
                 cosine = math.cos(angle)

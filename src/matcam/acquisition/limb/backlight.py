@@ -2,10 +2,18 @@
 
 import numpy as np
 
+from matcam.files.capture import Capture
+
 _GRAZING = (4.0, 2.5)
 """Mean and spread of c for metals and glasses, whose Fresnel reflectance at a grazing angle g is exp(-c g)."""
 _REACH_UNKNOWN = np.radians(3.0)
 """Assumed extent of a backlight of unknown size, rad. Its reflection is not subtracted, but included in the error."""
+
+
+def field_reach(capture: Capture) -> tuple[float, float]:
+    """Return the specified extent of the bright field beyond the limb, and its standard deviation, rad."""
+    beyond = float(np.radians(capture.settings["outline"]["field_beyond_deg"]))
+    return beyond, beyond / 3
 
 
 def grazing_reflection(radius: float, reach: tuple[float, float] | None) -> tuple[float, float]:

@@ -52,8 +52,7 @@ def find_circles(values: np.ndarray, std: np.ndarray, *, bright_inside: bool, mo
     """
     bin_ = int(np.ceil(max(values.shape) / _LARGEST))
     bin_ += bin_ % 2 if mosaic else 0
-    position, inwards = _edges(*_binned(values, std, max(bin_, 2 if mosaic else 1)), bright_inside)
-    bin_ = max(bin_, 2 if mosaic else 1)
+    position, inwards = _edges(*_binned(values, std, bin_), bright_inside)
     found: list[FoundCircle] = []
     free = np.ones(len(position), bool)
     rng = np.random.default_rng(0)
@@ -61,14 +60,12 @@ def find_circles(values: np.ndarray, std: np.ndarray, *, bright_inside: bool, mo
         circle = _best(position[free], inwards[free], rng, max(values.shape) / bin_)
         if circle is None or circle.coverage < 0.15:
             break
-        apart = [
-            np.hypot(circle.row - other.row, circle.column - other.column) > max(circle.radius, other.radius)
-            for other in found
-        ]
-        if all(apart):
-            found.append(circle)
-        else:
+        if any(
+            np.hypot(circle.row - one.row, circle.column - one.column) <= max(circle.radius, one.radius)
+            for one in found
+        ):
             break
+        found.append(circle)
         distance = np.hypot(position[:, 0] - circle.row, position[:, 1] - circle.column)
         free &= distance > circle.radius * 1.05 + _NEAR
     shift = (bin_ - 1) / 2

@@ -9,6 +9,7 @@ import numpy as np
 from matcam.acquisition.limb.limb_edges import LimbSectors
 from matcam.acquisition.outline import Outline, Sighting
 from matcam.core.errors import FitError
+from matcam.files.capture import Capture
 from matcam.files.photographs import open_photograph
 
 _STATED_STD = 0.5
@@ -19,6 +20,29 @@ _ROUND = 0.02
 """Relative difference of the radii by area and by second moments above which a mask is not a disc: 1 % for an ellipse
 whose axes differ by 28 %, 6 % for a square.
 """
+
+
+def given_outline(
+    capture: Capture, sighting: Sighting, sigma: float, shape: tuple[int, int] | None = None
+) -> Outline | None:
+    """Return the outline of a sphere from a specified circle, or else from a mask; None without both.
+
+    Args:
+        capture: capture of a sphere.
+        sighting: geometry of the camera.
+        sigma: standard deviation of the lens's blur, px.
+        shape: width and height of the frames, px. Default: None, the size of the mask is not checked.
+
+    Raises:
+        FileFormatError: the mask cannot be read.
+        FitError: the mask shows no disc, or its size is not that of the frames.
+    """
+    if capture.circle is not None:
+        centre, radius = capture.circle
+        return stated_circle(centre, radius.value, radius.std, sighting, sigma)
+    if capture.mask is not None:
+        return mask_outline(capture.mask, capture.settings["outline"]["mask_std_px"], sighting, sigma, shape)
+    return None
 
 
 def stated_circle(centre: tuple[float, float], radius: float, std: float, sighting: Sighting, sigma: float) -> Outline:

@@ -106,7 +106,6 @@ def straight_outline(
 
 
 def _levelled(codes: np.ndarray, channel: np.ndarray) -> np.ndarray:
-    """Divide the codes by the bright level of each colour."""
     levels = np.zeros(codes.shape)
     for one in range(int(channel.max()) + 1):
         of = channel == one

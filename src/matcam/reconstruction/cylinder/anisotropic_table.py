@@ -8,17 +8,16 @@ import numpy as np
 import xarray as xr
 
 from matcam.core.results.labelled import named
-from matcam.inverse.correction.corrected_table import SUPPORTED
-from matcam.reconstruction.material_table import ATTRIBUTES, channel_entries, covered, unit_entries
+from matcam.files.capture_settings import Stated
+from matcam.reconstruction.material_table import table_entries, with_support
 from matcam.reconstruction.reflectance_curve import ReflectanceCurve
 from matcam.reconstruction.sphere_fit import SphereFit
-from matcam.reconstruction.sphere_scene import Known
 
 _SHAPE = (45, 24, 30, 12)
 """Number of cells along theta_h, phi_h, theta_d and phi_d."""
 
 
-def anisotropic_table(fit: SphereFit, curves: Sequence[ReflectanceCurve], units: Sequence[Known]) -> xr.Dataset:
+def anisotropic_table(fit: SphereFit, curves: Sequence[ReflectanceCurve], units: Sequence[Stated]) -> xr.Dataset:
     """Tabulate a joint fit of a lobe with two roughnesses.
 
     phi_h is measured from the x axis of the material. The BRDF is invariant under a rotation by 180 degrees
@@ -38,32 +37,18 @@ def anisotropic_table(fit: SphereFit, curves: Sequence[ReflectanceCurve], units:
     theta_h, phi_h = ((np.arange(n_h) + 0.5) / n_h) ** 2 * np.pi / 2, (np.arange(n_p) + 0.5) / n_p * np.pi
     theta_d, phi_d = (np.arange(n_d) + 0.5) / n_d * np.pi / 2, (np.arange(n_q) + 0.5) / n_q * np.pi
     angles = np.meshgrid(theta_h, phi_h, theta_d, phi_d, indexing="ij", sparse=True)
-    entries = unit_entries(fit, angles[0], angles[2], angles[3], angles[1])
-    values, stds = [], []
-    for channel, curve in enumerate(curves):
-        value, std = channel_entries(fit, curve, channel, units[channel], entries, theta_d)
-        values.append(value)
-        stds.append(std)
-    value, std = np.stack(values, axis=-1), np.stack(stds, axis=-1)
-    with np.errstate(invalid="ignore"):
-        supported = covered(fit, theta_d)[:, None, None] & (std < SUPPORTED * value)
-    dims = ("theta_h", "phi_h", "theta_d", "phi_d", "channel")
-    table = xr.Dataset(
-        {
-            "brdf": (dims, value.astype(np.float32), ATTRIBUTES["brdf"]),
-            "brdf_std": (dims, std.astype(np.float32), ATTRIBUTES["brdf_std"]),
-            "supported": (dims, supported, ATTRIBUTES["supported"]),
-        },
-        coords={
-            "theta_h": theta_h,
-            "phi_h": phi_h,
-            "theta_d": theta_d,
-            "phi_d": phi_d,
-            "channel": list(fit.channels),
-        },
-        attrs={
-            "phi_h": "measured about the normal, from the material's x axis",
-            "period": "phi_h and phi_d have period pi",
-        },
+    value, std = table_entries(fit, curves, units, angles[0], angles[2], angles[3], angles[1])
+    axes = (
+        ("theta_h", theta_h),
+        ("phi_h", phi_h),
+        ("theta_d", theta_d),
+        ("phi_d", phi_d),
+        ("channel", list(fit.channels)),
     )
-    return named(table)
+    table = with_support(fit, xr.DataArray(value.astype(np.float32), axes), value, std, theta_d)
+    return named(
+        table.assign_attrs(
+            phi_h="measured about the normal, from the material's x axis",
+            period="phi_h and phi_d have period pi",
+        )
+    )

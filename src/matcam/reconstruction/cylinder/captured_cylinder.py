@@ -8,18 +8,20 @@ import numpy as np
 
 from matcam.acquisition.check.unmeasured_lens import lens_sigma
 from matcam.acquisition.light.kept_work import KeptWork
+from matcam.acquisition.limb.backlight import field_reach
 from matcam.acquisition.limb.clipped_field import hidden_by_clipping
 from matcam.acquisition.limb.straight_outline import StraightOutline, straight_outline
 from matcam.acquisition.merging import merge
 from matcam.acquisition.mirror_ball import MirrorBall
-from matcam.acquisition.mosaic_frames import MosaicReader
+from matcam.acquisition.mosaic_frames import MosaicReader, origin_of
+from matcam.acquisition.radiometry import Progress
 from matcam.core.errors import ArgumentError, FitError
 from matcam.core.remark import Remark
-from matcam.files.capture import Capture, Region, Stated
+from matcam.files.capture import Capture, Stated
 from matcam.reconstruction.cylinder.strips import Strip
-from matcam.reconstruction.sphere_scene import Known, SphereScene
-from matcam.reconstruction.stated.captured_scene import CapturedScene, Progress, correlation
-from matcam.reconstruction.stated.lamp_light import gains_of, under_one_light
+from matcam.reconstruction.sphere_scene import SphereScene
+from matcam.reconstruction.stated.captured_scene import CapturedScene
+from matcam.reconstruction.stated.lamp_light import gains_of, under_one_light, with_light
 from matcam.reconstruction.stated.outline_frames import mean_outline_frame
 from matcam.reconstruction.stated.stated_rig import (
     FEWEST,
@@ -119,13 +121,11 @@ def captured_cylinder(
         lamps=lamps,
         lamp_std=max(capture.direction_std, 1e-5),
         lamp_radius=lamp_radius_of(capture),
-        gain_std=np.sqrt(np.diag(light.covariance)),
-        gain=light.gain,
-        gain_correlation=correlation(light.covariance),
         sample_radius=sample_radius,
     )
-    units = None if light.units is None else tuple(Known(*one) for one in light.units)
-    found = CapturedScene(pictures, scene, lamps, radiometry, None, lost, tuple(dict.fromkeys(remarks)), units)
+    found = CapturedScene(
+        pictures, with_light(scene, light), lamps, radiometry, None, lost, tuple(dict.fromkeys(remarks)), light.units
+    )
     return CapturedCylinder(found, strips, outline)
 
 
@@ -133,7 +133,6 @@ LIST_NEEDS = "angle_deg and azimuth_deg of frames.csv must specify the direction
 
 
 def _strips(capture: Capture, height: int, first: int) -> tuple[Strip, ...]:
-    """Return the specified strips, or one strip of all rows that are read."""
     sample = capture.settings["sample"]
     rows, turns = sample["strip_rows_px"], sample["strip_turn_deg"]
     if rows is None:
@@ -143,13 +142,6 @@ def _strips(capture: Capture, height: int, first: int) -> tuple[Strip, ...]:
 
 
 def _outline(capture: Capture, sigma: float, remarks: list[Remark]) -> StraightOutline:
-    """Measure the outline in front of a bright field, or return the specified outline if no such frame can be used.
-
-    Args:
-        capture: capture of a cylinder.
-        sigma: standard deviation of the blur of the lens, px.
-        remarks: list to which remarks are appended.
-    """
     radius, axis = capture.stated("outline_radius_px"), capture.stated("axis_column_px")
     if capture.of("outline"):
         try:
@@ -168,14 +160,10 @@ def _outline(capture: Capture, sigma: float, remarks: list[Remark]) -> StraightO
 
 
 def _seen_outline(capture: Capture, sigma: float, remarks: list[Remark]) -> StraightOutline:
-    """Measure the outline in front of a bright field."""
-    region: Region | None = capture.region
-    reader = MosaicReader(capture)
+    region, reader = capture.region, MosaicReader(capture)
     codes, clipped = mean_outline_frame(reader, capture, region, remarks)
-    origin = (0, 0) if region is None else (region[1], region[0])
-    beyond = float(np.radians(capture.settings["outline"]["field_beyond_deg"]))
     outline = straight_outline(
-        codes, reader.channel_map(codes.shape, origin), origin=origin, reach=(beyond, beyond / 3)
+        codes, reader.channel_map(codes.shape, region), origin=origin_of(region), reach=field_reach(capture)
     )
     if not clipped:
         return outline

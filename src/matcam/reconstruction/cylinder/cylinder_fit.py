@@ -13,14 +13,15 @@ from matcam.core.errors import ArgumentError
 from matcam.forward.integral.blur import blur_of
 from matcam.inverse.fit.fit_parameters import LobeKind
 from matcam.reconstruction.cylinder.profile_model import ProfileModel
-from matcam.reconstruction.cylinder.profile_rule import CylinderPosition, chosen_columns
-from matcam.reconstruction.cylinder.strips import Strip, strip_profiles
-from matcam.reconstruction.joint.joint_problem import JointLayout, JointProblem
+from matcam.reconstruction.cylinder.profile_rule import chosen_columns
+from matcam.reconstruction.cylinder.strips import Strip, StripProfiles, strip_profiles
+from matcam.reconstruction.joint.field_change import FieldChange
+from matcam.reconstruction.joint.joint_problem import JointLayout, PixelModel
 from matcam.reconstruction.observed_pixels import ObservedPixels
-from matcam.reconstruction.picture_model import lamp_frame
+from matcam.reconstruction.picture_model import LampFrame
 from matcam.reconstruction.picture_rule import lamp_positions
 from matcam.reconstruction.sphere_fit import SphereFit, fit_sphere
-from matcam.reconstruction.sphere_scene import SphereScene, joint_problem
+from matcam.reconstruction.sphere_scene import SphereScene, mirror_ball
 from matcam.rigs import Rig
 from matcam.sample.curved import Sphere
 
@@ -55,51 +56,50 @@ def fit_cylinder(
     if stretched and more.get("spline"):
         raise ArgumentError("a lobe of two roughnesses cannot be spline-modified: spline must be 0")
     profiles = {picture.name: strip_profiles(picture, strips) for picture in pictures}
-    lay = partial(_cylinder_problem, strips=strips, profiles=profiles)
-    return fit_sphere(pictures, scene, family, stretched=stretched, lay=lay, **more)
+    observe = partial(cylinder_pixels, strips=strips, profiles=profiles)
+    return fit_sphere(pictures, scene, family, stretched=stretched, observe=observe, **more)
 
 
-def _cylinder_problem(
+def cylinder_pixels(
     pictures: Sequence[MergedPicture],
     scene: SphereScene,
-    known: SphereScene,
+    frames: Sequence[LampFrame],
     layout: JointLayout,
     kind: LobeKind,
     p: np.ndarray,
-    slope: np.ndarray,
     *,
-    diffuse: bool,
-    spline: float,
     disc: bool = True,
     keep: Sequence[ObservedPixels] | None = None,
     strips: Sequence[Strip],
-    profiles: dict[str, Any],
-) -> JointProblem:
-    """Build the problem of the columns about the highlights at the parameters p.
+    profiles: dict[str, StripProfiles],
+) -> tuple[PixelModel, list[ObservedPixels], list[FieldChange]]:
+    """Choose the columns about the highlights of strips, and their model.
 
-    The base directions of the lamps are those of `known`. The other arguments are those of `joint_problem`.
+    strips: strips of material. profiles: profiles of each image by name. The other arguments and the results are those of
+    `sphere_pixels`.
     """
     width = float(np.exp(p[0]))
     alphas = (width, float(np.exp(p[1])) if kind.stretched else width)
-    _, radius, camera, lamp = p[layout.scene]
-    lit = lamp_positions(scene.lamp_radius if disc else 0.0, min(alphas))
+    turns, weights, plateau = lamp_positions(scene.lamp_radius if disc else 0.0, min(alphas))
     nodes, row_weights = np.polynomial.legendre.leggauss(_ROW_RULE)
     rows = np.array([np.add(*strip.read) / 2 + (strip.read[1] - strip.read[0] + 1) / 2 * nodes for strip in strips])
     model = ProfileModel(
         kind=kind,
         channels=layout.channels,
         blur=blur_of(Rig(scene.camera, Sphere(scene.radius))),
-        positions=lit.turns,
-        weights=lit.weights,
+        positions=turns,
+        weights=weights,
         turns=np.array([strip.turn for strip in strips]),
         rows=rows,
         row_weights=row_weights / 2,
     )
-    frames = [lamp_frame(one / np.linalg.norm(one)) for one in known.lamps]
     pixels = []
     for k, picture in enumerate(pictures):
-        axis, row = p[layout.own(k)][:2]
-        position = CylinderPosition(axis, row, radius, camera, lamp, frames[k].base)
+        ball, far = mirror_ball(layout, p, k)
         last = None if keep is None else keep[k]
-        pixels.append(chosen_columns(profiles[picture.name], strips, position, alphas, plateau=lit.plateau, keep=last))
-    return joint_problem(layout, kind, scene, model, pixels, frames, slope, diffuse=diffuse, spline=spline)
+        pixels.append(
+            chosen_columns(
+                profiles[picture.name], strips, ball, frames[k].base, far, alphas, plateau=plateau, keep=last
+            )
+        )
+    return model, pixels, []

@@ -14,12 +14,20 @@ import equinox as eqx
 import numpy as np
 
 from matcam.core.jax import jax, jit_plainly, jnp
-from matcam.core.shading import shading
+from matcam.core.shading import Vector
 from matcam.forward.integral.blur import Blur
 from matcam.inverse.fit.fit_parameters import LobeKind
 from matcam.reconstruction.cylinder.profile_rule import ProfileWindow
-from matcam.reconstruction.picture_model import OWN, SCENE, LampFrame, Recorded, turned_lamp
-from matcam.reconstruction.sphere_in_picture import light_and_view, normal_at, radiance
+from matcam.reconstruction.picture_model import (
+    OWN,
+    SCENE,
+    LampFrame,
+    Recorded,
+    over_source,
+    turned_lamp,
+    widened,
+)
+from matcam.reconstruction.sphere_in_picture import normal_at, radiance, surface_shading, theta_d_at
 
 
 class ProfileModel(eqx.Module):
@@ -49,30 +57,13 @@ class ProfileModel(eqx.Module):
         self, p: np.ndarray, frame: LampFrame, window: ProfileWindow, *, slopes: bool
     ) -> tuple[Recorded, Recorded | None]:
         """Compute the records of the windows, (channels x strips, WINDOW), and their derivatives, with a last axis (size,)."""
-        return _compiled("_window_slopes" if slopes else "_window_value")(self, p, frame, window)
+        return _compiled("_of_window", slopes)(self, p, frame, window)
 
     def pixels(
         self, p: np.ndarray, frame: LampFrame, column: np.ndarray, row: np.ndarray, *, slopes: bool
     ) -> tuple[Recorded, Recorded | None]:
         """Compute the records of single columns, (columns,), and their derivatives. row: index of the strip of each column."""
-        name = "_columns_slopes" if slopes else "_columns_value"
-        return _compiled(name)(self, p, frame, column, row.astype(int))
-
-    def _window_value(self, p: jax.Array, frame: LampFrame, window: ProfileWindow) -> tuple[Recorded, None]:
-        return self._of_window(p, frame, window), None
-
-    def _window_slopes(self, p: jax.Array, frame: LampFrame, window: ProfileWindow) -> tuple[Recorded, Recorded]:
-        return _with_slopes(lambda p: self._of_window(p, frame, window), p)
-
-    def _columns_value(
-        self, p: jax.Array, frame: LampFrame, column: jax.Array, strip: jax.Array
-    ) -> tuple[Recorded, None]:
-        return self._of_columns(p, frame, column, strip), None
-
-    def _columns_slopes(
-        self, p: jax.Array, frame: LampFrame, column: jax.Array, strip: jax.Array
-    ) -> tuple[Recorded, Recorded]:
-        return _with_slopes(lambda p: self._of_columns(p, frame, column, strip), p)
+        return _compiled("_of_columns", slopes)(self, p, frame, column, row.astype(int))
 
     def _of_window(self, p: jax.Array, frame: LampFrame, window: ProfileWindow) -> Recorded:
         lens, radius, axis = self._kernel_parameters(p)
@@ -93,8 +84,8 @@ class ProfileModel(eqx.Module):
         centre = (column - axis) / radius
         turns, rows = jnp.asarray(self.turns)[strip], jnp.asarray(self.rows)[strip]
         lobe, lambert = jnp.zeros_like(centre), jnp.zeros_like(centre)
+        scaled = widened(self.blur, lens)
         for term in range(self.blur.stds.size):
-            scaled = eqx.tree_at(lambda b: b.stds, self.blur, self.blur.stds * jnp.exp(lens))
             offset, weight = scaled.rule(term, jnp.zeros(()))
             out = centre[:, None] + offset / radius
             inside = out**2 < 1
@@ -122,25 +113,15 @@ class ProfileModel(eqx.Module):
     ) -> tuple[jax.Array, jax.Array]:
         """Average the radiance of lobe and diffuse part at positions of the outline over the source disc."""
         slopes = self.kind.slopes(p[: self.kind.size])
-        normal, point, camera, lamp, (a, b) = self._surface(p, out, depth, row)
+        normal, point, camera, lamp, turns = self._surface(p, out, depth, row)
         tangent = jnp.cos(turn) * normal[2], jnp.sin(turn), -jnp.cos(turn) * normal[0]
         shape = p[self.kind.size + len(SCENE) : -len(OWN)]  # of the diffuse part
 
-        def under(position: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-            at, weight = position
-            x, y, z = turned_lamp(frame, a + at[0], b + at[1])
-            light, view, closeness = light_and_view(point, (x, y, z), camera, lamp)
-            lobe, lambert = radiance(slopes, self.kind.masking, shape, shading(normal, tangent, light, view), closeness)
-            return weight * lobe, weight * lambert
+        def under(direction: Vector) -> tuple[jax.Array, jax.Array]:
+            at = surface_shading(normal, tangent, point, direction, camera, lamp)
+            return radiance(slopes, self.kind.masking, shape, *at)
 
-        if len(self.weights) == 1:
-            return under((self.positions[0], self.weights[0]))
-
-        def add(total: Any, position: Any) -> tuple[Any, None]:
-            return jax.tree.map(jnp.add, total, under(position)), None
-
-        start = (jnp.zeros_like(out * row), jnp.zeros_like(out * row))
-        return jax.lax.scan(add, start, (jnp.asarray(self.positions), jnp.asarray(self.weights)))[0]
+        return over_source(under, (self.positions, self.weights), frame, turns, jnp.zeros_like(out * row))
 
     def _surface(self, p: jax.Array, out: jax.Array, depth: jax.Array, row: jax.Array) -> tuple[Any, ...]:
         """Compute the normal and the point where a line of sight meets the cylinder.
@@ -162,21 +143,23 @@ class ProfileModel(eqx.Module):
         """
         out = jnp.clip(out, -0.9999, 0.9999)
         _, point, camera, lamp, (a, b) = self._surface(p, out, jnp.sqrt(1 - out**2), row)
-        light, view, _ = light_and_view(point, tuple(turned_lamp(frame, a, b)), camera, lamp)
-        cos2 = sum(s * t for s, t in zip(light, view, strict=True))
-        return jnp.arccos(jnp.clip(cos2, -1 + 1e-12, 1 - 1e-12)) / 2
-
-
-def _with_slopes(function: Callable[[jax.Array], Recorded], p: jax.Array) -> tuple[Recorded, Recorded]:
-    def twice(p: jax.Array) -> tuple[Recorded, Recorded]:
-        recorded = function(p)
-        return recorded, recorded
-
-    slopes, recorded = jax.jacfwd(twice, has_aux=True)(p)
-    return recorded, slopes
+        return theta_d_at(point, tuple(turned_lamp(frame, a, b)), camera, lamp)
 
 
 @cache
-def _compiled(method: str) -> Callable[..., tuple[Recorded, Recorded | None]]:
-    """Compile a method of `ProfileModel` once for all scenes with arrays of the same shapes."""
-    return jit_plainly(getattr(ProfileModel, method), runs="many")
+def _compiled(method: str, slopes: bool) -> Callable[..., tuple[Recorded, Recorded | None]]:
+    """Compile a method of `ProfileModel`, with derivatives on request, once for all scenes with arrays of the same shapes."""
+    of = getattr(ProfileModel, method)
+
+    def value(model: ProfileModel, p: jax.Array, *rest: Any) -> tuple[Recorded, None]:
+        return of(model, p, *rest), None
+
+    def with_slopes(model: ProfileModel, p: jax.Array, *rest: Any) -> tuple[Recorded, Recorded]:
+        def twice(p: jax.Array) -> tuple[Recorded, Recorded]:
+            recorded = of(model, p, *rest)
+            return recorded, recorded
+
+        slopes, recorded = jax.jacfwd(twice, has_aux=True)(p)
+        return recorded, slopes
+
+    return jit_plainly(with_slopes if slopes else value, runs="many")

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from matcam.acquisition.mirror_ball import MirrorBall, cylinder_line
 from matcam.reconstruction.cylinder.strips import Strip, StripProfiles
 from matcam.reconstruction.observed_pixels import ObservedPixels
 from matcam.reconstruction.picture_rule import WINDOW, graded_nodes
@@ -20,7 +21,6 @@ _LIMB = 3.0  # px from the outline within which the rule of a single column does
 _OUTSIDE = 1.5  # px beyond the outline up to which a window is read: the background is not modelled
 _LIT = 0.1  # smallest cosine to the lamp: near the terminator the rule of a column is inaccurate
 _MARGIN = 4.5  # margin of the nodes about the columns of a window, px
-_TURNS = 40
 _NODES = 224
 
 
@@ -38,57 +38,24 @@ class ProfileWindow(NamedTuple):
     column: np.ndarray
 
 
-class CylinderPosition(NamedTuple):
-    """Position of a cylinder in an image, and positions of camera and lamp.
-
-    Attributes:
-        axis: column of the axis of the cylinder, px.
-        row: row of the centre, to which the directions of camera and lamp refer, px.
-        radius: half the width of the outline, px.
-        camera: inverse of the camera's distance, 1/radii.
-        lamp: inverse of the lamp's distance, 1/radii.
-        towards: direction to the lamp, (3,).
-    """
-
-    axis: float
-    row: float
-    radius: float
-    camera: float
-    lamp: float
-    towards: np.ndarray
-
-    def height(self, row: float, normal_z: float) -> float:
-        """Compute the height of a point of the surface above the centre, in radii."""
-        stretch = self.radius * np.sqrt(1 - self.camera**2)
-        return (self.row - row) / stretch * (1 - self.camera * normal_z)
-
-    def brightest(self, strip: Strip, alphas: tuple[float, float]) -> float:
-        """Find the position p in (-1, 1) at which the lobe of a strip has its largest density.
-
-        Args:
-            strip: rows of the strip, and orientation of its material.
-            alphas: roughness along the material's x axis and across it.
-        """
-        cos, sin = np.cos(strip.turn), np.sin(strip.turn)
-        along, across = 1 / alphas[0] ** 2, 1 / alphas[1] ** 2
-        lean = -sin * cos * (along - across) / (cos**2 * along + sin**2 * across)
-        u = float(np.arctan2(self.towards[0], 1 + self.towards[2]))
-        end = np.arccos(self.camera) - 1e-3
-        for _ in range(_TURNS):
-            point = np.array([np.sin(u), self.height((strip.first + strip.last) / 2, np.cos(u)), np.cos(u)])
-            light, view = self.towards - self.lamp * point, np.array([0.0, 0.0, 1.0]) - self.camera * point
-            half = light / np.linalg.norm(light) + view / np.linalg.norm(view)
-            toward = half[0] * np.sin(u) + half[2] * np.cos(u)
-            aside = half[0] * np.cos(u) - half[2] * np.sin(u)
-            u += float(np.arctan2(aside, toward) - np.arctan(lean * half[1] / max(toward, 1e-6)))
-            u = float(np.clip(u, -end, end))
-        return float(np.sqrt(1 - self.camera**2) * np.sin(u) / (1 - self.camera * np.cos(u)))
+def _brightest(
+    strip: Strip, ball: MirrorBall, lamp: np.ndarray, lamp_distance: float, alphas: tuple[float, float]
+) -> float:
+    """Find the position p in (-1, 1) at which the lobe of a strip has its largest density."""
+    cos, sin = np.cos(strip.turn), np.sin(strip.turn)
+    along, across = 1 / alphas[0] ** 2, 1 / alphas[1] ** 2
+    lean = -sin * cos * (along - across) / (cos**2 * along + sin**2 * across)
+    camera = 1 / ball.distance
+    above = (ball.row - (strip.first + strip.last) / 2) / (ball.radius * np.sqrt(1 - camera**2))
+    return cylinder_line(lamp, ball.distance, lamp_distance, lambda depth: above * (1 - camera * depth), lean)
 
 
 def chosen_columns(
     profiles: StripProfiles,
     strips: Sequence[Strip],
-    position: CylinderPosition,
+    ball: MirrorBall,
+    lamp: np.ndarray,
+    lamp_distance: float,
     alphas: tuple[float, float],
     *,
     plateau: float = 0.0,
@@ -99,7 +66,10 @@ def chosen_columns(
     Args:
         profiles: profiles of all strips and colours.
         strips: strips in the order of the profiles.
-        position: position of the cylinder.
+        ball: column of the axis, row to which the directions of camera and lamp refer, half the width of the outline, and
+            distance of the camera.
+        lamp: direction to the lamp, (3,).
+        lamp_distance: distance of the lamp, radii.
         alphas: roughness along the material's x axis and across it.
         plateau: half the lamp's angular radius, rad. Default: 0.
         keep: earlier choice, whose columns are kept if the highlight has moved by at most one column. Default: None.
@@ -108,7 +78,14 @@ def chosen_columns(
         Columns of the windows by colour, strip and position, then the other columns; `row` is the index of the strip.
     """
     windows = [
-        _window(strip, position, alphas, plateau, None if keep is None else keep.window.column[s])
+        _window(
+            strip,
+            ball,
+            _brightest(strip, ball, lamp, lamp_distance, alphas),
+            alphas,
+            plateau,
+            None if keep is None else keep.window.column[s],
+        )
         for s, strip in enumerate(strips)
     ]
     window = ProfileWindow(*map(np.stack, zip(*windows, strict=True)))
@@ -118,7 +95,7 @@ def chosen_columns(
     inside = (at >= 0) & (at < width)
     near = np.where(inside, at, 0).astype(int)
     strip_index = np.arange(rows)[:, None]
-    outside = np.abs(window.column - position.axis) > position.radius + _OUTSIDE
+    outside = np.abs(window.column - ball.column) > ball.radius + _OUTSIDE
 
     def of_window(array: np.ndarray) -> np.ndarray:
         return array[:, strip_index, near].reshape(-1)
@@ -130,11 +107,11 @@ def chosen_columns(
     step = int(np.ceil(candidates.size / _MOST))
     candidates = candidates[::step]
     channel, strip_of, column = np.unravel_index(candidates, profiles.values.shape)
-    p = (profiles.column[column] - position.axis) / position.radius
+    p = (profiles.column[column] - ball.column) / ball.radius
     depth = np.sqrt(np.maximum(1 - p**2, 0.0))
     apart = np.abs(profiles.column[column] - window.column[strip_of, WINDOW // 2]) > WINDOW // 2
-    far = apart & (np.abs(p) < 1 - _LIMB / position.radius)
-    far &= p * position.towards[0] + depth * position.towards[2] > _LIT
+    far = apart & (np.abs(p) < 1 - _LIMB / ball.radius)
+    far &= p * lamp[0] + depth * lamp[2] > _LIT
     far &= profiles.used.ravel()[candidates]
 
     def both(array: np.ndarray, empty: float) -> np.ndarray:
@@ -147,7 +124,6 @@ def chosen_columns(
         window=window,
         column=profiles.column[column],
         row=strip_of.astype(float),
-        seen=np.stack([profiles.column[column], strip_of.astype(float)]),
         positions=np.concatenate(
             [
                 np.tile([window.column.ravel(), strips_of_window.ravel()], count),
@@ -164,19 +140,17 @@ def chosen_columns(
 
 
 def _window(
-    strip: Strip, position: CylinderPosition, alphas: tuple[float, float], plateau: float, keep: np.ndarray | None
+    strip: Strip, ball: MirrorBall, peak: float, alphas: tuple[float, float], plateau: float, keep: np.ndarray | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Compute nodes, weights and columns about the highlight of a strip."""
-    peak = position.brightest(strip, alphas)
-    column = np.round(position.axis + position.radius * peak)
+    column = np.round(ball.column + ball.radius * peak)
     if keep is not None and abs(keep[WINDOW // 2] - column) <= 1:
         column = keep[WINDOW // 2]
     columns = column + np.arange(WINDOW) - WINDOW // 2
     # the nodes cover the columns and their kernels
     low, high = (
-        np.arcsin(np.clip((end - position.axis) / position.radius, -1, 1))
+        np.arcsin(np.clip((end - ball.column) / ball.radius, -1, 1))
         for end in (columns[0] - 1 - _MARGIN, columns[-1] + 1 + _MARGIN)
     )
     across = np.hypot(np.cos(strip.turn) / alphas[0], np.sin(strip.turn) / alphas[1])
-    u, weight = graded_nodes(low, high, np.arcsin(peak), 1 / across / 3, plateau, position.radius, _NODES)
+    u, weight = graded_nodes(low, high, np.arcsin(peak), 1 / across / 3, plateau, ball.radius, _NODES)
     return u, weight * np.cos(u), columns

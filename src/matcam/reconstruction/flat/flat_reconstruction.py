@@ -10,9 +10,11 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from matcam.acquisition.check.flat_check import FEWEST, sample_tilts
 from matcam.acquisition.light.kept_work import KeptWork
 from matcam.acquisition.merging import merge
 from matcam.acquisition.mosaic_frames import MosaicReader
+from matcam.acquisition.radiometry import Progress
 from matcam.camera.camera import Camera
 from matcam.core.errors import ArgumentError, FileFormatError, FitError
 from matcam.core.registry import ONE_WIDTH
@@ -24,15 +26,15 @@ from matcam.inverse.fit.fit_setup import AUTO
 from matcam.material.masking import Masking
 from matcam.numerics.budget import UncertaintyBudget, UncertaintySource
 from matcam.numerics.fit_budget import Readings, Statement, posterior_budget
-from matcam.reconstruction.flat.flat_roughness import FlatRoughness, LobeShares, MeanMaps, fit_roughness, mean_maps
-from matcam.reconstruction.flat.flat_stack import MARGIN, FlatPicture, FlatStack, flat_stack, usable
+from matcam.reconstruction.flat.flat_roughness import FlatRoughness, LobeShares, fit_roughness
+from matcam.reconstruction.flat.flat_stack import MARGIN, FlatPicture, FlatStack, flat_stack
 from matcam.reconstruction.flat.texture_posterior import TexturePosterior, texture_posterior
-from matcam.reconstruction.stated.captured_scene import INCOMPLETE, Progress
+from matcam.reconstruction.stated.captured_scene import INCOMPLETE
 from matcam.reconstruction.stated.lamp_light import under_one_light
 from matcam.reconstruction.stated.stated_rig import captured_lens, without_field
 
 MAPS = ("diffuse", "specular")
-_FEWEST = 3
+_CLIPPED = 0.001  # share of clipped pixels up to which an image is used
 _THETA_D = np.radians(10.0)
 """Range of theta_d above which a remark reports that F may vary between the images, rad."""
 _LOOSE = 0.05  # standard deviation of ln alpha above which a remark is added
@@ -196,7 +198,7 @@ def reconstruct_flat(
     remarks: list[Remark] = list(capture.problems)
     camera, lens = captured_lens(capture, remarks)
     camera = without_field(camera, "flat sample", remarks)
-    tilts = _tilts(capture)
+    tilts = dict(zip(capture.lamps, sample_tilts(capture).tolist(), strict=True))
     reader = MosaicReader(capture)
     for frame in capture.of("frames"):  # the first readable frame decides whether the frames are mosaics
         with suppress(FileFormatError):
@@ -215,7 +217,7 @@ def reconstruct_flat(
         towards = capture.lamps[one.name].direction
         if not np.all(np.isfinite(towards)):
             lost.append(f"{one.name} has no direction of the lamp (angle_deg and azimuth_deg of frames.csv)")
-        elif not usable(one):
+        elif one.clipped.mean() > _CLIPPED:
             lost.append(f"{one.name} has {one.clipped.mean():.1%} of its pixels clipped in every exposure")
         else:
             output, std = radiometry.lamp_output[one.name], float(capture.settings["lamp"]["gain_std"])
@@ -225,9 +227,9 @@ def reconstruct_flat(
                 std = output.std / output.value
             pictures.append(FlatPicture(one, tilts[one.name], towards, std))
     remarks.extend(Remark("picture-left-out", f"{text}, so the image was left out") for text in lost)
-    if len(pictures) < _FEWEST:
+    if len(pictures) < FEWEST:
         raise FitError(
-            f"{capture.folder}: only {len(pictures)} images of the flat sample can be used, but {_FEWEST} are needed"
+            f"{capture.folder}: only {len(pictures)} images of the flat sample can be used, but {FEWEST} are needed"
         )
     size = capture.stated("mm_per_px")
     left_out = tuple(text.split(" ")[0] for text in lost)
@@ -269,16 +271,13 @@ def reconstructed_flat(
         )
     stack = flat_stack(pictures, camera)
     fitted = fit_roughness(stack, shares, np.array([one.gain_std for one in pictures]))
-    mean = mean_maps(stack, fitted)
-    means = mean.value
     posterior = texture_posterior(stack, fitted.weights, lens_std)
     alpha = float(np.exp(fitted.log_alpha))
-    unit = max(float(means.max()), 1e-300)
-    budgets = _budgets(fitted, mean, alpha, unit)
-    said = [*remarks, *_remarks(fitted, shares)]
+    unit = max(float(fitted.mean.max()), 1e-300)
+    budgets = _budgets(fitted, alpha, unit)
     gain_std = np.sqrt(np.maximum(np.diag(fitted.covariance)[1:], 0.0))
     return FlatReconstruction(
-        maps=_maps(stack, posterior, means, unit, mm_per_px),
+        maps=_maps(stack, posterior, fitted.mean, unit, mm_per_px),
         parameters={one.name: (one.value, one.combined) for one in budgets},
         cutoffs={name: posterior.cutoff(stack.frequency, i) for i, name in enumerate(MAPS)},
         mm_per_px=None if mm_per_px is None else float(mm_per_px[0]),
@@ -287,12 +286,12 @@ def reconstructed_flat(
         gains=np.column_stack([np.exp(fitted.gains), gain_std]),
         misfit=fitted.misfit,
         left_out=left_out,
-        remarks=tuple(dict.fromkeys(said)),
+        remarks=tuple(dict.fromkeys([*remarks, *_remarks(fitted, shares)])),
         budgets=budgets,
     )
 
 
-def _budgets(fitted: FlatRoughness, mean: MeanMaps, alpha: float, unit: float) -> tuple[UncertaintyBudget, ...]:
+def _budgets(fitted: FlatRoughness, alpha: float, unit: float) -> tuple[UncertaintyBudget, ...]:
     """Build the budgets of the roughness and of the mean of each map. unit: value to which both maps are relative."""
     stated = [Statement("gains of the images, as specified", fitted.stated)]
     readings = Readings("images: texture of coarse frequencies", "A", fitted.freedom)
@@ -301,9 +300,9 @@ def _budgets(fitted: FlatRoughness, mean: MeanMaps, alpha: float, unit: float) -
     budgets = [posterior_budget("alpha", alpha, by_alpha, fitted.covariance, stated, readings)]
     for i, name in enumerate(MAPS):
         noise = UncertaintySource(
-            "noise of the means of the images", 0.0, float(np.sqrt(mean.by_noise[i, i])) / unit, 1.0, "A"
+            "noise of the means of the images", 0.0, float(np.sqrt(fitted.mean_noise[i, i])) / unit, 1.0, "A"
         )
-        value, slope = float(mean.value[i] / unit), mean.by_shared[i] / unit
+        value, slope = float(fitted.mean[i] / unit), fitted.mean_slope[i] / unit
         budgets.append(posterior_budget(f"mean_{name}", value, slope, fitted.covariance, stated, readings, [noise]))
     return tuple(budgets)
 
@@ -344,7 +343,6 @@ def _maps(
     unit: float,
     mm_per_px: tuple[float, float] | None,
 ) -> xr.Dataset:
-    """Build the maps without their borders, with their errors and the resolved share of each frequency."""
     height, width = stack.taper.shape
     inner = slice(MARGIN, height - MARGIN), slice(MARGIN, width - MARGIN)
     root = np.sqrt((stack.taper**2).sum())
@@ -385,16 +383,3 @@ def _maps(
         attrs=attrs,
     )
     return named(data, names)
-
-
-def _tilts(capture: Capture) -> dict[str, float]:
-    """Return the specified tilt of the sample at each lamp position, rad."""
-    stated = capture.settings["sample"]["tilt_deg"] or [0.0]
-    names = list(capture.lamps)
-    if len(stated) not in (1, len(names)):
-        raise ArgumentError(
-            f"{capture.folder}: sample.tilt_deg has {len(stated)} angles for {len(names)} lamp positions: give one "
-            "angle, or one for each lamp position in the order of frames.csv"
-        )
-    stated = stated * len(names) if len(stated) == 1 else stated
-    return {name: float(np.radians(one)) for name, one in zip(names, stated, strict=True)}

@@ -33,7 +33,9 @@ class FlatRoughness(NamedTuple):
         gains: ln of the gain of each image, (pictures,).
         covariance: covariance of log_alpha and gains, (1 + pictures, 1 + pictures).
         weights: radiance of the diffuse and specular part in each image for maps of 1, times the gain, (pictures, 2).
-        weights_slope: derivatives of `weights` with respect to log_alpha and gains, (pictures, 2, 1 + pictures).
+        mean: mean of each map, (2,).
+        mean_noise: covariance of the means for exact roughness and gains, (2, 2).
+        mean_slope: derivatives of the means with respect to log_alpha and gains, (2, 1 + pictures).
         misfit: mean squared residual, relative to the variance of the noise.
         stated: prior information matrix of the gains, with the axes of `covariance`.
         freedom: degrees of freedom, no unit.
@@ -43,7 +45,9 @@ class FlatRoughness(NamedTuple):
     gains: np.ndarray
     covariance: np.ndarray
     weights: np.ndarray
-    weights_slope: np.ndarray
+    mean: np.ndarray
+    mean_noise: np.ndarray
+    mean_slope: np.ndarray
     misfit: float
     stated: np.ndarray
     freedom: int
@@ -114,36 +118,23 @@ def fit_roughness(stack: FlatStack, shares: LobeShares, gain_std: np.ndarray) ->
     slopes = np.zeros((count, 2, 1 + count))
     slopes[:, 1, 0] = np.exp(p[1:]) * slope
     slopes[np.arange(count), :, 1 + np.arange(count)] = weights(p)
-    freedom = coarse.sum() * max(count - 2, 1)  # a frequency and its mirror image are complex conjugates
-    stated = np.diag(np.concatenate([[0.0], 1 / prior**2]))
-    misfit = float(2 * found.cost / freedom)
-    return FlatRoughness(float(p[0]), p[1:], covariance, weights(p), slopes, misfit, stated, int(freedom))
-
-
-class MeanMaps(NamedTuple):
-    """Means of both maps.
-
-    Attributes:
-        value: means, (2,).
-        by_noise: covariance for exact roughness and gains, (2, 2).
-        by_shared: derivatives of the means with respect to log_alpha and gains, (2, 1 + pictures).
-    """
-
-    value: np.ndarray
-    by_noise: np.ndarray
-    by_shared: np.ndarray
-
-
-def mean_maps(stack: FlatStack, fitted: FlatRoughness) -> MeanMaps:
-    """Compute the mean of each map, with its errors."""
-    std = np.hypot(stack.mean_std, _EXACT * np.abs(stack.mean))
-    loadings = fitted.weights / std[:, None]
+    loadings = weights(p) / mean_std[:, None]
     inverse = np.linalg.pinv(loadings.T @ loadings)
-    reading = inverse @ loadings.T / std
-    means = reading @ stack.mean
-    # effect of a change of the shares on the fitted means
-    by_shared = -np.einsum("ik,kjp,j->ip", reading, fitted.weights_slope, means)
-    return MeanMaps(means, inverse, by_shared)
+    reading = inverse @ loadings.T / mean_std
+    mean = reading @ stack.mean
+    freedom = coarse.sum() * max(count - 2, 1)  # a frequency and its mirror image are complex conjugates
+    return FlatRoughness(
+        log_alpha=float(p[0]),
+        gains=p[1:],
+        covariance=covariance,
+        weights=weights(p),
+        mean=mean,
+        mean_noise=inverse,
+        mean_slope=-np.einsum("ik,kjp,j->ip", reading, slopes, mean),
+        misfit=float(2 * found.cost / freedom),
+        stated=np.diag(np.concatenate([[0.0], 1 / prior**2])),
+        freedom=int(freedom),
+    )
 
 
 def _left_behind(data: np.ndarray, transfer: np.ndarray, loadings: np.ndarray) -> np.ndarray:

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy import ndimage
 
 from matcam.acquisition.merged_picture import MergedPicture
 from matcam.camera.camera import Camera
@@ -27,7 +28,6 @@ _BAND = 0.44  # cycles/px on the sensor, up to which the windowed sinc is transp
 _STEP = 1e-3
 _PASSED = 1e-3
 """MTF of a lens below which its derivative is neglected."""
-_CLIPPED = 0.001  # share of clipped pixels up to which an image is used
 
 
 class FlatPicture(NamedTuple):
@@ -81,11 +81,6 @@ class FlatStack(NamedTuple):
     def sensor_transfer(self, k: int, along: np.ndarray, across: np.ndarray) -> np.ndarray:
         """Compute the signed transfer function of the camera at texel frequencies in image k."""
         return _transfer(self.camera, along / np.cos(self.tilts[k]), across)
-
-
-def usable(picture: MergedPicture) -> bool:
-    """Check whether the share of clipped pixels of an image is small enough for a Fourier transform."""
-    return bool(picture.clipped.mean() <= _CLIPPED)
 
 
 def flat_stack(pictures: Sequence[FlatPicture], camera: Camera) -> FlatStack:
@@ -148,7 +143,6 @@ def _taper(count: int) -> np.ndarray:
 
 
 def _interpolation(count: int, cosine: float) -> np.ndarray:
-    """Build the interpolation matrix from pixels of a row to texels."""
     if cosine == 1:
         return np.eye(count)
     position = np.arange(count) - (count - 1) / 2
@@ -159,17 +153,10 @@ def _interpolation(count: int, cosine: float) -> np.ndarray:
 
 
 def _without_holes(values: np.ndarray) -> np.ndarray:
-    """Replace missing pixels by the mean of their neighbours."""
     holes = ~np.isfinite(values)
     if not holes.any():
         return values
     filled = np.where(holes, 0.0, values)
-    padded, known = np.pad(filled, 2), np.pad((~holes).astype(float), 2)
-    height, width = values.shape
-    total, count = np.zeros(values.shape), np.zeros(values.shape)
-    for row in range(5):
-        for column in range(5):
-            total += padded[row : row + height, column : column + width]
-            count += known[row : row + height, column : column + width]
+    total, count = (ndimage.convolve(one, np.ones((5, 5)), mode="constant") for one in (filled, (~holes).astype(float)))
     rest = float(values[~holes].mean()) if (~holes).any() else 0.0
     return np.where(holes, np.where(count > 0, total / np.maximum(count, 1), rest), values)

@@ -11,19 +11,15 @@ from dataclasses import replace
 from typing import NamedTuple, TypeVar
 
 import numpy as np
-from scipy.special import log_ndtr
 
 from matcam.core.errors import FitError
 from matcam.core.threads import available_cores, in_order
 from matcam.numerics.anderson import AndersonMixing
 from matcam.numerics.linalg import scaled_inverse
 from matcam.reconstruction.joint.joint_problem import JointProblem
-from matcam.reconstruction.joint.unexplained import UnexplainedLight
-from matcam.reconstruction.observed_pixels import ObservedPixels
+from matcam.reconstruction.joint.likelihood import Likelihood
 
 T = TypeVar("T")
-_CLIPPED_OUT = 30.0  # standard deviations above which a clipped pixel has no effect
-_HUBER = 4.0
 _STEPS, _ATTEMPTS = 25, 9
 _SETTLED = 1e-3  # largest step at convergence, as a share of a standard deviation
 _SLIGHT, _LOOK_BACK = 10.0, 3
@@ -42,7 +38,7 @@ class JointSolution(NamedTuple):
         covariance: covariance of the parameters, including unexplained residuals and an unspecified distortion.
         fitted: covariance of the parameters without an unspecified distortion, for weights.
         cost: minus twice the logarithm of likelihood and prior, up to a constant.
-        left: unexplained light.
+        likelihood: likelihood of the pixels, with the unexplained light.
         theta_d: angle to which the strengths of each image apply, rad, (pictures,).
         theta_d_slope: derivatives of these angles, (pictures, parameters).
         chi2: mean squared residual of each image, relative to the variance of photon and read noise, (pictures,).
@@ -54,7 +50,7 @@ class JointSolution(NamedTuple):
     covariance: np.ndarray
     fitted: np.ndarray
     cost: float
-    left: UnexplainedLight
+    likelihood: Likelihood
     theta_d: np.ndarray
     theta_d_slope: np.ndarray
     chi2: np.ndarray
@@ -63,7 +59,7 @@ class JointSolution(NamedTuple):
     @property
     def unexplained(self) -> float:
         """Share of the model that the noise does not explain, no unit."""
-        return self.left.share
+        return self.likelihood.share
 
     def covariance_with(self, information: np.ndarray) -> np.ndarray:
         """Compute the covariance with additional information of low rank, (size, size)."""
@@ -94,59 +90,8 @@ class JointSolution(NamedTuple):
         return found
 
 
-class Likelihood:
-    """Likelihood of pixels, with additional noise that is proportional to the model.
-
-    Args:
-        left: unexplained light.
-    """
-
-    def __init__(self, left: UnexplainedLight):
-        self.share = left.noise
-
-    def residual(
-        self, pixels: ObservedPixels, value: np.ndarray, level: np.ndarray | None = None
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Compute standardised residuals, their derivatives with respect to the model, and robust weights, (pixels,).
-
-        The residual of a clipped pixel is the root of minus twice the logarithm of the probability of clipping.
-
-        Args:
-            pixels: observed pixels.
-            value: the model, (pixels,).
-            level: expected values from which the noise follows, (pixels,). Default: None, `value`.
-        """
-        level = value if level is None else level
-        std = np.hypot(pixels.noise_at(level), self.share * np.abs(level))
-        z = (value - pixels.values) / std
-        by_value = 1 / std
-        bound = np.clip(z, -_CLIPPED_OUT, _CLIPPED_OUT)
-        chance = log_ndtr(bound)
-        root = np.sqrt(np.maximum(-2 * chance, 1e-300))
-        hazard = np.exp(-0.5 * bound**2 - chance) / np.sqrt(2 * np.pi)
-        residual = np.where(pixels.clipped, -root, z)
-        slope = np.where(pixels.clipped, hazard / np.maximum(root, 1e-12), 1.0) * by_value
-        slope = np.where(pixels.clipped & (np.abs(z) > _CLIPPED_OUT), 0.0, slope)
-        weight = np.where(np.abs(residual) > _HUBER, _HUBER / np.maximum(np.abs(residual), _HUBER), 1.0)
-        used = pixels.used
-        return np.where(used, residual, 0.0), np.where(used, slope, 0.0), np.where(used, weight, 0.0)
-
-    def cost(self, pixels: ObservedPixels, value: np.ndarray, level: np.ndarray | None = None) -> float:
-        """Compute Huber's cost of an image. The arguments are those of `residual`."""
-        residual, _, _ = self.residual(pixels, value, level)
-        size = np.abs(residual)
-        huber = np.where(size > _HUBER, 2 * _HUBER * size - _HUBER**2, size**2)
-        return float(huber.sum())
-
-    def surprise(self, pixels: ObservedPixels, value: np.ndarray) -> float:
-        """Compute minus twice the log likelihood per pixel, up to a constant, to compare lobes."""
-        std = np.hypot(pixels.noise_at(value), self.share * np.abs(value))
-        measured = pixels.used & ~pixels.clipped
-        return (self.cost(pixels, value) + 2 * float(np.log(std[measured]).sum())) / max(int(pixels.used.sum()), 1)
-
-
-def solve(problem: JointProblem, start: np.ndarray, left: UnexplainedLight, enough: float) -> np.ndarray:
-    """Minimise the cost at a given share of unexplained noise.
+def solve(problem: JointProblem, start: np.ndarray, judge: Likelihood, enough: float) -> np.ndarray:
+    """Minimise the cost at a given share of unexplained light.
 
     Levenberg-Marquardt steps use the noise of the model at their start. Successive steps are combined as long as this
     reduces the cost, because single steps are too short for the residuals of real images.
@@ -154,10 +99,9 @@ def solve(problem: JointProblem, start: np.ndarray, left: UnexplainedLight, enou
     Args:
         problem: problem to fit.
         start: parameters, (size,).
-        left: unexplained light.
+        judge: likelihood of the pixels.
         enough: decrease of the cost below which the iteration ends.
     """
-    judge = Likelihood(left)
     p = np.clip(start, problem.low, problem.high)
     free = np.flatnonzero(~problem.fixed)
     damping, mixing = 1e-3, AndersonMixing()
@@ -211,9 +155,8 @@ def _damped_step(
     return np.clip(p + step, problem.low, problem.high) - p
 
 
-def summed_up(problem: JointProblem, p: np.ndarray, left: UnexplainedLight) -> JointSolution:
+def summed_up(problem: JointProblem, p: np.ndarray, judge: Likelihood) -> JointSolution:
     """Build the solution at given parameters: their covariance, and theta_d and chi squared of each image."""
-    judge = Likelihood(left)
     layout = problem.layout
     moving = replace(problem, changes=problem.unstated) if problem.unstated else problem
     at, free = _assembled(moving, judge, p), ~problem.fixed
@@ -224,7 +167,7 @@ def summed_up(problem: JointProblem, p: np.ndarray, left: UnexplainedLight) -> J
     theta, slopes, chi2, out = [], [], [], []
     for k in range(layout.pictures):
         fit = moving.picture(p, k, slopes=True)
-        plain, _, _ = Likelihood(UnexplainedLight(0.0)).residual(problem.pixels[k], fit.value)
+        plain, _, _ = Likelihood(0.0).residual(problem.pixels[k], fit.value)
         theta.append(fit.theta_d)
         slopes.append(fit.theta_d_slope)
         count = max(int(problem.pixels[k].used.sum()), 1)
@@ -237,7 +180,7 @@ def summed_up(problem: JointProblem, p: np.ndarray, left: UnexplainedLight) -> J
         covariance,
         fitted,
         at.cost,
-        left,
+        judge,
         np.array(theta),
         np.array(slopes),
         np.array(chi2),
@@ -288,7 +231,6 @@ def _assembled(problem: JointProblem, judge: Likelihood, p: np.ndarray) -> _Asse
 
 
 def _of_pictures(work: Callable[[int], T], problem: JointProblem) -> Iterator[T]:
-    """Yield the result of `work` for each image, in order."""
     return in_order(work, range(problem.layout.pictures), min(available_cores(), _MOST_AT_ONCE))
 
 

@@ -15,9 +15,9 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
+from matcam.reconstruction.joint.field_change import FIELD, STEP, FieldChange
 from matcam.reconstruction.observed_pixels import ObservedPixels
 from matcam.reconstruction.picture_model import OWN, SCENE, LampFrame, Recorded
-from matcam.reconstruction.rig.field_change import FIELD, STEP, FieldChange
 
 
 class JointLayout(NamedTuple):
@@ -57,15 +57,24 @@ class JointLayout(NamedTuple):
         """Indices of lens, radius and inverse distances."""
         return slice(self.lobe, self.lobe + len(SCENE))
 
+    def of(self, name: str) -> int:
+        """Index of a parameter of `SCENE`."""
+        return self.lobe + SCENE.index(name)
+
     @property
     def diffuse(self) -> slice:
         """Indices of the diffuse parts."""
-        return slice(self.lobe + len(SCENE), self.lobe + len(SCENE) + self.channels)
+        return slice(self.scene.stop, self.scene.stop + self.channels)
 
     @property
     def field(self) -> slice:
         """Indices of the differences of the lens field from its profile."""
         return slice(self.diffuse.stop, self.diffuse.stop + len(FIELD))
+
+    @property
+    def rig(self) -> list[int]:
+        """Indices of the parameters of the rig that precede those of the lamps, in the order of `SCENE_NAMES`."""
+        return [*map(self.of, ("lens", "camera", "lamp")), *range(self.field.start, self.field.stop)]
 
     @property
     def sample_radius(self) -> int:
@@ -82,6 +91,14 @@ class JointLayout(NamedTuple):
         first = self.shared + k * self.each
         return slice(first, first + len(OWN))
 
+    def centre(self, k: int) -> slice:
+        """Indices of column and row of the centre of an image."""
+        return slice(self.own(k).start, self.own(k).start + 2)
+
+    def turn(self, k: int) -> slice:
+        """Indices of the two rotations of the lamp of an image."""
+        return slice(self.own(k).start + 2, self.own(k).stop)
+
     def gain(self, k: int) -> int:
         """Index of ln of the gain of an image."""
         return self.own(k).stop
@@ -93,10 +110,7 @@ class JointLayout(NamedTuple):
 
     def of_picture(self, k: int) -> np.ndarray:
         """Return the indices of the parameters of the model of an image."""
-        own, shape = self.own(k), self.diffuse_shape
-        return np.concatenate(
-            [np.arange(self.scene.stop), np.arange(shape.start, shape.stop), np.arange(own.start, own.stop)]
-        )
+        return np.r_[: self.scene.stop, self.diffuse_shape, self.own(k)]
 
 
 class PixelModel(Protocol):
@@ -222,9 +236,9 @@ class JointProblem:
                 + diffuse[near] * by_k1.lambert
             )
             # a shift of a pixel has the effect of an opposite shift of the sphere
-            far, centre = slice(near.stop, None), layout.own(k).start + np.arange(2)
+            far, centre = slice(near.stop, None), layout.centre(k)
             away = self.changes[k].positions_slopes(change).T
-            jacobian[far, of_k1] = -(jacobian[far][:, centre] * away).sum(axis=1)
+            jacobian[far, of_k1] = -(jacobian[far, centre] * away).sum(axis=1)
         jacobian[:, layout.gain(k)] = value
         everything = np.arange(value.size)
         jacobian[everything, layout.strengths(k).start + channel] = gain * tilt * recorded.lobe

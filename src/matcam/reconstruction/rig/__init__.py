@@ -1,1 +1,1 @@
-"""Rig of a reconstruction: its lens over the field, and results of an earlier reconstruction."""
+"""Rig of a reconstruction: its document, and the rig of an earlier reconstruction."""

@@ -14,7 +14,8 @@ import numpy as np
 
 from matcam.core.errors import ArgumentError
 from matcam.core.remark import Remark
-from matcam.reconstruction.picture_model import SCENE, LampFrame, lamp_frame
+from matcam.reconstruction.joint.joint_problem import JointLayout
+from matcam.reconstruction.picture_model import LampFrame, lamp_frame
 from matcam.reconstruction.rig.rig_document import SCENE_NAMES, EarlierRig
 
 _LEAST = 1e-12  # variance below which a parameter was not fitted
@@ -47,23 +48,19 @@ class KnownRig(NamedTuple):
         variance = np.diag(self.covariance)[len(SCENE_NAMES) :].reshape(-1, 2)
         return np.sqrt(variance.mean(axis=1))
 
-    def prior(
-        self, size: int, positions: Sequence[int], own: Sequence[int], frames: Sequence[LampFrame]
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def prior(self, layout: JointLayout, frames: Sequence[LampFrame]) -> tuple[np.ndarray, np.ndarray]:
         """Build the rows and values of the prior: linear combinations of the parameters, and their means.
 
         The variance of each combination is 1.
 
         Args:
-            size: number of all parameters.
-            positions: indices of the five values among the parameters.
-            own: index of the first of the two rotations of the lamp of each image.
+            layout: order of the parameters.
             frames: base direction of the lamp of each image, with its tangents.
         """
         chosen, rows, values = [], [], []
         for index in np.flatnonzero(self.knows).tolist():
-            row = np.zeros(size)
-            row[positions[index]] = 1.0
+            row = np.zeros(layout.size)
+            row[layout.rig[index]] = 1.0
             chosen.append(index)
             rows.append(row)
             values.append(self.values[index])
@@ -73,8 +70,8 @@ class KnownRig(NamedTuple):
             known, frame = lamp_frame(self.directions[at]), frames[k]
             along = max(float(frame.base @ known.base), 0.1)
             for axis, tangent in enumerate((known.first, known.second)):
-                row = np.zeros(size)
-                row[own[k] : own[k] + 2] = np.array([frame.first @ tangent, frame.second @ tangent]) / along
+                row = np.zeros(layout.size)
+                row[layout.turn(k)] = np.array([frame.first @ tangent, frame.second @ tangent]) / along
                 chosen.append(len(SCENE_NAMES) + 2 * at + axis)
                 rows.append(row)
                 values.append(-float(frame.base @ tangent) / along)
@@ -147,31 +144,22 @@ def known_rig(
 
 
 def rig_covariance(
-    covariance: np.ndarray,
-    scene: slice,
-    field: slice,
-    own: Sequence[int],
-    frames: Sequence[LampFrame],
-    lamps: np.ndarray,
+    covariance: np.ndarray, layout: JointLayout, frames: Sequence[LampFrame], lamps: np.ndarray
 ) -> np.ndarray:
     """Compute the covariance of the parameters of a rig in the order of its document.
 
     Args:
         covariance: covariance of all parameters of a joint fit.
-        scene: indices of lens, radius and inverse distances.
-        field: indices of the changes of the lens field.
-        own: index of the first of the two rotations of the lamp of each image.
-        frames: base directions and tangents of these rotations.
+        layout: order of these parameters.
+        frames: base direction of the lamp of each image, with its tangents.
         lamps: fitted directions, (pictures, 3), which are the base directions of the rotations in the document.
     """
-    size = len(SCENE_NAMES) + 2 * len(lamps)
-    pick = np.zeros((size, len(covariance)))
-    first = scene.start
-    positions = [first + SCENE.index(name) for name in ("lens", "camera", "lamp")] + [field.start, field.start + 1]
-    pick[np.arange(len(positions)), positions] = 1.0
-    for k, direction in enumerate(lamps):
-        to, frame = lamp_frame(direction / np.linalg.norm(direction)), frames[k]
+    shared = len(SCENE_NAMES)
+    pick = np.zeros((shared + 2 * len(lamps), len(covariance)))
+    pick[np.arange(shared), layout.rig] = 1.0
+    for k, (direction, frame) in enumerate(zip(lamps, frames, strict=True)):
+        to = lamp_frame(direction)
         for axis, tangent in enumerate((to.first, to.second)):
-            pick[len(positions) + 2 * k + axis, own[k] : own[k] + 2] = frame.first @ tangent, frame.second @ tangent
+            pick[shared + 2 * k + axis, layout.turn(k)] = frame.first @ tangent, frame.second @ tangent
     whole = pick @ covariance @ pick.T
     return np.asarray((whole + whole.T) / 2)

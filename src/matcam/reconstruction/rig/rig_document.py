@@ -145,14 +145,6 @@ def json_schema() -> dict[str, Any]:
     return _Document.model_json_schema()
 
 
-def check_document(document: Any, where: str | Path) -> None:
-    """Check a document against the schema.
-
-    The message of a FileFormatError contains the first wrong field.
-    """
-    _checked(document, where)
-
-
 def read_rig(path: str | Path) -> EarlierRig:
     """Read the rig of an earlier reconstruction.
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -13,16 +12,15 @@ from matcam.acquisition.highlights import find_highlights, lamp_from_highlight
 from matcam.acquisition.light.kept_work import KeptWork
 from matcam.acquisition.merged_picture import MergedPicture
 from matcam.acquisition.merging import merge
-from matcam.acquisition.mirror_ball import MirrorBall
 from matcam.acquisition.outline import Outline, Sighting, find_outline, stacked
-from matcam.acquisition.radiometry import Radiometry
+from matcam.acquisition.radiometry import Progress, Radiometry
 from matcam.core.errors import ArgumentError, FitError
 from matcam.core.remark import Remark
 from matcam.files.capture import Capture, Stated
 from matcam.reconstruction.rig.earlier_rig import known_rig
 from matcam.reconstruction.rig.rig_document import EarlierRig
-from matcam.reconstruction.sphere_scene import Known, SphereScene, unstated_distortion
-from matcam.reconstruction.stated.lamp_light import gains_of, under_one_light
+from matcam.reconstruction.sphere_scene import SphereScene, unstated_distortion
+from matcam.reconstruction.stated.lamp_light import gains_of, under_one_light, with_light
 from matcam.reconstruction.stated.outline_frames import found_outline
 from matcam.reconstruction.stated.stated_lamps import first_lamps, stated_lamps
 from matcam.reconstruction.stated.stated_rig import (
@@ -35,8 +33,6 @@ from matcam.reconstruction.stated.stated_rig import (
     with_radius,
 )
 from matcam.reconstruction.stated.undistorted import undistorted_sphere
-
-Progress = Callable[[str, int, int], None]
 
 _SHIFT = 0.3
 """Assumed standard deviation of the position of the sphere between images, px, if the limb does not determine it."""
@@ -83,7 +79,7 @@ class CapturedScene(NamedTuple):
     outline: Outline | None
     left_out: tuple[str, ...]
     remarks: tuple[Remark, ...]
-    units: tuple[Known, ...] | None = None
+    units: tuple[Stated, ...] | None = None
     frame: tuple[int, int] | None = None
     sample_radius: Stated | None = None
 
@@ -133,11 +129,10 @@ def captured_scene(
     if rig is not None:
         std = np.sqrt(np.diag(rig.covariance))
         camera_nearness, lamp_nearness = (
-            Known(float(rig.values[at]), float(std[at])) if rig.knows[at] else stated
+            Stated(float(rig.values[at]), float(std[at])) if rig.knows[at] else stated
             for at, stated in ((1, camera_nearness), (2, lamp_nearness))
         )
-    distance = 1 / camera_nearness.value if camera_nearness.value > 0 else np.inf
-    sighting = Sighting(distance=distance)
+    sighting = Sighting(1 / camera_nearness.value if camera_nearness.value > 0 else np.inf)
     outline, region = found_outline(capture, sighting, lens_sigma(camera), frame, remarks)
     pictures, radiometry = merge(capture, region, progress, workers=workers, kept=kept)
     pictures = under_one_light(pictures, capture)
@@ -153,10 +148,9 @@ def captured_scene(
         outline, shifts = find_shifts(pictures, outline, shift_std=_SHIFT, same_radius=False)
         centres = np.array([[outline.column + s.column, outline.row + s.row] for s in shifts])
     remarks.extend(outline.remarks)
-    ball = MirrorBall(outline.row, outline.column, outline.radius, distance)
-    highlights, said = find_highlights(pictures, ball, blur=float(np.hypot(outline.sigma, 0.29)))
+    highlights, said = find_highlights(pictures, outline.ball, blur=float(np.hypot(outline.sigma, 0.29)))
     remarks.extend(said)
-    ball, centres, highlights = undistorted_sphere(camera.field, ball, centres, highlights)
+    ball, centres, highlights = undistorted_sphere(camera.field, outline.ball, centres, highlights)
     far = 1 / lamp_nearness.value if lamp_nearness.value > 0 else np.inf
     seen = [k for k, one in enumerate(highlights) if one is not None]
     left_out = tuple(one.name for k, one in enumerate(pictures) if k not in seen)
@@ -181,7 +175,6 @@ def captured_scene(
     order = [1, 0, 2]  # (row, column, radius) to (column, row, radius)
     lamps = first_lamps(lamps, covariances, stated, stds)
     light = gains_of(capture, radiometry, names, lamps, ball, with_radius(lamp_nearness, sample_radius), remarks)
-    lamp_radius = lamp_radius_of(capture)
     scene = SphereScene(
         camera=camera,
         lens_std=spread,
@@ -193,21 +186,13 @@ def captured_scene(
         lamp_nearness=lamp_nearness,
         lamps=stated,
         lamp_std=stds,
-        lamp_radius=lamp_radius,
-        gain_std=np.sqrt(np.diag(light.covariance)),
-        gain=light.gain,
-        gain_correlation=correlation(light.covariance),
+        lamp_radius=lamp_radius_of(capture),
         rig=rig,
         unstated_field=None if camera.field is not None else unstated_distortion(ball),
         sample_radius=sample_radius,
     )
-    units = None if light.units is None else tuple(Known(*one) for one in light.units)
     said_once = tuple(dict.fromkeys(remarks))
     radius = capture.radius_mm
-    return CapturedScene(pictures, scene, lamps, radiometry, outline, left_out, said_once, units, frame, radius)
-
-
-def correlation(covariance: np.ndarray) -> np.ndarray:
-    """Convert a covariance to correlations."""
-    std = np.sqrt(np.diag(covariance))
-    return np.asarray(covariance / np.outer(std, std))
+    return CapturedScene(
+        pictures, with_light(scene, light), lamps, radiometry, outline, left_out, said_once, light.units, frame, radius
+    )

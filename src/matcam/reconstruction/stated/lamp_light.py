@@ -14,7 +14,7 @@ from matcam.acquisition.radiometry import Radiometry
 from matcam.core.errors import FitError
 from matcam.core.remark import Remark
 from matcam.files.capture import Capture, Region, Stated
-from matcam.reconstruction.sphere_scene import Known
+from matcam.reconstruction.sphere_scene import SphereScene
 
 _SEEN = float(np.radians(0.5))
 """Largest assumed standard deviation of the direction of a lamp, rad, because the highlights determine the direction better."""
@@ -45,7 +45,7 @@ def gains_of(
     names: Sequence[str],
     lamps: np.ndarray,
     ball: MirrorBall,
-    nearness: Known,
+    nearness: Stated,
     remarks: list[Remark],
 ) -> PatchLight:
     """Determine the relative irradiance of each image, and the unit of values, from the reference.
@@ -61,7 +61,7 @@ def gains_of(
             [radiometry.reference_light[name] for name in names],
             lamps,
             ball,
-            Stated(*nearness),
+            nearness,
             lamp_std=np.full(count, min(capture.direction_std, _SEEN)),
             gain_std=drift,
             exposure_std=max(one.std / one.value for one in radiometry.exposures.values()),
@@ -89,8 +89,15 @@ def gains_of(
     return PatchLight(gain / gain.mean(), np.diag(np.maximum(std, 1e-5) ** 2), None, known)
 
 
+def with_light(scene: SphereScene, light: PatchLight) -> SphereScene:
+    """Add the irradiance of the images, with the covariance of its errors, to the prior knowledge of a capture."""
+    std = np.sqrt(np.diag(light.covariance))
+    return replace(
+        scene, gain_std=std, gain=light.gain, gain_correlation=np.asarray(light.covariance / np.outer(std, std))
+    )
+
+
 def _patch(capture: Capture, region: Region) -> ReferencePatch:
-    """Return the diffuse reference of the capture."""
     reference, radius = capture.settings["reference"], capture.radius_mm
     patch = ReferencePatch(region, tilt_std=float(np.radians(reference["tilt_std_deg"])))
     if reference["reflectance"] is not None:

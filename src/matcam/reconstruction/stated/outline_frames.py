@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from matcam.acquisition.check.quick_outline import dark_disc
 from matcam.acquisition.darkness import dark_of
+from matcam.acquisition.limb.backlight import field_reach
 from matcam.acquisition.limb.clipped_field import field_is_clipped, hidden_by_clipping
-from matcam.acquisition.limb.given_outline import mask_outline, stated_circle
+from matcam.acquisition.limb.given_outline import given_outline
 from matcam.acquisition.merged_picture import MergedPicture
-from matcam.acquisition.mosaic_frames import MosaicReader
+from matcam.acquisition.mosaic_frames import MosaicReader, origin_of
 from matcam.acquisition.outline import Outline, Sighting, find_outline
 from matcam.core.errors import FitError, MatcamError
 from matcam.core.remark import Remark
 from matcam.files.capture import Capture, Region
 from matcam.files.capture_frames import CaptureFrame
+from matcam.numerics.normal import robust_std
 
 _MARGIN = 0.12
 """Margin about the outline in the region of a frame that is read, as a share of the radius."""
@@ -55,25 +57,19 @@ def found_outline(
         remarks: list to which remarks for the user are added.
     """
 
-    def by_frames() -> Outline:
+    def by_frames() -> Outline | None:
+        if not capture.of("outline"):
+            return None
         return backlit_outline(capture, sighting, sigma, capture.region or about_disc(capture), remarks)
 
-    circle, mask = capture.circle, capture.mask
-    sources: list[Callable[[], Outline]] = []
-    if circle is not None:
-        sources.append(lambda: stated_circle(circle[0], circle[1].value, circle[1].std, sighting, sigma))
-    if mask is not None:
-        std = capture.settings["outline"]["mask_std_px"]
-        sources.append(lambda: mask_outline(mask, std, sighting, sigma, frame))
-    if capture.of("outline"):
-        sources.append(by_frames)
-    for source in sources:
+    for source in (partial(given_outline, capture, sighting, sigma, frame), by_frames):
         try:
             outline = source()
         except MatcamError as error:
             remarks.append(Remark("outline-left-out", f"{error}; the outline was found without this input"))
             continue
-        return outline, capture.region or (None if frame is None else about_outline(outline, frame[::-1]))
+        if outline is not None:
+            return outline, capture.region or (None if frame is None else about_outline(outline, frame[::-1]))
     return None, capture.region
 
 
@@ -92,28 +88,25 @@ def backlit_outline(
     reader = MosaicReader(capture)
     mean, clipped = mean_outline_frame(reader, capture, region, remarks)
     # photon noise in codes, from the smoothest neighbourhoods: differences of pixels of one colour
-    step = 1 if reader.cfa is None else 2
+    step = reader.step
     difference = mean[step:] - mean[:-step]
     # >=, because a field of one code has no pixel above its percentile
     bright = mean >= np.percentile(mean, 60)
     pairs = bright[step:] & bright[:-step]
-    noise = 1.4826 * float(np.median(np.abs(difference[pairs]))) / np.sqrt(2) if pairs.any() else 0.0
+    noise = robust_std(difference[pairs]) / np.sqrt(2) if pairs.any() else 0.0
     level = float(np.median(mean[bright]))
     scatter = max(noise, _LEAST_NOISE * abs(level), 1e-9)
     std = scatter * np.sqrt(np.clip(mean / max(level, 1e-12), 0.05, None))
-    origin = (0, 0) if region is None else (region[1], region[0])
     picture = MergedPicture(
         f"{capture.folder / 'outline'}",
         mean,
         std,
         np.zeros(mean.shape, bool),
-        reader.channel_map(mean.shape, origin),
+        reader.channel_map(mean.shape, region),
         reader.channels,
-        origin,
+        origin_of(region),
     )
-    beyond = np.radians(capture.settings["outline"]["field_beyond_deg"])
-    reach = float(beyond), float(beyond) / 3
-    outline = find_outline(picture, light="backlit", sighting=sighting, backlight_reach=reach)
+    outline = find_outline(picture, light="backlit", sighting=sighting, backlight_reach=field_reach(capture))
     if not clipped:
         return outline
     hidden, remark = hidden_by_clipping(capture.folder / "outline", sigma)

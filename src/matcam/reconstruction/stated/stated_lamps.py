@@ -8,6 +8,7 @@ import numpy as np
 
 from matcam.acquisition.highlights import lamp_angles_apart
 from matcam.acquisition.lamps.lamp_table import explain_lamp_table
+from matcam.acquisition.mirror_ball import unit
 from matcam.core.remark import Remark
 from matcam.files.capture import Capture
 from matcam.reconstruction.stated.stated_rig import FEWEST
@@ -61,7 +62,7 @@ def first_lamps(lamps: np.ndarray, covariances: np.ndarray, stated: np.ndarray, 
     apart = lamp_angles_apart(lamps, stated)
     usual = np.maximum(stds, np.median(apart))
     doubtful = (apart > _ALONE * usual) & (own > usual)
-    return np.where(doubtful[:, None], stated / np.linalg.norm(stated, axis=1, keepdims=True), lamps)
+    return np.where(doubtful[:, None], unit(stated), lamps)
 
 
 def _table_mistake(lamps: np.ndarray, stated: np.ndarray, stds: np.ndarray, known: np.ndarray) -> Remark | None:

@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from matcam.acquisition.check.unmeasured_lens import GUESSED_LENS, unmeasured_lens
+from matcam.acquisition.check.unmeasured_lens import GUESSED_LENS, GUESSED_NEARNESS, unmeasured_lens
 from matcam.acquisition.radiometry import capture_camera
 from matcam.camera.camera import Camera
 from matcam.camera.optics.gaussian import GaussianOptics
 from matcam.core.errors import FileFormatError
 from matcam.core.remark import Remark
 from matcam.files.capture import Capture
-from matcam.reconstruction.sphere_scene import Known, lens_std
+from matcam.files.capture_settings import Stated
+from matcam.reconstruction.sphere_scene import lens_std
 
 FEWEST = 3
 """Number of lamp positions that a reconstruction requires."""
-_GUESSED_NEARNESS = Known(0.02, 0.02)
-"""Prior mean and standard deviation of the inverse of an unknown distance, 1/radii."""
 _EXACT = 1e-5
 """Default relative standard deviation of a specified length. It is smaller than that of any measurement, but not 0, so
 that a wrong length can be detected.
@@ -62,19 +61,19 @@ def without_field(camera: Camera, sample: str, remarks: list[Remark]) -> Camera:
     return camera.with_field(None)
 
 
-def known_radius(capture: Capture) -> Known | None:
+def known_radius(capture: Capture) -> Stated | None:
     """Return the specified radius of the sample, mm; None: unknown."""
     radius = capture.radius_mm
-    return None if radius is None else Known(radius.value, max(radius.std, _EXACT * radius.value))
+    return None if radius is None else Stated(radius.value, max(radius.std, _EXACT * radius.value))
 
 
-def with_radius(nearness: Known, radius: Known | None) -> Known:
+def with_radius(nearness: Stated, radius: Stated | None) -> Stated:
     """Add the standard deviation of the radius of the sample to that of an inverse distance."""
     share = 0.0 if radius is None else radius.std / radius.value
-    return Known(nearness.value, float(np.hypot(nearness.std, share * nearness.value)))
+    return Stated(nearness.value, float(np.hypot(nearness.std, share * nearness.value)))
 
 
-def known_nearness(capture: Capture, of: str, remarks: list[Remark]) -> Known:
+def known_nearness(capture: Capture, of: str, remarks: list[Remark]) -> Stated:
     """Return the inverse of a specified distance, 1/radii, or a guess with a remark.
 
     The standard deviation is that of the distance only, because the error of the radius is common to both distances.
@@ -87,9 +86,9 @@ def known_nearness(capture: Capture, of: str, remarks: list[Remark]) -> Known:
                 f"the {of} distance in radii is unknown, so 25 or more are assumed: specify distance and sample radius",
             )
         )
-        return _GUESSED_NEARNESS
+        return GUESSED_NEARNESS
     distance, std = stated
-    return Known(radius.value / distance, max(std / distance, _EXACT) * radius.value / distance)
+    return Stated(radius.value / distance, max(std / distance, _EXACT) * radius.value / distance)
 
 
 def lamp_radius_of(capture: Capture) -> float:

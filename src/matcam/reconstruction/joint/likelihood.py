@@ -1,4 +1,4 @@
-"""Residuals of images that exceed the noise: their size relative to the light, and their correlation between pixels.
+"""Likelihood of pixels, with residuals that exceed the noise: their share of the light, and their correlation between pixels.
 
 A wrong lobe, dirt or a second reflection causes residuals of one sign over many pixels. If such pixels were treated as
 independent, they would bias well determined quantities, and the estimated errors would be too small.
@@ -6,13 +6,18 @@ independent, they would bias well determined quantities, and the estimated error
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.distance import pdist
+from scipy.special import log_ndtr
 
 from matcam.reconstruction.joint.joint_problem import JointProblem
+from matcam.reconstruction.observed_pixels import ObservedPixels
 
+_CLIPPED_OUT = 30.0  # standard deviations above which a clipped pixel has no effect
+_HUBER = 4.0
 _CUT = 3.0
 _NORMAL = 0.9733
 """Mean of the square of a normal variable, truncated at the square of `_CUT`."""
@@ -24,8 +29,8 @@ _LEAST = 0.05
 """Smallest unexplained share of the variance of residuals by which correlations are divided, no unit."""
 
 
-class UnexplainedLight(NamedTuple):
-    """Unexplained share of the light, and its correlation between pixels.
+class Likelihood(NamedTuple):
+    """Likelihood of pixels, with additional noise that is proportional to the model.
 
     Attributes:
         share: standard deviation of the additional noise that explains the residuals of bright pixels, as a share of the
@@ -41,8 +46,48 @@ class UnexplainedLight(NamedTuple):
         """Independent noise of each pixel that has the same effect as the correlated residuals, as a share of the model."""
         return float(self.share * np.sqrt(self.correlated))
 
+    def residual(
+        self, pixels: ObservedPixels, value: np.ndarray, level: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Compute standardised residuals, their derivatives with respect to the model, and robust weights, (pixels,).
 
-def unexplained_share(problem: JointProblem, p: np.ndarray) -> float:
+        The residual of a clipped pixel is the root of minus twice the logarithm of the probability of clipping.
+
+        Args:
+            pixels: observed pixels.
+            value: the model, (pixels,).
+            level: expected values from which the noise follows, (pixels,). Default: None, `value`.
+        """
+        level = value if level is None else level
+        std = np.hypot(pixels.noise_at(level), self.noise * np.abs(level))
+        z = (value - pixels.values) / std
+        by_value = 1 / std
+        bound = np.clip(z, -_CLIPPED_OUT, _CLIPPED_OUT)
+        chance = log_ndtr(bound)
+        root = np.sqrt(np.maximum(-2 * chance, 1e-300))
+        hazard = np.exp(-0.5 * bound**2 - chance) / np.sqrt(2 * np.pi)
+        residual = np.where(pixels.clipped, -root, z)
+        slope = np.where(pixels.clipped, hazard / np.maximum(root, 1e-12), 1.0) * by_value
+        slope = np.where(pixels.clipped & (np.abs(z) > _CLIPPED_OUT), 0.0, slope)
+        weight = np.where(np.abs(residual) > _HUBER, _HUBER / np.maximum(np.abs(residual), _HUBER), 1.0)
+        used = pixels.used
+        return np.where(used, residual, 0.0), np.where(used, slope, 0.0), np.where(used, weight, 0.0)
+
+    def cost(self, pixels: ObservedPixels, value: np.ndarray, level: np.ndarray | None = None) -> float:
+        """Compute Huber's cost of an image. The arguments are those of `residual`."""
+        residual, _, _ = self.residual(pixels, value, level)
+        size = np.abs(residual)
+        huber = np.where(size > _HUBER, 2 * _HUBER * size - _HUBER**2, size**2)
+        return float(huber.sum())
+
+    def surprise(self, pixels: ObservedPixels, value: np.ndarray) -> float:
+        """Compute minus twice the log likelihood per pixel, up to a constant, to compare lobes."""
+        std = np.hypot(pixels.noise_at(value), self.noise * np.abs(value))
+        measured = pixels.used & ~pixels.clipped
+        return (self.cost(pixels, value) + 2 * float(np.log(std[measured]).sum())) / max(int(pixels.used.sum()), 1)
+
+
+def unexplained_share(problem: JointProblem, p: np.ndarray, pictures: Sequence[int] | None = None) -> float:
     """Compute the unexplained share of the light at given parameters.
 
     It is estimated from squared residuals truncated at `_CUT` standard deviations, so that dust on few pixels has no
@@ -51,29 +96,20 @@ def unexplained_share(problem: JointProblem, p: np.ndarray) -> float:
     Args:
         problem: problem of the fit.
         p: parameters, (size,).
+        pictures: indices of the images. Default: None, all.
     """
-    return _share(_bright_pixels(problem, p))
+    chosen = range(problem.layout.pictures) if pictures is None else pictures
+    return _share([_Bright.of(problem, p, k) for k in chosen])
 
 
-def unexplained_by(problem: JointProblem, p: np.ndarray) -> UnexplainedLight:
-    """Compute the unexplained share and the correlation between neighbouring pixels; see `unexplained_share`."""
-    bright = _bright_pixels(problem, p)
+def likelihood_at(problem: JointProblem, p: np.ndarray) -> Likelihood:
+    """Estimate the unexplained share and the correlation between neighbouring pixels; see `unexplained_share`."""
+    bright = [_Bright.of(problem, p, k) for k in range(problem.layout.pictures)]
     share = _share(bright)
     if share == 0:
-        return UnexplainedLight(share)
+        return Likelihood(share)
     some = np.unique(np.linspace(0, len(bright) - 1, min(_LOOKED_AT, len(bright))).round().astype(int))
-    return UnexplainedLight(share, _correlated_pixels([bright[k] for k in some], share))
-
-
-def unexplained_in(problem: JointProblem, p: np.ndarray, k: int) -> float:
-    """Compute the unexplained share of the light of one image.
-
-    Args:
-        problem: problem of the fit.
-        p: parameters, (size,).
-        k: index of the image.
-    """
-    return _share([_Bright.of(problem, p, k)])
+    return Likelihood(share, _correlated_pixels([bright[k] for k in some], share))
 
 
 class _Bright(NamedTuple):
@@ -90,10 +126,6 @@ class _Bright(NamedTuple):
         std = pixels.noise_at(fit.value)[lit]
         bright = value > _BRIGHT * std
         return cls(value[bright], residual[bright], std[bright], pixels.positions[:, lit[bright]])
-
-
-def _bright_pixels(problem: JointProblem, p: np.ndarray) -> list[_Bright]:
-    return [_Bright.of(problem, p, k) for k in range(problem.layout.pictures)]
 
 
 def _share(pictures: list[_Bright]) -> float:

@@ -68,10 +68,10 @@ def found_field(field: LensField, change: np.ndarray, std: np.ndarray) -> LensFi
     return replace(found, k1=k1, growth=growth)
 
 
-def outline_slopes(field: LensField, centre: tuple[float, float], radius: float) -> tuple[float, float, float]:
-    """Compute the derivatives of column, row and radius of a distorted outline with respect to k1, px."""
+def outline_slopes(field: LensField, centre: tuple[float, float], radius: float) -> np.ndarray:
+    """Compute the derivatives of column, row and radius of a distorted outline with respect to k1, px, (3,)."""
     turn = 2 * np.pi * np.arange(48) / 48
     out = np.stack([np.cos(turn), np.sin(turn)])
     away = np.array(centre)[:, None] + radius * out - np.array(field.centre)[:, None]
     off = (away * (away**2).sum(0) / field.unit**2 * out).sum(0)
-    return float(2 * np.mean(off * out[0])), float(2 * np.mean(off * out[1])), float(np.mean(off))
+    return np.array([2 * np.mean(off * out[0]), 2 * np.mean(off * out[1]), np.mean(off)])
