@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -61,8 +61,8 @@ class CaptureCheck:
     radiometry: Radiometry | None
     highlights: dict[str, tuple[float, float]]
     centre: tuple[float, float, float]
-    turn: np.ndarray = field(default_factory=lambda: np.zeros(3))
-    turn_std: np.ndarray = field(default_factory=lambda: np.full(3, math.nan))
+    turn: np.ndarray
+    turn_std: np.ndarray
 
 
 def check_capture(capture: Capture) -> CaptureCheck:

@@ -10,7 +10,6 @@ import numpy as np
 
 from matcam.acquisition.mosaic_frames import MosaicReader
 from matcam.acquisition.radiometry_remarks import processing_remarks
-from matcam.core.errors import FileFormatError
 from matcam.core.remark import Remark
 from matcam.files.capture import Capture, Region
 from matcam.numerics.frame_noise import clipped_variance, fixed_pattern_variance, pair_variance
@@ -36,6 +35,11 @@ class Darkness:
     hot: np.ndarray | bool
     read_noise: float
     frames: int
+
+    @property
+    def mean(self) -> float:
+        """Mean of the level over the pixels, DN."""
+        return float(np.mean(self.level))
 
     def hot_pixels(self, shape: tuple[int, ...]) -> np.ndarray:
         """Return the mask of the hot pixels of a frame; none if they are unknown for its shape, (height, width)."""
@@ -87,16 +91,11 @@ def measure_darkness(
         exposure. If there are no dark frames at all, the specified level is used, or otherwise that of `frame_levels`.
     """
     found: dict[str, Darkness] = {}
-    remarks = []
+    remarks: list[Remark] = []
     pairs: list[np.ndarray] = []
     for exposure in exposures:
         stack: list[np.ndarray] = []
-        for frame in capture.of("dark", exposure=exposure):
-            try:
-                one = reader.read(frame, region)
-            except FileFormatError as error:
-                remarks.append(Remark("bad-frame", str(error)))
-                continue
+        for frame, one in reader.readable(capture.of("dark", exposure=exposure), region, remarks):
             level, noise = float(np.median(one)), float(np.std(one))
             if level > frame_levels.get(exposure, np.inf) + max(6 * noise, 2.0):
                 text = f"{capture.folder / frame.file}: this dark frame has {level:.0f} DN, more than dark parts of a frame "

@@ -8,7 +8,7 @@ point. Clipped pixels are lower bounds.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import ndimage
@@ -53,7 +53,7 @@ class Highlight:
     width: float
     clipped: int
     others: tuple[tuple[float, float, float], ...] = ()
-    remarks: tuple[Remark, ...] = field(default=())
+    remarks: tuple[Remark, ...] = ()
 
 
 def find_highlight(picture: MergedPicture, ball: MirrorBall, *, blur: float = 0.6) -> Highlight:

@@ -151,7 +151,7 @@ def merge_position(
         dark = radiometry.darkness[frame.exposure]
         light.append(code - np.asarray(dark.level, np.float32))
         full.append(code >= clip.threshold)
-        heights.append(clip.level - float(np.mean(dark.level)))
+        heights.append(clip.level - dark.mean)
         hot |= dark.hot_pixels(hot.shape)
     use = _usable(light, full, relative, heights, noise, reader.step, bool(clip.pixels))
     flux, variance = _weighted(light, use, relative, gain, noise, reader.step)
@@ -187,12 +187,12 @@ def bracket_misfit(capture: Capture, lamp: str, radiometry: Radiometry, picture:
     steep = np.nan_to_num(picture.values) * response * gain
     for frame in radiometry.used[lamp]:
         relative = radiometry.exposures[frame.exposure].value
-        dark = radiometry.darkness[frame.exposure].level
+        dark = radiometry.darkness[frame.exposure]
         code = reader.read(frame, radiometry.region)
         mean = relative * steep
-        good = (mean > _BRIGHT * noise) & (mean < _SAFE * (radiometry.clip.level - np.mean(dark))) & ~picture.clipped
+        good = (mean > _BRIGHT * noise) & (mean < _SAFE * (radiometry.clip.level - dark.mean)) & ~picture.clipped
         good &= (code < radiometry.clip.threshold) & np.isfinite(picture.values)
-        residual = (code - dark)[good] - mean[good]
+        residual = (code - dark.level)[good] - mean[good]
         # the mean contains this frame, which reduces the variance of the residual by that of the mean
         own = (gain * mean[good] + noise**2) - (relative * (std * response)[good] * gain) ** 2
         kept = own > 0.05 * (gain * mean[good] + noise**2)

@@ -6,7 +6,8 @@ as in a mosaic of the specified colours. If the image was demosaiced from that m
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -17,7 +18,6 @@ from matcam.files.capture_frames import CaptureFrame
 from matcam.files.photographs import Photograph
 from matcam.files.tone_curve import decoded
 
-_TILES = {"R": 0, "G": 1, "B": 2}
 ASSUMED_CFA = "RGGB"
 """Mosaic that is assumed for an image in full colour if the capture does not specify it. With another original mosaic the
 values are interpolated, but do not mix colours.
@@ -40,12 +40,9 @@ class MosaicReader:
     """
 
     capture: Capture
-    remarks: dict[str, Remark]
-    saturation: float
+    remarks: dict[str, Remark] = field(default_factory=dict)
+    saturation: float = np.inf
     _first: tuple[str, str | None, str, bool] | None = None
-
-    def __init__(self, capture: Capture):
-        self.capture, self.remarks, self.saturation, self._first = capture, {}, np.inf, None
 
     @property
     def cfa(self) -> str | None:
@@ -67,7 +64,7 @@ class MosaicReader:
         """Return the channel of each pixel of a region."""
         if self.cfa is None:
             return np.zeros(shape, np.int8)
-        tile = np.array([_TILES[c] for c in self.cfa], np.int8).reshape(2, 2)
+        tile = np.array(["RGB".index(c) for c in self.cfa], np.int8).reshape(2, 2)
         rows, columns = (np.arange(n) + start for n, start in zip(shape, origin_of(region), strict=True))
         return tile[rows[:, None] % 2, columns % 2]
 
@@ -93,6 +90,19 @@ class MosaicReader:
             channel = self.channel_map(values.shape[:2], region)
             values = np.take_along_axis(values, channel[..., None].astype(np.intp), axis=2)[..., 0]
         return np.asarray(values, np.float32)
+
+    def readable(
+        self, frames: Iterable[CaptureFrame], region: Region | None = None, remarks: list[Remark] | None = None
+    ) -> Iterator[tuple[CaptureFrame, np.ndarray]]:
+        """Yield the frames that can be read, each with its codes. Remarks on other frames are added to `remarks`."""
+        for frame in frames:
+            try:
+                codes = self.read(frame, region)
+            except FileFormatError as error:
+                if remarks is not None:
+                    remarks.append(Remark("bad-frame", str(error)))
+                continue
+            yield frame, codes
 
     def _check(self, frame: CaptureFrame, photograph: Photograph) -> None:
         path = self.capture.folder / frame.file

@@ -39,7 +39,6 @@ _TEMPER = 15.0
 """Difference in chi squared for a likelihood ratio of e between two models of the light. It is 2 for exact models."""
 _SIMPLER = 30.0
 """Decrease of chi squared with a coat below which a sphere is treated as uncoated."""
-_FIT = ("chi2", "freedom")
 FEWEST_SECTORS = 8
 
 
@@ -212,7 +211,9 @@ def find_outline(
 def _likelier(one: Outline, other: Outline) -> Outline:
     """Choose the outline whose model of the light fits better, and add the other to its uncertainty."""
     both = one.used & other.used
-    chi2, freedom = (np.array([np.sum(getattr(each.sectors, name)[both]) for each in (one, other)]) for name in _FIT)
+    chi2, freedom = (
+        np.array([np.sum(getattr(each.sectors, name)[both]) for each in (one, other)]) for name in ("chi2", "freedom")
+    )
     # the bands differ by a few pixels
     worse = float(np.diff((chi2 - freedom) / max(1.0, float(np.min(chi2 / freedom))))[0]) + _SIMPLER
     best, second = (one, other) if worse >= 0 else (other, one)

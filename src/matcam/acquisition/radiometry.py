@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -93,7 +93,7 @@ class Radiometry:
     used: dict[str, tuple[CaptureFrame, ...]]
     channels: tuple[str, ...]
     region: Region | None = None
-    remarks: tuple[Remark, ...] = field(default=())
+    remarks: tuple[Remark, ...] = ()
     flat: FlatField | None = None
 
     @property
@@ -212,7 +212,7 @@ def measure_radiometry(
         sample._replace(exposures=back[sample.exposures]).part(np.argsort(back[sample.exposures])) for sample in samples
     ]
     nominal = np.array([capture.time(name) for name in names])
-    top = largest - min(smallest, *(float(np.mean(d.level)) for d in darkness.values()))
+    top = largest - min(smallest, *(d.mean for d in darkness.values()))
     if top < 10 * max(noise, 0.3) or not any(sample.codes.size for sample in samples):
         raise FitError(
             f"{capture.folder}: every frame is dark: the brightest code is {top:.0f} DN above dark; expose longer"
@@ -381,11 +381,8 @@ def _frame_levels(
     """Compute a low code (5 % quantile) of one frame of each exposure, DN."""
     found = {}
     for name in names:
-        for frame in capture.of("frames", exposure=name):
-            try:
-                found[name] = float(np.quantile(reader.read(frame, region)[::3, ::3], 0.05))
-            except FileFormatError:
-                continue
+        for _, codes in reader.readable(capture.of("frames", exposure=name), region):
+            found[name] = float(np.quantile(codes[::3, ::3], 0.05))
             break
     return found
 

@@ -335,16 +335,14 @@ def _diffuse_pixels(fit: SphereFit) -> float:
 def _likelier(one: SphereFit, other: SphereFit) -> bool:
     """Check whether a fit explains its pixels better than another, with the smaller of their unexplained shares for both."""
     judge = Likelihood(max(min(one.solution.unexplained, other.solution.unexplained), 1e-3))
-    surprise = []
-    for fit in (one, other):
-        solution = fit.solution
-        surprise.append(
-            sum(
-                judge.surprise(pixels, solution.problem.picture(solution.p, k, slopes=False).value)
-                for k, pixels in enumerate(solution.problem.pixels)
-            )
+
+    def surprise(fit: SphereFit) -> float:
+        problem, p = fit.solution.problem, fit.solution.p
+        return sum(
+            judge.surprise(pixels, problem.picture(p, k, slopes=False).value) for k, pixels in enumerate(problem.pixels)
         )
-    return surprise[0] < surprise[1]
+
+    return surprise(one) < surprise(other)
 
 
 def _preferred(one: SphereFit, other: SphereFit) -> bool:

@@ -90,7 +90,7 @@ def contradiction(fit: SphereFit, scene: SphereScene) -> tuple[str, float, Remar
     problem = fit.solution.problem
     away = problem.prior_rows @ fit.solution.p - problem.prior_values
     sources = np.array(problem.prior_sources)
-    pushed = any(_rms(away[sources == name]) > _CONTRADICTED for name in _WIDENED if np.any(sources == name))
+    pushed = any(np.mean(away[sources == name] ** 2) > _CONTRADICTED**2 for name in set(sources) & set(_WIDENED))
     blamed = max(_blamed(fit, scene), key=lambda one: one.explains, default=None)
     if blamed is None or not (pushed or (blamed.explains > _MUCH and blamed.holds(fit))):
         return None
@@ -151,10 +151,6 @@ def _blamed(fit: SphereFit, scene: SphereScene) -> list[_Blame]:
 def _rows_of(name: str, sources: Sequence[str]) -> np.ndarray:
     """Select the rows of a prior that belong to a source; shifts of the sphere are part of the outline."""
     return np.array([one == ("outline" if name == "shift" else name) for one in sources])
-
-
-def _rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(values**2)))
 
 
 def _freeing(scene: SphereScene, source: str) -> float:

@@ -51,6 +51,11 @@ class Inseparable(NamedTuple):
     names: tuple[str, str]
     correlation: float
 
+    @property
+    def text(self) -> str:
+        """Both parameters and their correlation, for a sentence."""
+        return f"{self.names[0]} from {self.names[1]} (correlation {self.correlation:.3f})"
+
     def to_dict(self) -> dict[str, object]:
         """Return both fields by name."""
         return {"names": list(self.names), "correlation": self.correlation}

@@ -251,13 +251,9 @@ class Reconstruction(Summarised):
                 f"The model does not explain {self.fit.solution.unexplained:.0%} of the light, which increases every "
                 "error: check the residual images."
             )
-        pairs = [
-            f"{one.names[0]} from {one.names[1]} (correlation {one.correlation:.3f})" for one in self.not_determined
-        ]
-        if pairs:
-            words.append(
-                f"The images alone do not separate {', nor '.join(pairs)}: the result depends on their specified values."
-            )
+        if self.not_determined:
+            pairs = ", nor ".join(one.text for one in self.not_determined)
+            words.append(f"The images alone do not separate {pairs}: the result depends on their specified values.")
         if not self.absolute:
             words.append(
                 "F is relative, with a maximum of 1, because the capture has no reference of known reflectance."
@@ -400,8 +396,7 @@ def reconstructed(
     every.extend(
         Remark(
             "not-determined",
-            f"the images alone do not separate {one.names[0]} from {one.names[1]} (correlation {one.correlation:.3f}): "
-            "the result depends on their specified values",
+            f"the images alone do not separate {one.text}: the result depends on their specified values",
         )
         for one in pairs
     )

@@ -14,7 +14,7 @@ from matcam.acquisition.merged_picture import MergedPicture
 from matcam.acquisition.mirror_ball import MirrorBall
 from matcam.acquisition.mosaic_frames import MosaicReader, origin_of
 from matcam.acquisition.radiometry import Radiometry
-from matcam.core.errors import FileFormatError, FitError
+from matcam.core.errors import FitError
 from matcam.core.remark import Remark, gathered
 from matcam.files.capture import Capture
 from matcam.files.capture_frames import CaptureFrame
@@ -79,11 +79,8 @@ def quick_highlights(
             capture.of("frames", lamp=lamp), key=lambda f: order.index(f.exposure) if f.exposure in order else 99
         )
         position = None
-        for frame in frames:
-            try:
-                codes = _codes(capture, reader, frame)
-            except FileFormatError:
-                continue
+        for frame, whole in reader.readable(frames, capture.region):
+            codes = _without_reference(capture, whole)
             if lamp not in shortest:
                 shortest[lamp] = frame, int((codes >= level).sum())
                 if radiometry is not None and not radiometry.clip.pixels:
@@ -111,9 +108,8 @@ def quick_highlights(
     return found, remarks + gathered(peaks)
 
 
-def _codes(capture: Capture, reader: MosaicReader, frame: CaptureFrame) -> np.ndarray:
-    """Read the codes of a frame, and replace those of the reference region by the median."""
-    codes = reader.read(frame, capture.region)
+def _without_reference(capture: Capture, codes: np.ndarray) -> np.ndarray:
+    """Replace the codes of the reference region by the median."""
     if capture.reference_region is not None:
         top, left = origin_of(capture.region)
         column, row, width, height = capture.reference_region
@@ -184,7 +180,7 @@ def black_level(radiometry: Radiometry | None) -> float:
     """Return the mean code without light, DN; 0 if it is unknown."""
     if radiometry is None or not radiometry.darkness:
         return 0.0
-    return float(np.mean([np.mean(one.level) for one in radiometry.darkness.values()]))
+    return float(np.mean([one.mean for one in radiometry.darkness.values()]))
 
 
 def _bright_spot(codes: np.ndarray, origin: tuple[int, int]) -> Seen | None:

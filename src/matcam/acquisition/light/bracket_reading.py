@@ -170,7 +170,7 @@ class BracketReading:
                 patch = reader.read(frame, patch_region)
                 means, numbers = reader.channel_means(patch, patch_region)
                 if patch.max() < 0.9 * ceiling:
-                    reference[i] = means - float(np.mean(darkness[frame.exposure].level))
+                    reference[i] = means - darkness[frame.exposure].mean
         return BracketSample(
             lamp,
             np.array([list(self.names).index(frame.exposure) for frame, _ in bracket]),

@@ -162,7 +162,7 @@ def _dark(
     own = [reader.read(one, region) for one in capture.of("dark", exposure=frame.exposure)]
     if own:
         return np.asarray(dark_of(own).level, np.float32)
-    return float(np.mean([np.mean(one.level) for one in darkness.values()]))
+    return float(np.mean([one.mean for one in darkness.values()]))
 
 
 def _beside(
@@ -172,8 +172,7 @@ def _beside(
     if region is None:
         return None
     means, _ = reader.channel_means(reader.read(frame, region), region)
-    level = darkness.get(frame.exposure, next(iter(darkness.values()))).level
-    return np.asarray(means - float(np.mean(level)))
+    return np.asarray(means - darkness.get(frame.exposure, next(iter(darkness.values()))).mean)
 
 
 def _wrong(

@@ -112,7 +112,7 @@ def in_own_frames(
         elif codes.max() >= threshold:
             wrong.setdefault("the reference is clipped", []).append(frame.file)
         else:
-            level = float(np.mean(darkness[frame.exposure].level))
+            level = darkness[frame.exposure].mean
             found[frame.lamp].append((list(exposures).index(frame.exposure), means - level))
             if not grazing[frame.lamp]:
                 remarks += _uneven(capture, frame, codes - level, region)

@@ -17,6 +17,8 @@ import numpy as np
 from scipy.special import erf
 
 _STEP = 0.05  # spacing of the table of blurred powers, px
+_HALF_WIDTH = 0.5  # half width of a pixel, px
+_REACH = 24.0  # largest distance inside the edge, px
 _GAUSS = np.polynomial.legendre.leggauss(80)
 _INDEX = 1.5  # refractive index of a clear coat
 _TURNS = 5  # largest number of iterations
@@ -57,8 +59,6 @@ class BlurredPowers:
     Args:
         sigma: standard deviation of the lens, px.
         exponents: exponents of the powers; the first must be 0, the step of light at the edge.
-        half_width: half width of the pixel, px. Default: 0.5.
-        reach: largest distance inside the edge, px. Default: 24.
         coated: radius of the limb, px, of a sphere under a clear coat, whose radiance is multiplied by the transmittance
             of the coat. Default: None, no coat.
 
@@ -66,20 +66,13 @@ class BlurredPowers:
         >>> powers = BlurredPowers(0.5, (0, 0.5))
         >>> powers(np.array([-3.0, 0.0, 4.0]))[0].round(3)
         array([[0.   , 0.5  , 1.   ],
-               [0.   , 0.293, 1.995]])
+               [0.   , 0.313, 1.995]])
     """
 
-    def __init__(
-        self,
-        sigma: float,
-        exponents: Sequence[float],
-        half_width: float = 0.5,
-        reach: float = 24.0,
-        coated: float | None = None,
-    ):
+    def __init__(self, sigma: float, exponents: Sequence[float], coated: float | None = None):
         self.exponents = tuple(exponents)
-        self.variance = sigma**2 + half_width**2 / 3
-        self.positions = np.arange(-8.0, reach, _STEP)
+        self.variance = sigma**2 + _HALF_WIDTH**2 / 3
+        self.positions = np.arange(-8.0, _REACH, _STEP)
         end = 8 * np.sqrt(self.variance)
         root2 = np.sqrt(2) * max(sigma, 1e-3)
         nodes, weights = _GAUSS
@@ -87,12 +80,11 @@ class BlurredPowers:
         t = self.positions[:, None]
         top, bottom = (np.sqrt(np.maximum(t + side, 0.0)) for side in (end, -end))
         s = bottom + (top - bottom) * (nodes + 1) / 2
-        lsf = (erf((t - s**2 + half_width) / root2) - erf((t - s**2 - half_width) / root2)) / (4 * half_width)
+        lsf = (erf((t - s**2 + _HALF_WIDTH) / root2) - erf((t - s**2 - _HALF_WIDTH) / root2)) / (4 * _HALF_WIDTH)
         lsf = lsf * 2 * s * weights * (top - bottom) / 2
         if coated is not None:
             lsf = lsf * _transmitted(np.minimum(np.sqrt(2 / coated) * s, 1.0))
-        columns = [(lsf * s ** (2 * power)).sum(1) for power in self.exponents]
-        self.columns = np.array(columns)
+        self.columns = np.array([(lsf * s ** (2 * power)).sum(1) for power in self.exponents])
         self.slopes = np.gradient(self.columns, _STEP, axis=1)
 
     def __call__(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -109,10 +101,8 @@ class BlurredPowers:
         return values, slopes
 
 
-@lru_cache(maxsize=16)
-def blurred_powers(sigma: float, exponents: tuple[float, ...], coated: float | None) -> BlurredPowers:
-    """Return `BlurredPowers` from a cache, because a search uses the same table repeatedly."""
-    return BlurredPowers(sigma, exponents, coated=coated)
+blurred_powers = lru_cache(maxsize=16)(BlurredPowers)
+"""`BlurredPowers` from a cache, because a search uses the same table repeatedly."""
 
 
 def _transmitted(cosine: np.ndarray) -> np.ndarray:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -16,7 +15,7 @@ from matcam.acquisition.merging import merge
 from matcam.acquisition.mosaic_frames import MosaicReader
 from matcam.acquisition.radiometry import Progress
 from matcam.camera.camera import Camera
-from matcam.core.errors import ArgumentError, FileFormatError, FitError
+from matcam.core.errors import ArgumentError, FitError
 from matcam.core.registry import ONE_WIDTH
 from matcam.core.remark import Remark
 from matcam.core.results.labelled import named
@@ -200,10 +199,7 @@ def reconstruct_flat(
     camera = without_field(camera, "flat sample", remarks)
     tilts = dict(zip(capture.lamps, sample_tilts(capture).tolist(), strict=True))
     reader = MosaicReader(capture)
-    for frame in capture.of("frames"):  # the first readable frame decides whether the frames are mosaics
-        with suppress(FileFormatError):
-            reader.read(frame, capture.region)
-            break
+    next(reader.readable(capture.of("frames"), capture.region), None)  # decides whether the frames are mosaics
     if len(reader.channels) > 1:
         raise FitError(
             f"{capture.folder}: a flat sample needs grey images, got a mosaic, in which each colour shows only some of the "

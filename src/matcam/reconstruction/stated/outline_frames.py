@@ -29,12 +29,7 @@ _LEAST_NOISE = 1e-4
 
 def about_disc(capture: Capture) -> Region | None:
     """Find the region about the dark disc of the first readable outline frame; None: no such frame."""
-    reader = MosaicReader(capture)
-    for frame in capture.of("outline"):
-        try:
-            codes = reader.read(frame)
-        except MatcamError:
-            continue
+    for _, codes in MosaicReader(capture).readable(capture.of("outline")):
         column, row, radius = dark_disc(codes)
         reach = radius * (1 + 2 * _MARGIN) + 8
         return _box(column, row, reach, codes.shape) if np.isfinite(radius) else None
@@ -151,12 +146,7 @@ def _dark(reader: MosaicReader, capture: Capture, frame: CaptureFrame, region: R
     black level is used, or 0.
     """
     frames = capture.of("dark", exposure=frame.exposure) or capture.of("dark")
-    stack = []
-    for one in frames[:8]:
-        try:
-            stack.append(reader.read(one, region))
-        except MatcamError:
-            continue
+    stack = [codes for _, codes in reader.readable(frames[:8], region)]
     if not stack:
         return float(capture.settings["camera"]["black_level_dn"] or 0.0)
     return np.asarray(dark_of(stack).level, dtype=np.float64)
