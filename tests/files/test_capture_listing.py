@@ -9,7 +9,7 @@ from matcam.files.capture import read_capture
 from matcam.files.capture_listing import list_photographs
 from matcam.files.capture_writing import write_template
 from matcam.files.light_positions import are_unit_vectors, read_light_positions
-from matcam.files.picture_header import exposure_time
+from matcam.files.picture_header import read_exif
 
 CODES = np.arange(96, dtype=np.uint16).reshape(8, 12)
 
@@ -32,9 +32,9 @@ def rows(listing, kind="frames"):
 def test_exposure_time_is_read(tmp_path):
     shot(tmp_path, "a.tif", 0.004)
     shot(tmp_path, "b.tif")
-    assert exposure_time(tmp_path / "a.tif") == pytest.approx(0.004)
-    assert exposure_time(tmp_path / "b.tif") is None
-    assert exposure_time(tmp_path / "none.tif") is None
+    assert read_exif(tmp_path / "a.tif").time == pytest.approx(0.004)
+    assert read_exif(tmp_path / "b.tif").time is None
+    assert read_exif(tmp_path / "none.tif").time is None
 
 
 def test_brackets_are_told_by_times_that_repeat(tmp_path):

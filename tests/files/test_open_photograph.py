@@ -10,8 +10,8 @@ import tifffile
 from matcam.core.errors import FileFormatError
 from matcam.files import picture_header as picture_size
 from matcam.files.float_pictures import write_exr
-from matcam.files.photographs import open_photograph, read_raw
-from matcam.files.picture_header import read_exif
+from matcam.files.photographs import open_photograph
+from matcam.files.picture_header import Exif, read_exif
 
 RNG = np.random.default_rng(0)
 COUNTS = RNG.integers(600, 15000, (64, 96), dtype=np.uint16)
@@ -116,7 +116,7 @@ def test_damaged_exif_says_nothing(tmp_path):
         (tmp_path / "a.tif").write_bytes(block[:cut])
         read_exif(tmp_path / "a.tif")
     (tmp_path / "a.tif").write_bytes(b"II*\0\x08\0\0\0\xff\xff")
-    assert read_exif(tmp_path / "a.tif") == ("", None, False, None)
+    assert read_exif(tmp_path / "a.tif") == Exif()
 
 
 def test_what_is_refused(tmp_path, monkeypatch):
@@ -137,7 +137,7 @@ def test_what_is_refused(tmp_path, monkeypatch):
 
     monkeypatch.setitem(sys.modules, "rawpy", None)
     with pytest.raises(FileFormatError, match=r"needs rawpy: .*matcam\[raw\]"):
-        read_raw(tmp_path / "whole.dng")
+        open_photograph(tmp_path / "whole.dng")
 
 
 def test_a_picture_larger_than_memory_is_refused_before_it_is_decoded(tmp_path, monkeypatch):

@@ -16,7 +16,7 @@ from matcam.core.errors import FileFormatError
 from matcam.core.readers import apart
 from matcam.core.readers.apart import Limits, reading_limits, start_reader
 from matcam.files import formats, picture_decoders, picture_header
-from matcam.files.photographs import open_photograph, read_photograph, read_raw
+from matcam.files.photographs import open_photograph, read_photograph
 from matcam.io import read_exr, read_float_tiff, write_exr, write_float_tiff
 from tests.files.test_open_photograph import COUNTS, write_dng
 
@@ -37,7 +37,7 @@ KINDS = {
     "a.png": (png, read_photograph),
     "a.jpg": (jpeg, read_photograph),
     "a.exr": (lambda path: write_exr(path, PICTURE), read_exr),
-    "a.dng": (lambda path: write_dng(path, COUNTS), lambda path: read_raw(path).values),
+    "a.dng": (lambda path: write_dng(path, COUNTS), lambda path: open_photograph(path).values),
 }  # fmt: skip
 
 

@@ -26,12 +26,13 @@ from matcam.app.calibrated import (
     target_columns,
     targets_in,
 )
-from matcam.app.controls import WIDTH
-from matcam.app.plots import BLUE, GREY, VERMILION, curve_figure, hover, picture_figure
+from matcam.app.controls import note, watch
+from matcam.app.plots import WIDTH, curve_figure, empty_source, hover, picture_figure
 from matcam.app.transfers import Downloads, Upload
 from matcam.app.worker import Newest
 from matcam.core.errors import MatcamError
 from matcam.core.readers.names import is_file
+from matcam.figures.style import BLUE, GREY, VERMILION
 from matcam.files.photographs import PICTURES
 
 _SIDE = 430  # px of the screen
@@ -60,15 +61,9 @@ class CalibrateView:
         self._upload = Upload(
             "to open a file, drop an image or the .json of a chart here", self._dropped, complain, name="upload-picture"
         )
-        self._picture = Select(
-            title="image", options=[], value="", width=WIDTH - 16, margin=(2, 8, 2, 8), name="picture"
-        )
-        self._tone = Select(
-            title="tone curve", options=list(_TONES.items()), value="auto", width=WIDTH - 16, margin=(2, 8, 2, 8)
-        )
-        self._model = Select(
-            title="lens", options=["gaussian", "halo", "measured"], value="gaussian", width=138, margin=(2, 8, 2, 8)
-        )
+        self._picture = Select(title="image", options=[], value="", name="picture")
+        self._tone = Select(title="tone curve", options=list(_TONES.items()), value="auto")
+        self._model = Select(title="lens", options=["gaussian", "halo", "measured"], value="gaussian", width=138)
         self._half = NumericInput(
             title="pixel half width [px]", value=0.5, low=0.05, high=0.5, mode="float", width=138, margin=(2, 4, 2, 4)
         )
@@ -78,15 +73,11 @@ class CalibrateView:
             )
             for name in _REGION
         ]
-        self._edge = Button(
-            label="measure the region's edge", width=WIDTH - 16, height=30, margin=(2, 8, 2, 8), name="measure"
-        )
-        self._all = Button(
-            label="find and measure all edges", width=WIDTH - 16, height=30, margin=(2, 8, 2, 8), name="calibrate"
-        )
+        self._edge = Button(label="measure the region's edge", name="measure")
+        self._all = Button(label="find and measure all edges", name="calibrate")
         self._edge.on_click(self._measure)
         self._all.on_click(self._calibrate)
-        self._picture.on_change("value", lambda attr, old, new: self._draw())
+        watch(self._picture, self._draw)
         self._targets_of = Div(
             text="no chart is open; edges are measured", name="chart", width=WIDTH - 16, margin=(2, 8, 2, 8)
         )
@@ -96,8 +87,8 @@ class CalibrateView:
             height=18,
             sizing_mode="stretch_width",
         )
-        self._about = Div(text="", name="about", sizing_mode="stretch_width", styles={"font-size": "12px"})
-        self._result = Div(text="", name="result", sizing_mode="stretch_width", styles={"font-size": "12px"})
+        self._about = note("about")
+        self._result = note("result")
         self._saved = Div(text="", name="profiles", width=WIDTH - 16)
         self.layout = row(self._knobs(), self._plots(), sizing_mode="stretch_width", spacing=8, name="calibrate-view")
 
@@ -119,11 +110,9 @@ class CalibrateView:
         )  # fmt: skip
 
     def _plots(self) -> Any:
-        self._image = ColumnDataSource({"image": [], "dw": [], "dh": []}, name="photograph")
-        self._edges = ColumnDataSource(
-            {name: [] for name in ("x", "y", "x0", "y0", "x1", "y1", "mtf50", "mtf50_std")}, name="edges"
-        )
-        self._box = ColumnDataSource({"x": [], "y": [], "width": [], "height": []}, name="region")
+        self._image = empty_source("photograph", "image", "dw", "dh")
+        self._edges = empty_source("edges", "x", "y", "x0", "y0", "x1", "y1", "mtf50", "mtf50_std")
+        self._box = empty_source("region", *_REGION)
         self._plot = picture_figure(
             "picture", _SIDE, "x [px]", "y [px]", toolbar_location="above", match_aspect=True,
             x_range=Range1d(-0.5, 1), y_range=Range1d(1, -0.5),
@@ -188,7 +177,7 @@ class CalibrateView:
             x_range=(0, 1.0),
             y_range=(-0.1, 1.1),
         )
-        self._mtf = ColumnDataSource({name: [] for name in ("frequency", "mtf", "low", "high", "lens")}, name="mtf")
+        self._mtf = empty_source("mtf", "frequency", "mtf", "low", "high", "lens")
         self._curve.varea(
             "frequency", "low", "high", fill_color=BLUE, fill_alpha=0.25, source=self._mtf, legend_label="± 1 std"
         )
@@ -204,7 +193,7 @@ class CalibrateView:
             source=self._mtf,
             legend_label="lens model",
         )
-        self._points = ColumnDataSource({"frequency": [], "mtf": []}, name="target-samples")
+        self._points = empty_source("target-samples", "frequency", "mtf")
         self._curve.scatter(
             "frequency",
             "mtf",
@@ -215,7 +204,6 @@ class CalibrateView:
         )
         self._curve.line([0.5, 0.5], [-0.1, 1.1], color=GREY, line_width=1, legend_label="Nyquist")
         hover(self._curve, [lines], [("frequency", "@frequency{0.000} cycles/px"), ("MTF", "@mtf{0.0000}")])
-        self._curve.legend.label_text_font_size = "10px"
         return column(
             self._status,
             row(
@@ -376,7 +364,6 @@ class CalibrateView:
 
 
 def _counted(measurements: dict[str, int]) -> str:
-    """Format the number of measurements, by kind."""
     counts: dict[str, int] = {}
     for name, count in measurements.items():
         kind = name[name.rfind("(") + 1 :].rstrip(")")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,12 +10,11 @@ from typing import Any
 import numpy as np
 
 from matcam.core.errors import FileFormatError, FitError, MatcamError
+from matcam.core.io import json_text
 from matcam.core.readers.names import is_file
 
 _LARGEST = 120_000_000
 """Largest number of pixels of a displayed image, which limits the memory of the app."""
-_ON_SCREEN = 1200
-"""Largest number of pixels along a side of the image that is sent to the page; larger images are subsampled."""
 
 
 @dataclass(frozen=True)
@@ -74,7 +72,8 @@ def drawn_values(values: np.ndarray, *, linear: bool) -> tuple[np.ndarray, int]:
         values: (height, width) or (height, width, channel).
         linear: True if the values are proportional to the light.
     """
-    step = max(1, -(-max(values.shape[:2]) // _ON_SCREEN))
+    # largest number of pixels along a side of the image that is sent to the page; larger images are subsampled
+    step = max(1, -(-max(values.shape[:2]) // 1200))
     few = np.nan_to_num(np.asarray(values[::step, ::step], dtype=np.float32))
     grey = few.mean(axis=-1) if few.ndim == 3 else few
     low, high = np.quantile(grey, (0.001, 0.999))
@@ -190,10 +189,7 @@ def profiles(found: Any) -> dict[str, bytes]:
     cameras = {"camera.json": found.camera}
     if len(found.channels) > 1:
         cameras |= {f"camera-{name}.json": camera for name, camera in found.cameras.items()}
-    with tempfile.TemporaryDirectory(prefix="matcam-app-") as folder:
-        for name, camera in cameras.items():
-            camera.save(Path(folder) / name)
-        return {name: (Path(folder) / name).read_bytes() for name in cameras}
+    return {name: json_text(camera.profile()).encode() for name, camera in cameras.items()}
 
 
 def opened_or_why(path: Path) -> OpenedPicture | tuple[Path, str] | MatcamError:

@@ -5,15 +5,25 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 from bokeh.layouts import column, row
 from bokeh.models.layouts import LayoutDOM
 from bokeh.models.widgets import Checkbox, Div, NumericInput, Select, Slider
 
-WIDTH = 300
-"""Width of a column of controls, px of the screen."""
-_STEPS = 200
+from matcam.app.plots import WIDTH
+
 _BOX = 72  # width of a box with its label, px of the screen
+
+
+def watch(widget: Any, action: Callable[[], None], attribute: str = "value") -> None:
+    """Call a function after each change of a widget."""
+    widget.on_change(attribute, lambda attr, old, new: action())
+
+
+def note(name: str) -> Div:
+    """Create an empty paragraph in small letters."""
+    return Div(text="", name=name, sizing_mode="stretch_width", styles={"font-size": "12px"})
 
 
 @dataclass(frozen=True)
@@ -67,7 +77,7 @@ class NumberControl:
         self.slider = Slider(
             start=start,
             end=end,
-            step=(end - start) / _STEPS,
+            step=(end - start) / 200,
             value=setting.to_slider(setting.value),
             show_value=False,
             title=None,
@@ -100,9 +110,9 @@ class NumberControl:
         self.label = Div(text=setting.title, width=wide, height=16, margin=(0, 8, 0, 8))
         head = row(self.label, self.infinite) if setting.infinite else self.label
         self.slider.on_change("value", self._slid)
-        self.slider.on_change("value_throttled", lambda attr, old, new: self._end())
+        watch(self.slider, self._end, "value_throttled")
         self.field.on_change("value", self._typed)
-        self.infinite.on_change("active", lambda attr, old, new: self._ticked())
+        watch(self.infinite, self._ticked, "active")
         self.layout: LayoutDOM = row(column(head, self.slider), self.field, margin=(0, 0, 2, 0))
 
     @property
@@ -172,9 +182,9 @@ class ConductorControl:
             )
             for label, low in (("n", 0.01), ("k", 0))
         ]
-        self.name.on_change("value", lambda attr, old, new: self._named())
+        watch(self.name, self._named)
         for field in self.numbers:
-            field.on_change("value", lambda attr, old, new: self._typed())
+            watch(field, self._typed)
         self.layout: LayoutDOM = row(self.name, *self.numbers)
 
     @property

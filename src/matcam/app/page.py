@@ -13,8 +13,10 @@ from bokeh.models.widgets import Div, RadioButtonGroup
 
 from matcam.app.calibrate_view import CalibrateView, is_picture
 from matcam.app.calibrated import is_chart
+from matcam.app.controls import watch
 from matcam.app.exploring.explore import ExploreView
 from matcam.app.plan import PlanView
+from matcam.app.plots import THEME
 from matcam.app.transfers import Downloads
 
 
@@ -46,9 +48,9 @@ class Page:
         self._chosen = RadioButtonGroup(
             labels=list(self._make), active=list(self._make).index(start), name="views", width=300
         )
-        self._chosen.on_change("active", lambda attr, old, new: self._choose())
+        watch(self._chosen, self._choose, "active")
         head = row(self._chosen, self._message, sizing_mode="stretch_width", spacing=12)
-        document.title = "matcam"
+        document.title, document.theme = "matcam", THEME
         self._body = column(sizing_mode="stretch_width", name="page")
         document.add_root(column(head, self._body, sizing_mode="stretch_width"))
         self._started: set[str] = set()
@@ -66,7 +68,6 @@ class Page:
             view.close()
 
     def _begin(self) -> None:
-        """Start the visible view, without delaying the page itself."""
         self._ready = True
         self._choose()
 

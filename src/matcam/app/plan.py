@@ -13,26 +13,24 @@ from bokeh.layouts import column, row
 from bokeh.models import ColumnDataSource, Span
 from bokeh.models.widgets import Button, Div, RadioButtonGroup, Select
 
-from matcam.app.controls import WIDTH, ConductorControl, NumberControl
+from matcam.app.controls import ConductorControl, NumberControl, note, watch
 from matcam.app.plan_settings import PRESETS, SETTINGS, Planned, green_indices
 from matcam.app.plots import (
     COLOURS,
-    GREY,
+    WIDTH,
     PictureColours,
     PictureFigure,
     curve_figure,
+    empty_source,
     hover,
     no_pictures,
     picture_columns,
 )
 from matcam.app.transfers import Downloads
 from matcam.app.worker import DRAINED, Newest
+from matcam.figures.style import GREY
 
-_REST = 0.5  # time without a change before the exact values are computed, s
-_PICTURE_ERROR = 0.01  # error of the exact image, as a share of its peak
 _SIDE = 156  # side of the frame of an image, px of the screen
-_VALUES = 128  # number of values along a side of the preview of the sphere
-_SHOWN = ("log exposure", "difference", "row profile")
 _PICTURES = {
     "sphere true": "sphere: true",
     "sphere recorded": "sphere: recorded",
@@ -66,16 +64,15 @@ class PlanView:
             value="ggx",
             options=["ggx", "beckmann", "gaussian"],
             width=128,
-            margin=(2, 8, 2, 8),
             name="lobe",
         )
-        self._shown = RadioButtonGroup(labels=list(_SHOWN), active=0, name="shown")
-        self._family.on_change("value", lambda attr, old, new: self.refresh())
-        self._shown.on_change("active", lambda attr, old, new: self._choose())
+        self._shown = RadioButtonGroup(labels=["log exposure", "difference", "row profile"], active=0, name="shown")
+        watch(self._family, self.refresh)
+        watch(self._shown, self._choose, "active")
         self._status = Div(text="", name="plan-status", height=18, sizing_mode="stretch_width")
-        self._numbers = Div(text="", name="plan-numbers", sizing_mode="stretch_width", styles={"font-size": "12px"})
-        self._limits = Div(text="", name="plan-limits", sizing_mode="stretch_width", styles={"font-size": "12px"})
-        self._copy = Div(text="", name="plan-copy", sizing_mode="stretch_width", styles={"font-size": "12px"})
+        self._numbers = note("plan-numbers")
+        self._limits = note("plan-limits")
+        self._copy = note("plan-copy")
         self.layout = row(self._knobs(), self._pictures(), sizing_mode="stretch_width", spacing=8, name="plan")
 
     def start(self) -> None:
@@ -103,12 +100,13 @@ class PlanView:
     def _rest(self) -> None:
         if self._warm:
             planned = self.planned
-            self._exact.ask(lambda: self._at_rest(planned), lambda _: None, after=_REST)
+            # time without a change before the exact values are computed, s
+            self._exact.ask(lambda: self._at_rest(planned), lambda _: None, after=0.5)
 
     def _knobs(self) -> Any:
         presets = []
         for name in PRESETS:
-            button = Button(label=name, width=88, height=30, margin=(2, 4, 2, 4), name=f"preset-{name}")
+            button = Button(label=name, width=88, margin=(2, 4, 2, 4), name=f"preset-{name}")
             button.on_click(lambda name=name: self._preset(name))
             presets.append(button)
         return column(
@@ -129,10 +127,7 @@ class PlanView:
             y_range=(0, 1.05),
         )
         self._curves.xaxis.ticker = list(range(0, 91, 15))
-        self._curve = ColumnDataSource(
-            {name: [] for name in ("theta", "relative", "roughness", "chosen", "words", "colour", "width")},
-            name="curve",
-        )
+        self._curve = empty_source("curve", "theta", "relative", "roughness", "chosen", "words", "colour", "width")
         lines = self._curves.multi_line(
             "theta", "relative", color="colour", line_width="width", legend_field="words", source=self._curve
         )
@@ -143,10 +138,6 @@ class PlanView:
         )
         self._curves.add_layout(Span(location=0.95, dimension="width", line_color=GREY, line_width=1))
         self._curves.legend.location = "bottom_left"
-        self._curves.legend.label_text_font_size = "10px"
-        self._curves.legend.background_fill_alpha = 0.7
-        self._curves.legend.spacing = 2
-        self._curves.legend.padding = 5
         self._drawn = ColumnDataSource(no_pictures(*_PICTURES), name="pictures")
         self._changes = ColumnDataSource(no_pictures(*_DIFFERENCES), name="differences")
         self._colours = {
@@ -169,10 +160,9 @@ class PlanView:
         self._profile = curve_figure(
             "Row through the highlight", "x from the highlight [px]", "radiance [1/sr]", height=260, y_axis_type="log"
         )
-        self._rows = ColumnDataSource({"x": [], "true": [], "recorded": []}, name="profile")
+        self._rows = empty_source("profile", "x", "true", "recorded")
         for name, colour, words in (("true", COLOURS[0], "true"), ("recorded", COLOURS[1], "recorded")):
             self._profile.line("x", name, color=colour, line_width=2, legend_label=words, source=self._rows)
-        self._profile.legend.label_text_font_size = "10px"
         pictures = row(*(one.plot for one in pair.values()), spacing=2)
         differences = row(*(one.plot for one in changes.values()), spacing=12)
         self._panels = (pictures, differences, column(self._profile, sizing_mode="stretch_width"))
@@ -227,7 +217,6 @@ class PlanView:
         self._status.text = escape(words)
 
     def _show(self, found: dict[str, Any]) -> None:
-        """Show the available curves and images."""
         self._last = found
         if "curves" in found:
             self._show_curves(found["planned"], found["curves"])
@@ -261,7 +250,6 @@ class PlanView:
             self._limits.text = ""
 
     def _show_pictures(self, found: dict[str, Any]) -> None:
-        """Show the selected images in one message."""
         parts = {name: found[name] for name in ("sphere", "close") if name in found}
         if not parts:
             return
@@ -313,7 +301,8 @@ class PlanView:
         from matcam.forward.image import picture
 
         angle = float(rig.sample.lamp_angle(math.radians(planned.theta_d), rig.lamp.nearness))  # type: ignore[attr-defined]
-        exact = picture(planned.material(), rig, angle, error=_PICTURE_ERROR)
+        # error of the exact image, as a share of its peak
+        exact = picture(planned.material(), rig, angle, error=0.01)
         self._exact.show(lambda: self._show_exact(planned, exact))
 
     def _if_still(self, planned: Planned, found: dict[str, Any], copies: str) -> None:
@@ -361,14 +350,14 @@ def _close(planned: Planned) -> dict[str, Any]:
 def _sphere(planned: Planned) -> dict[str, Any]:
     from matcam.forward.previews import sphere_preview
 
-    return {"sphere": sphere_preview(planned.material(), planned.rig(), math.radians(planned.theta_d), side=_VALUES)}
+    # number of values along a side of the preview of the sphere
+    return {"sphere": sphere_preview(planned.material(), planned.rig(), math.radians(planned.theta_d), side=128)}
 
 
 _PARTS = {"curves": _curves, "the highlight": _close, "the sphere": _sphere}
 
 
 def _fast(planned: Planned) -> dict[str, Any]:
-    """Compute all previews."""
     found: dict[str, Any] = {}
     for part in _PARTS.values():
         found |= part(planned)

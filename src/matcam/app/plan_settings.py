@@ -148,18 +148,17 @@ class Planned:
 
         The rig file refers to the profile camera.json beside it.
         """
-        lines = ['schema = "matcam-rig-1"', 'camera = "camera.json"', "", "[sample]", 'shape = "sphere"']
-        lines.append(f"radius_px = {self.radius:.12g}")
+        from matcam.files.capture_writing import as_toml
+
         lens = {"distance": self.distance} if math.isfinite(self.distance) else {}
         if self.glare:
             lens |= {"glare": self.glare, "glare_radius_px": GLARE_RADIUS}
         lamp = {"radius_deg": self.lamp_radius} if self.lamp_radius else {}
         if math.isfinite(self.lamp_distance):
             lamp["distance"] = self.lamp_distance
-        for name, values in (("lens", lens), ("lamp", lamp)):
-            if values:
-                lines += ["", f"[{name}]", *(f"{key} = {value:.12g}" for key, value in values.items())]
-        return "\n".join(lines) + "\n"
+        sections = {"sample": {"shape": "sphere", "radius_px": self.radius}, "lens": lens, "lamp": lamp}
+        head = {"schema": "matcam-rig-1", "camera": "camera.json"}
+        return as_toml(head | {name: values for name, values in sections.items() if values})
 
     def command(self) -> str:
         """Return the command line of the same prediction; camera.json is the profile."""
@@ -169,15 +168,11 @@ class Planned:
             f"--ndf {self.family}",
             "--camera camera.json",
         ]
-        words.append(f"--radius {self.radius:g}")
-        if math.isfinite(self.distance):
-            words.append(f"--distance {self.distance:g}")
-        if self.lamp_radius:
-            words.append(f"--lamp {self.lamp_radius:g}")
-        if math.isfinite(self.lamp_distance):
-            words.append(f"--lamp-distance {self.lamp_distance:g}")
+        numbers = {"radius": self.radius, "distance": self.distance, "lamp": self.lamp_radius}
+        numbers["lamp-distance"] = self.lamp_distance
         if self.glare:
-            words.append(f"--glare {self.glare:g} --glare-radius {GLARE_RADIUS:g}")
+            numbers |= {"glare": self.glare, "glare-radius": GLARE_RADIUS}
+        words += [f"--{name} {value:g}" for name, value in numbers.items() if value and math.isfinite(value)]
         return " ".join(words)
 
     def python(self) -> str:

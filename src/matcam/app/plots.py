@@ -20,15 +20,43 @@ from bokeh.models import (
 )
 from bokeh.palettes import RdBu11, cividis
 from bokeh.plotting import figure
+from bokeh.themes import Theme
 
-from matcam.figures.style import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION
+from matcam.figures.style import BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
 
 COLOURS = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY)
+WIDTH = 300
+"""Width of a column of controls, px of the screen."""
+_CONTROL = {"margin": (2, 8, 2, 8), "width": WIDTH - 16}
+THEME = Theme(
+    json={
+        "attrs": {
+            "Axis": {
+                "axis_label_text_font_style": "normal",
+                "axis_label_text_font_size": "11px",
+                "major_label_text_font_size": "10px",
+            },
+            "Button": {**_CONTROL, "height": 30},
+            "FileInput": _CONTROL,
+            "Grid": {"grid_line_color": "#DDDDDD"},
+            "Legend": {"background_fill_alpha": 0.7, "label_text_font_size": "10px", "padding": 5, "spacing": 2},
+            "Select": _CONTROL,
+            "Title": {"text_font_size": "12px"},
+            "Toolbar": {"logo": None},
+        }
+    }
+)
+"""Style of all plots and controls."""
+
+
+def empty_source(name: str, *columns: str) -> ColumnDataSource:
+    """Create a data source without rows."""
+    return ColumnDataSource({column: [] for column in columns}, name=name)
 
 
 def curve_figure(title: str, x: str, y: str, *, height: int, **more: Any) -> Any:
     """Create a plot for curves; the names of the axes include units."""
-    plot = figure(
+    return figure(
         title=title,
         x_axis_label=x,
         y_axis_label=y,
@@ -39,8 +67,6 @@ def curve_figure(title: str, x: str, y: str, *, height: int, **more: Any) -> Any
         toolbar_location="above",
         **more,
     )
-    plain(plot)
-    return plot
 
 
 def picture_figure(title: str, size: int, x: str, y: str, **more: Any) -> Any:
@@ -49,7 +75,6 @@ def picture_figure(title: str, size: int, x: str, y: str, **more: Any) -> Any:
     size: width and height, px of the screen. The background is light until `on_black` is called for an image.
     """
     plot = figure(title=title, frame_width=size, frame_height=size, x_axis_label=x, y_axis_label=y, **more)
-    plain(plot)
     plot.grid.visible = False
     plot.background_fill_color = WAITING
     return plot
@@ -69,17 +94,6 @@ def on_black(plot: Any, picture: Any, *, shown: bool = True) -> None:
     """
     picture.visible = shown
     plot.background_fill_color = "#000000" if shown else WAITING
-
-
-def plain(plot: Any) -> None:
-    """Apply the common style to a plot."""
-    plot.toolbar.logo = None
-    plot.title.text_font_size = "12px"
-    plot.xaxis.axis_label_text_font_style = plot.yaxis.axis_label_text_font_style = "normal"
-    plot.axis.axis_label_text_font_size = "11px"
-    plot.axis.major_label_text_font_size = "10px"
-    plot.grid.grid_line_color = "#DDDDDD"
-    plot.output_backend = "canvas"
 
 
 def hover(plot: Any, renderers: list[Any], tips: list[tuple[str, str]], mode: str = "mouse") -> None:
@@ -210,22 +224,3 @@ def no_pictures(*names: str) -> dict[str, list[Any]]:
     """Return the columns of images without data."""
     nothing, at = np.zeros((2, 2), np.float32), np.array([-0.5, 0.5])
     return {key: value for name in names for key, value in picture_columns(name, nothing, at, at).items()}
-
-
-__all__ = [
-    "BLUE",
-    "COLOURS",
-    "GREY",
-    "ORANGE",
-    "SKY",
-    "VERMILION",
-    "PictureColours",
-    "PictureFigure",
-    "curve_figure",
-    "hover",
-    "no_pictures",
-    "on_black",
-    "picture_columns",
-    "picture_figure",
-    "plain",
-]

@@ -28,10 +28,6 @@ from matcam.app.transfers import Downloads
 from matcam.app.worker import THREAD
 from matcam.core.errors import ArgumentError
 
-LARGEST_MESSAGE = 64 << 20
-"""Largest message from a browser, bytes. It exceeds the text of the largest file that can be dropped on the page."""
-
-
 _IDLE = 60.0
 """Time until an idle connection, or one with an incomplete request, is closed, s."""
 
@@ -61,11 +57,13 @@ class AppServer:
         self.port = int(sockets[0].getsockname()[1])
         self.downloads = Downloads()
         self.pages: set[Page] = set()
+        # Largest message from a browser, bytes. It exceeds the text of the largest file that can be dropped on the
+        # page.
         tornado = _Site(
             Application(FunctionHandler(self._page(tuple(files)))),
             extra_websocket_origins=["*"],  # the access control has checked the origin
             extra_patterns=[self.downloads.pattern()],
-            websocket_max_message_size_bytes=LARGEST_MESSAGE,
+            websocket_max_message_size_bytes=64 << 20,
             websocket_compression_level=None,
             check_unused_sessions_milliseconds=2000,
             unused_session_lifetime_milliseconds=4000,

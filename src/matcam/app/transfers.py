@@ -20,11 +20,6 @@ from urllib.parse import quote
 from bokeh.models.widgets import FileInput
 from tornado.web import RequestHandler
 
-from matcam.app.controls import WIDTH
-
-_KEPT = 64
-"""Largest number of files that all pages offer at a time, which limits the memory of the app."""
-
 
 class Downloads:
     """Registry of the files that pages offer to save."""
@@ -36,7 +31,8 @@ class Downloads:
         """Register a file, and return an HTML link that saves it."""
         key = secrets.token_urlsafe(16)
         self._files[key] = (name, content)
-        while len(self._files) > _KEPT:
+        # largest number of files that all pages offer at a time, which limits the memory of the app
+        while len(self._files) > 64:
             del self._files[next(iter(self._files))]
         return f'<a href="/save/{key}" download="{escape(name, quote=True)}">{escape(words or name)}</a>'
 
@@ -88,7 +84,7 @@ class Upload:
         self._dropped, self._complain = dropped, complain
         self._folder: Path | None = None
         self._count = 0
-        self.layout = FileInput(title=title, width=WIDTH - 16, margin=(2, 8, 2, 8), name=name)
+        self.layout = FileInput(title=title, name=name)
         self.layout.on_change("value", self._arrived)
 
     def close(self) -> None:

@@ -19,8 +19,6 @@ from bokeh.document import Document
 
 from matcam.core.errors import MatcamError
 
-_SHOWN_WITHIN = 5.0  # time limit for showing a result, s, because a closed page shows no results
-
 DRAINED = {"after": 0.004, "within": 0.05}
 """Times, s, within which waiting moves of a slider replace each other (see `Newest.ask`)."""
 
@@ -88,11 +86,8 @@ class Newest:
             try:
                 if not self._ended:
                     change()
-            except MatcamError as error:
-                self._complain(str(error))
-            except Exception:
-                traceback.print_exc()
-                self._complain("this is a fault of matcam, not of your input; the terminal shows the traceback")
+            except Exception as error:
+                self._complain(_explained(error))
             finally:
                 shown.set()
 
@@ -102,7 +97,8 @@ class Newest:
             except AttributeError:  # the document has been destroyed in the meantime
                 self._ended = True
                 return
-            shown.wait(_SHOWN_WITHIN)
+            # time limit for showing a result, s, because a closed page shows no results
+            shown.wait(5.0)
 
     def _run(self) -> None:
         while True:
@@ -118,18 +114,19 @@ class Newest:
     def _do(self, work: Callable[[], Any], show: Callable[[Any], None]) -> None:
         try:
             result = work()
-        except MatcamError as error:
-            message = str(error)
-            self.show(lambda: self._complain(message))
-        except MemoryError:
-            self.show(lambda: self._complain("not enough memory: open smaller files, or close other programs"))
-        except Exception:
+        except Exception as error:
             if not self._ended:
-                traceback.print_exc()
-                self.show(
-                    lambda: self._complain(
-                        "this is a fault of matcam, not of your input; the terminal shows the traceback"
-                    )
-                )
+                message = _explained(error)
+                self.show(lambda: self._complain(message))
         else:
             self.show(lambda: show(result))
+
+
+def _explained(error: Exception) -> str:
+    """Format an error in one line, and print the traceback of a fault of matcam."""
+    if isinstance(error, MatcamError):
+        return str(error)
+    if isinstance(error, MemoryError):
+        return "not enough memory: open smaller files, or close other programs"
+    traceback.print_exception(error)
+    return "this is a fault of matcam, not of your input; the terminal shows the traceback"

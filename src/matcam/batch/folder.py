@@ -14,7 +14,7 @@ from typing import Any
 
 import filelock
 
-from matcam.batch.job import Job, Outcome
+from matcam.batch.job import Job, Outcome, failed
 from matcam.batch.recipe import SETTINGS_FORMAT
 from matcam.batch.store import open_rows, whole_rows
 from matcam.core.errors import ArgumentError, FileFormatError, OutputError
@@ -26,7 +26,6 @@ from matcam.files.datasets import read_netcdf
 SETTINGS = "settings.json"
 _INDEX, _FAILED, _CAMERA, _ZARR, _LOCK = "index.html", "failed.json", "camera.json", "run.zarr", ".lock"
 _RESERVED = {Path(name).stem for name in (_INDEX, _FAILED, _CAMERA, SETTINGS)}
-_WITHOUT_LOCKS = (errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP)  # error codes of some network file systems
 _TEMPORARY = re.compile(r"\.(.+)-[a-z0-9_]{8}\.(?:binary|nc|json|html|png)(?:\.old)?")
 
 
@@ -61,7 +60,8 @@ class RunFolder:
         except NotImplementedError:
             pass  # the error of filelock for a file system without locks
         except OSError as error:
-            if error.errno not in _WITHOUT_LOCKS:
+            # error codes of some network file systems
+            if error.errno not in (errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP):
                 raise OutputError(f"output folder {self.path} cannot be written: {error.strerror}") from None
         try:
             yield
@@ -115,13 +115,9 @@ class RunFolder:
                     raise OutputError(f"output {output} is the input itself: choose another folder")
                 if len(files) > 1:
                     others = ", ".join(str(other) for other in files if other is not file)
-                    refused.append(
-                        Outcome(file, 0.0, f"{file}: has the same name as {others}: rename one of these files")
-                    )
+                    refused.append(failed(file, f"has the same name as {others}: rename one of these files"))
                 elif stem in _RESERVED:
-                    refused.append(
-                        Outcome(file, 0.0, f"{file}: {file.stem} is the name of a file of the run: rename this input")
-                    )
+                    refused.append(failed(file, f"{file.stem} is the name of a file of the run: rename this input"))
                 else:
                     outputs[file] = output
         return outputs, refused
@@ -197,6 +193,5 @@ def _first_difference(old: Any, new: Any, name: str = "") -> tuple[str, str, str
 
 
 def _short(value: Any) -> str:
-    """Format a value in at most 60 characters."""
     text = json.dumps(value)
     return text if len(text) <= 60 else text[:57] + "..."

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 from matcam.batch.recipe import Recipe
 from matcam.batch.store import StoreRow
-from matcam.core.errors import ArgumentError, FileFormatError, MatcamError
+from matcam.core.errors import ArgumentError, FileFormatError, MatcamError, described
 from matcam.core.io import all_or_nothing, check_output, plain, reading, where_written, write_json
 from matcam.core.readers.names import check_name
 from matcam.core.readers.texts import read_json
@@ -92,7 +92,7 @@ class Job:
             status = self.source.stat()
             if status.st_size != known["bytes"]:
                 return False
-            return status.st_mtime_ns == known["mtime_ns"] or fingerprint(self.source).sha256 == known["sha256"]
+            return status.st_mtime_ns == known["mtime_ns"] or fingerprint(self.source)["sha256"] == known["sha256"]
         except (OSError, KeyError, TypeError, FileFormatError):
             return False
 
@@ -119,6 +119,11 @@ class Outcome(NamedTuple):
     trace: str | None = None
 
 
+def failed(source: Path, reason: str) -> Outcome:
+    """Build the outcome of a job that failed before its work, or whose worker was lost."""
+    return Outcome(source, 0.0, f"{source}: {reason}")
+
+
 def attempt(job: Job, workspace: Workspace | None = None) -> Outcome:
     """Run a job, and report errors as its outcome, so that other jobs continue.
 
@@ -137,7 +142,7 @@ def attempt(job: Job, workspace: Workspace | None = None) -> Outcome:
     except MemoryError:
         return failure(f"{job.source}: not enough memory: use fewer workers")
     except Exception as error:
-        text = " ".join(f"{type(error).__name__}: {error}".split())
+        text = described(error)
         return failure(f"{job.source}: a fault of matcam, not of your input: {text}", traceback.format_exc())
     return Outcome(job.source, time.perf_counter() - started)
 
@@ -188,7 +193,7 @@ def write_corrected(job: Job, workspace: Workspace | None = None) -> dict[str, A
             write_thumbnail(job.output.with_suffix(".png"), table, done.table["brdf"], force=job.force)
         if job.row is not None:
             job.row.write(done.table)
-        document = {"file": str(job.source), **done.document, "input": before._asdict()}
+        document = {"file": str(job.source), **done.document, "input": before}
         if job.key is not None:
             sizes = {path.name: where_written(path).stat().st_size for path in job.files[:-1]}
             document["run"] = {"settings": job.key, "files": sizes, "seconds": time.perf_counter() - started}
@@ -198,18 +203,13 @@ def write_corrected(job: Job, workspace: Workspace | None = None) -> dict[str, A
     return document
 
 
-class Fingerprint(NamedTuple):
-    """State of a file when it was read: size (bytes), modification time (ns) and SHA-256."""
+def fingerprint(path: Path) -> dict[str, Any]:
+    """Compute size (bytes), modification time (ns) and SHA-256 of a file.
 
-    bytes: int
-    mtime_ns: int
-    sha256: str
-
-
-def fingerprint(path: Path) -> Fingerprint:
-    """Compute the fingerprint of a file. A FileFormatError is raised if it cannot be read."""
+    A FileFormatError is raised if it cannot be read.
+    """
     with reading(path, "a table"):
         status = path.stat()
         with path.open("rb") as file:
             digest = hashlib.file_digest(file, "sha256").hexdigest()
-    return Fingerprint(status.st_size, status.st_mtime_ns, digest)
+    return {"bytes": status.st_size, "mtime_ns": status.st_mtime_ns, "sha256": digest}

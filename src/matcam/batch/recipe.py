@@ -8,7 +8,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib import metadata
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -18,7 +18,7 @@ import xarray as xr
 
 from matcam.camera.camera import Camera
 from matcam.camera.parameters import Provenance
-from matcam.core.errors import ArgumentError, FitError, MatcamError
+from matcam.core.errors import FitError, MatcamError
 from matcam.core.grid import Sampling
 from matcam.core.io import plain
 from matcam.core.workspace import Workspace
@@ -122,10 +122,6 @@ class Recipe:
 
     def settings(self, *, fit_camera: bool) -> dict[str, Any]:
         """Return all settings that affect the files of a run, in types of JSON."""
-        if not hasattr(self.corrector, "__qualname__"):
-            raise ArgumentError(
-                f"corrector must be a function at the top level of a module, got {self.corrector!r:.60}"
-            )
         return plain(
             {
                 "format": SETTINGS_FORMAT,
@@ -167,15 +163,6 @@ def settings_key(settings: dict[str, Any]) -> str:
     return hashlib.sha256(json.dumps(plain(settings), sort_keys=True).encode()).hexdigest()[:32]
 
 
-_FITTED, _EXAMINED = 4, 16
-"""Number of fitted materials, and number of materials from which those with the narrowest lobes are selected.
-
-A broad lobe contains little information on the lens.
-"""
-_KNOWN = 0.25
-"""Largest relative standard deviation of a usable fitted blur: a correction assumes that it is small."""
-
-
 def fit_shared_camera(recipe: Recipe, inputs: Sequence[Path]) -> Camera:
     """Fit the blur of the camera of the recipe to these tables, with its variance.
 
@@ -191,7 +178,8 @@ def fit_shared_camera(recipe: Recipe, inputs: Sequence[Path]) -> Camera:
     value, std = best.params[LENS], best.std[LENS]
     names = ", ".join(file.name for file, _ in chosen)
     camera = best.camera
-    if camera is None or not std < _KNOWN * value:
+    # largest relative standard deviation of a usable fitted blur: a correction assumes that it is small
+    if camera is None or not std < 0.25 * value:
         raise FitError(
             f"{names} do not determine the camera's blur ({value:.3g} +- {std:.2g} px): give the rig the camera's profile "
             "instead of fit_camera=True, or tables with narrower lobes"
@@ -199,22 +187,17 @@ def fit_shared_camera(recipe: Recipe, inputs: Sequence[Path]) -> Camera:
     source = Provenance(
         source=f"blur fitted jointly to {names}, a {best.family} lobe for each", notes="; ".join(map(str, best.remarks))
     )
-    return Camera(
-        camera.optics,
-        camera.pixel,
-        camera.sensor,
-        uncertainty=camera.uncertainty,
-        provenance=source,
-        field=camera.field,
-    )
+    return replace(camera, provenance=source)
 
 
 def _narrowest(inputs: Sequence[Path], sampling: Sampling) -> list[tuple[Path, xr.DataArray]]:
-    """Select the tables with the narrowest lobes from an even selection of the inputs.
+    """Select the 4 tables with the narrowest lobes from 16 evenly selected inputs.
+
+    A broad lobe contains little information on the lens.
 
     Unreadable tables are skipped; their own jobs report them.
     """
-    positions = np.unique(np.linspace(0, max(len(inputs) - 1, 0), min(_EXAMINED, len(inputs))).astype(int))
+    positions = np.unique(np.linspace(0, max(len(inputs) - 1, 0), min(16, len(inputs))).astype(int))
     widths: list[tuple[float, Path]] = []
     for position in positions:
         try:
@@ -226,5 +209,5 @@ def _narrowest(inputs: Sequence[Path], sampling: Sampling) -> list[tuple[Path, x
         widths.append((width, inputs[position]))
     if not widths:
         raise FitError("no table can be read, but fit_camera=True needs at least one: give readable tables")
-    narrowest = sorted(widths, key=lambda entry: entry[0])[:_FITTED]
+    narrowest = sorted(widths, key=lambda entry: entry[0])[:4]
     return [(file, read_table(file, sampling=sampling)) for _, file in narrowest]

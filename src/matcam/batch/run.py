@@ -252,7 +252,6 @@ def correct_all(
 def _run_jobs(
     folder: RunFolder, jobs: Sequence[Job], run: Run, executor: Executor, watch: Callable[[Progress], None]
 ) -> Run:
-    """Run the jobs, report each outcome, and write the failures."""
     total = len(jobs) + len(run.kept) + len(run.failures)
     corrected: list[Path] = []
     failures = list(run.failures)
@@ -271,7 +270,6 @@ def _run_jobs(
 
 
 def _executor(workers: int | None, cluster: str | None, time_limit: float) -> Executor:
-    """Choose the executor of the jobs."""
     if cluster is not None:
         chosen = ClusterExecutor(cluster)
         if workers is not None:
@@ -287,7 +285,7 @@ def _executor(workers: int | None, cluster: str | None, time_limit: float) -> Ex
 def _check_picklable(recipe: Recipe) -> None:
     """Raise ArgumentError for a corrector that workers could not import."""
     try:
-        pickle.dumps(recipe)
+        pickle.dumps((recipe, recipe.corrector.__qualname__))
     except Exception:
         raise ArgumentError(
             f"corrector must be a function at the top level of a module, got {recipe.corrector!r:.80}"

@@ -38,7 +38,6 @@ _VALUES: dict[str, tuple[type, dict[str, str]]] = {
     for name, attributes in TABLE_ATTRIBUTES.items()
 }
 """Type and attributes of each variable; as in NetCDF, standard deviations have 7 digits."""
-_CHUNK_KEYS = {"name": "default", "configuration": {"separator": "/"}}
 _NAMES_A_CHUNK = 4096
 _SIZES = (*GRID_SHAPE, len(CHANNELS))
 _TABLES = {name: _SIZES if name != "response" else _SIZES[:3] for name in _VALUES}
@@ -136,7 +135,6 @@ _DECODER, _LIBRARIES = "matcam.files.decoders:decode_rows", ("zarr.storage",)
 
 
 def _stored(store: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
-    """Read whole arrays of a store that has been checked."""
     _zarr()
     size = _bytes_of(store, names)
     return read_apart(_DECODER, store, libraries=_LIBRARIES, size=size, arrays=list(names))["values"]
@@ -179,7 +177,7 @@ def _check_arrays(store: Path) -> None:
             check_codecs(store, name, document)
             shape, chunks, kind = tuple(document["shape"]), chunk_shape(document), document["data_type"]
             check_lengths(store, name, shape)
-            if document["chunk_key_encoding"] != _CHUNK_KEYS:
+            if document["chunk_key_encoding"] != {"name": "default", "configuration": {"separator": "/"}}:
                 raise FileFormatError(f"{described}: the names of its chunks are not those of a run")
             expected: tuple[tuple[int, ...], tuple[int, ...], str]
             if name in _VALUES:
@@ -199,7 +197,6 @@ def _check_arrays(store: Path) -> None:
 
 
 def _create_arrays(group: Any, sampling: Sampling) -> None:
-    """Create the arrays, without materials."""
     group.attrs["sampling"] = sampling
     for name, values in merl_grid(sampling)._asdict().items():
         array = group.create_array(

@@ -17,9 +17,6 @@ from matcam.core import checks
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import AnyArray, jax, jnp
 
-_FADE = (0.85, 0.95)  # shares of saturation between which the weight of an image decreases from 1 to 0
-_ROUNDS = 3  # number of updates of the weights, which depend on the radiance only through its shot noise
-
 
 class RadianceEstimate(NamedTuple):
     """Radiance estimated from a bracket of exposures.
@@ -117,7 +114,8 @@ def merge_bracket(
     exposure, time = (jnp.asarray(a, dtype=jnp.float64).reshape(column) for a in (exposures, times))
     dark = time * sensor.dark_current
     electrons = sensor.electrons(pictures)
-    low, high = _FADE
+    # shares of saturation between which the weight of an image decreases from 1 to 0
+    low, high = 0.85, 0.95
     share = jnp.clip((high - electrons / sensor.saturation) / (high - low), 0, 1)
     usable = share > 0
     saturated = ~jnp.any(usable | jnp.isnan(electrons), axis=0)
@@ -125,7 +123,8 @@ def merge_bracket(
     # the mean for shot noise alone requires no initial variance
     weight = share * exposure
     radiance = jnp.sum(share * (electrons - dark), axis=0) / _nan_where_zero(jnp.sum(weight, axis=0))
-    for _ in range(_ROUNDS):
+    # number of updates of the weights, which depend on the radiance only through its shot noise
+    for _ in range(3):
         variance = _variance(sensor, radiance, exposure, dark)
         weight = share / variance
         weight = weight / _nan_where_zero(jnp.sum(weight, axis=0))

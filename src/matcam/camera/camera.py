@@ -216,14 +216,7 @@ class Camera(Module, Summarised):
         Args:
             field: variation of the lens over the field; None: uniform.
         """
-        return Camera(
-            self.optics,
-            self.pixel,
-            self.sensor,
-            uncertainty=self.uncertainty,
-            provenance=self.provenance,
-            field=field,
-        )
+        return dataclasses.replace(self, field=field)
 
     def with_sensor(self, sensor: Sensor | None) -> Camera:
         """Return the camera with another sensor.
@@ -234,14 +227,7 @@ class Camera(Module, Summarised):
         Raises:
             ArgumentError: lens and sensor have different pixel pitches.
         """
-        return Camera(
-            self.optics,
-            self.pixel,
-            sensor,
-            uncertainty=self.uncertainty,
-            provenance=self.provenance,
-            field=self.field,
-        )
+        return dataclasses.replace(self, sensor=sensor)
 
     def save(self, path: str | Path, *, force: bool = False) -> None:
         """Write the camera's profile: kernel, sensor, uncertainty, provenance.
@@ -302,7 +288,6 @@ class Camera(Module, Summarised):
             raise FileFormatError(f"{where}: {error}") from None
 
     def _check_pitch(self, pitch: jax.Array) -> None:
-        """Check that a lens and a sensor have the same pixel pitch."""
         for name, value in self.parameters().items():
             if not name.endswith("pixel_pitch_m") or not is_concrete(value) or not is_concrete(pitch):
                 continue

@@ -30,8 +30,6 @@ from matcam.numerics.normal import normal_density
 if TYPE_CHECKING:
     from matcam.core.jax import jax
 
-_FAR = 40.0  # distance beyond which the normal density underflows to 0, standard deviations
-_SLIVER = 0.05  # short half width / std below which quadrature replaces the second difference
 _FREQUENCIES = np.linspace(0, 2, 4001)
 """Frequencies among which MTF50 is searched for, cycles/px. Their step is below the standard deviation of any calibration."""
 _THINNEST = 1e-3  # smallest short half width of `edge_and_slopes`, px: it adds a blur of 2e-7 px^2 and loses no digits
@@ -156,7 +154,8 @@ def _boxes(angle: jax.Array, half_width: jax.Array, std: jax.Array) -> tuple[jax
     """Compute the half width of the long box, px, a mask of very short boxes, and the half width of the short box, px."""
     a, b = half_width * xp.abs(xp.cos(angle)), half_width * xp.abs(xp.sin(angle))
     long, short = xp.maximum(a, b), xp.minimum(a, b)
-    return long, short < _SLIVER * std, short
+    # short half width / std below which quadrature replaces the second difference
+    return long, short < 0.05 * std, short
 
 
 def _second_difference(
@@ -191,7 +190,8 @@ def _first_remainder(x: jax.Array, std: jax.Array) -> jax.Array:
 
 def _second_remainder(x: jax.Array, std: jax.Array) -> jax.Array:
     """Evaluate the integral of H, less (x^2 + std^2) / 2 for x > 0."""
-    t = xp.minimum(xp.where(x > 0, x, -x) / std, _FAR)
+    # distance beyond which the normal density underflows to 0, standard deviations
+    t = xp.minimum(xp.where(x > 0, x, -x) / std, 40.0)
     tail = std**2 / 2 * ((t**2 + 1) * special.ndtr(-t) - t * normal_density(t))
     return xp.where(x > 0, -tail, tail)
 

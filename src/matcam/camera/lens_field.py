@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike
 from matcam.core import checks
 from matcam.core.errors import ArgumentError
 
-_TURNS = 20  # largest number of Newton steps of `true_position`
 _AROUND = 72  # number of positions on a circle
 _LARGEST = 0.5  # largest coefficient of a plausible distortion
 
@@ -110,7 +109,7 @@ class LensField:
         x, y, seen2 = self._from_centre(column, row)
         seen = np.minimum(np.sqrt(seen2), 1.5)
         rho = seen.copy()
-        for _ in range(_TURNS):  # Newton steps
+        for _ in range(20):  # Newton steps
             rho2 = rho**2
             off = rho * (1 + self.k1.value * rho2 + self.k2.value * rho2**2) - seen
             rho -= off / (1 + 3 * self.k1.value * rho2 + 5 * self.k2.value * rho2**2)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable, Mapping
+from types import MappingProxyType
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -28,8 +29,6 @@ PIXELS_SHARE = 0.3
 
 It is below the 0.58 of a box, because the border of the disc is a step in a sharp image.
 """
-_NARROW = 0.02  # half width / std below which a series is more accurate than differences of erf
-_FADED = 1e4  # squared distance beyond which a Gaussian underflows to 0, squared standard deviations
 _GAUSS4 = np.polynomial.legendre.leggauss(4)
 _GAUSS48 = np.polynomial.legendre.leggauss(48)
 
@@ -115,7 +114,7 @@ class BoxPixel(PixelResponse):
 
     half_width: jax.Array
 
-    profile_fields: ClassVar[Mapping[str, str]] = {"half_width_px": "half_width"}
+    profile_fields = MappingProxyType({"half_width_px": "half_width"})
 
     def __init__(self, half_width: ArrayLike = 0.5):
         self.half_width = _checked_half_width(half_width)
@@ -148,12 +147,6 @@ class BoxPixel(PixelResponse):
         return (above - below) * std / (2 * self.half_width)
 
 
-_SIGMAS = (1e-12, 1e6)
-"""Range of the standard deviation of a windowed Gaussian, px. The response is a point at the lower limit and a box at
-the upper limit.
-"""
-
-
 class WindowedGaussianPixel(PixelResponse):
     """Pixel with a Gaussian sensitivity, truncated at its border.
 
@@ -179,11 +172,12 @@ class WindowedGaussianPixel(PixelResponse):
     sigma: jax.Array
     half_width: jax.Array
 
-    profile_fields: ClassVar[Mapping[str, str]] = {"sigma_px": "sigma", "half_width_px": "half_width"}
+    profile_fields = MappingProxyType({"sigma_px": "sigma", "half_width_px": "half_width"})
 
     def __init__(self, sigma: ArrayLike, half_width: ArrayLike = 0.5):
         checks.positive("sigma", sigma, "px")
-        self.sigma = checks.scalar("sigma", checks.within("sigma", sigma, *_SIGMAS, "px"))
+        # the response is a point at the lower limit of sigma, and a box at the upper limit
+        self.sigma = checks.scalar("sigma", checks.within("sigma", sigma, 1e-12, 1e6, "px"))
         self.half_width = _checked_half_width(half_width)
 
     def response(self, x: ArrayLike) -> jax.Array:
@@ -233,7 +227,6 @@ class WindowedGaussianPixel(PixelResponse):
 
     @property
     def _share_inside(self) -> jax.Array:
-        """Share of the Gaussian inside the window."""
         return special.erf(self.half_width / (xp.sqrt(2) * self.sigma))
 
 
@@ -246,7 +239,8 @@ def gaussian_over_interval(x: jax.Array, half_width: ArrayLike, std: jax.Array) 
     """Average a unit-area Gaussian over [x - half_width, x + half_width], to 14 digits for any std."""
     x = xp.where(x < 0, -x, x)  # symmetric; in the right tail the difference loses no digits
     ratio = half_width / std
-    wide = ratio > _NARROW
+    # half width / std below which a series is more accurate than differences of erf
+    wide = ratio > 0.02
     if xp.ndim(ratio):
         return xp.where(wide, _by_difference(x, xp.where(wide, half_width, std), std), _by_series(x, ratio, std))
     if is_concrete(ratio):
@@ -268,7 +262,8 @@ def _by_difference(x: jax.Array, half_width: ArrayLike, std: jax.Array) -> jax.A
 
 def _by_series(x: jax.Array, ratio: AnyArray, std: jax.Array) -> jax.Array:
     # Taylor series of the mean about x, in Hermite polynomials; the next term is ratio^8 / 9! He8
-    z2, r2 = xp.minimum(xp.square(xp.divide(x, std)), _FADED), ratio**2
+    # squared distance beyond which a Gaussian underflows to 0, squared standard deviations
+    z2, r2 = xp.minimum(xp.square(xp.divide(x, std)), 1e4), ratio**2
     series = 1 + r2 * ((z2 - 1) / 6 + r2 * (((z2 - 6) * z2 + 3) / 120 + r2 * (((z2 - 15) * z2 + 45) * z2 - 15) / 5040))
     return xp.exp(-z2 / 2) / (xp.sqrt(2 * xp.pi) * std) * series
 

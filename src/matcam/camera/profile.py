@@ -29,30 +29,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import ValidationError
 
 from matcam.camera.lens_field import Coefficient, LensField
 from matcam.camera.optics.optics import Optics
 from matcam.camera.parameters import Provenance, Uncertainty, fields_of
 from matcam.camera.pixel import PixelResponse
-from matcam.camera.profile_schemas import FIELD_SCHEMA, MODELS, SENSOR_FIELDS, VERSION, VERSIONS, Part, json_schema
+from matcam.camera.profile_schemas import FIELD_SCHEMA as FIELD_SCHEMA
+from matcam.camera.profile_schemas import MODELS, SENSOR_FIELDS, VERSION, VERSIONS, Part
+from matcam.camera.profile_schemas import json_schema as json_schema
 from matcam.camera.sensor import Sensor
 from matcam.core.arrays.module import Module
 from matcam.core.errors import ArgumentError, FileFormatError
-from matcam.core.readers.texts import checked_version, first_problem, read_json
-
-__all__ = [
-    "FIELD_SCHEMA",
-    "VERSION",
-    "VERSIONS",
-    "as_document",
-    "field_document",
-    "field_from",
-    "from_document",
-    "json_schema",
-    "model_name",
-    "read_profile",
-]
+from matcam.core.readers.schemas import validated
+from matcam.core.readers.texts import checked_version, read_json
 
 FORMAT = "matcam camera profile"
 _WHAT = "a camera profile"
@@ -109,10 +98,7 @@ def from_document(document: Any, where: str | Path) -> dict[str, Any]:
     The message of a FileFormatError names the location `where` of the profile, and the field.
     """
     version = checked_version(document, where, _WHAT, FORMAT, VERSIONS)
-    try:
-        profile: Any = VERSIONS[version].model_validate(document)
-    except ValidationError as error:
-        raise FileFormatError(f"{where}: {first_problem(error, MODELS)}") from None
+    profile: Any = validated(VERSIONS[version], document, where, MODELS)
     try:
         return {
             "optics": _from_json(profile.optics),

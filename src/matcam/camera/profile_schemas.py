@@ -11,25 +11,19 @@ from typing import Annotated, Any, Literal, Union
 
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, create_model
 
+from matcam.core.readers.schemas import Strict
 from matcam.core.registry import LENSES, PIXELS
 
 MODELS = {**LENSES, **PIXELS}
 """Class of each lens and pixel by its name in a profile."""
 _VERSION_1_LENSES = ("gaussian", "diffraction", "measured")
-_VERSION_2_LENSES = (*_VERSION_1_LENSES[:2], "defocus", "measured", "halo")
-_CURVES = ("frequency_cycles_per_px", "mtf")
 _PAIRS = {
     "zernike": ("astigmatism_waves", "coma_waves", "trefoil_waves"),
     "colour": ("red_shift_px", "green_shift_px", "blue_shift_px"),
 }
-_INNER_LENSES = ("core", "red", "green", "blue")
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True)
-
-
-class Part(_Strict):
+class Part(Strict):
     """Lens or pixel: the name of its model, and its fields."""
 
     model: str
@@ -39,10 +33,9 @@ _Pair = Annotated[list[FiniteFloat], Field(min_length=2, max_length=2)]
 
 
 def _kind(name: str, field: str) -> Any:
-    """Return the type of a field of a model."""
-    if field in _CURVES:
+    if field in ("frequency_cycles_per_px", "mtf"):
         return list[FiniteFloat]
-    if field in _INNER_LENSES:
+    if field in ("core", "red", "green", "blue"):
         return "_Optics"
     return _Pair if field in _PAIRS.get(name, ()) else FiniteFloat
 
@@ -68,13 +61,12 @@ def _one_of(names: Iterable[str]) -> Any:
     return union
 
 
-_Optics1: Any = _one_of(_VERSION_1_LENSES)
-_Optics2: Any = _one_of(_VERSION_2_LENSES)
+_Optics2: Any = _one_of((*_VERSION_1_LENSES[:2], "defocus", "measured", "halo"))
 _Optics4: Any = _one_of(LENSES)
 _Pixel: Any = _one_of(PIXELS)
 
 
-class _Sensor(_Strict):
+class _Sensor(Strict):
     pitch_m: FiniteFloat
     full_well_electrons: FiniteFloat
     read_noise_electrons: FiniteFloat
@@ -99,7 +91,7 @@ SENSOR_FIELDS = {
 """Attribute of `Sensor` by its name with the unit."""
 
 
-class _LensField(_Strict):
+class _LensField(Strict):
     centre_px: _Pair
     unit_px: FiniteFloat
     k1: _Pair
@@ -112,74 +104,41 @@ FIELD_SCHEMA: Any = _LensField
 """Schema of the field of a lens, for other documents that contain a field."""
 
 
-class _Uncertainty(_Strict):
+class _Uncertainty(Strict):
     parameters: list[str]
     covariance: list[list[FiniteFloat]]
 
 
-class _Provenance(_Strict):
+class _Provenance(Strict):
     source: str = ""
     created: str = ""
     software: str = ""
     notes: str = ""
 
 
-class _Profile1(_Strict):
-    model_config = ConfigDict(title="_Profile")
-    format: Literal["matcam camera profile"]
-    version: Literal[1]
-    optics: _Optics1
-    pixel: _Pixel
-    uncertainty: _Uncertainty | None
-    provenance: _Provenance
-
-
-class _Profile2(_Strict):
-    format: Literal["matcam camera profile"]
-    version: Literal[2]
-    optics: _Optics2
-    pixel: _Pixel
-    sensor: _Sensor | None = None
-    uncertainty: _Uncertainty | None
-    provenance: _Provenance
-
-
-class _Profile3(_Strict):
-    format: Literal["matcam camera profile"]
-    version: Literal[3]
-    optics: _Optics2
-    pixel: _Pixel
-    sensor: _Sensor | None = None
-    field: _LensField | None = None
-    uncertainty: _Uncertainty | None
-    provenance: _Provenance
-
-
-class _Profile4(_Strict):
-    format: Literal["matcam camera profile"]
-    version: Literal[4]
-    optics: _Optics4
-    pixel: _Pixel
-    sensor: _Sensor | None = None
-    field: _LensField | None = None
-    uncertainty: _Uncertainty | None
-    provenance: _Provenance
-
-
-class _Profile5(_Strict):
-    format: Literal["matcam camera profile"]
-    version: Literal[5]
-    optics: _Optics4
-    pixel: _Pixel
-    sensor: _Sensor5 | None = None
-    field: _LensField | None = None
-    uncertainty: _Uncertainty | None
-    provenance: _Provenance
+def _profile(version: int, optics: Any, **parts: type[BaseModel]) -> type[BaseModel]:
+    """Build the schema of a version. parts: further sections, which may be null or missing."""
+    fields: dict[str, Any] = {
+        "format": (Literal["matcam camera profile"], ...),
+        "version": (Literal[version], ...),
+        "optics": (optics, ...),
+        "pixel": (_Pixel, ...),
+        **{name: (schema | None, None) for name, schema in parts.items()},
+        "uncertainty": (_Uncertainty | None, ...),
+        "provenance": (_Provenance, ...),
+    }
+    return create_model(f"_Profile{version if version > 1 else ''}", __base__=Strict, __module__=__name__, **fields)
 
 
 VERSION = 5
 """Version of the profiles that are written: the newest one."""
-VERSIONS: dict[int, type[BaseModel]] = {1: _Profile1, 2: _Profile2, 3: _Profile3, 4: _Profile4, 5: _Profile5}
+VERSIONS = {
+    1: _profile(1, _one_of(_VERSION_1_LENSES)),
+    2: _profile(2, _Optics2, sensor=_Sensor),
+    3: _profile(3, _Optics2, sensor=_Sensor, field=_LensField),
+    4: _profile(4, _Optics4, sensor=_Sensor, field=_LensField),
+    5: _profile(5, _Optics4, sensor=_Sensor5, field=_LensField),
+}
 
 
 def json_schema(version: int = VERSION) -> dict[str, Any]:

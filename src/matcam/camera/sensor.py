@@ -26,12 +26,7 @@ if TYPE_CHECKING:
 
     from matcam.core.jax import jax
 
-_CHANNELS = "RGB"
 _DEEPEST = 32  # largest depth of a converter, bits
-_OFFSETS = 2
-"""Index of the pattern of offsets; the patterns of sensitivity and dark current are the first two."""
-_SEEDS = 1 << 63
-"""Number of seeds: JAX takes a seed as a signed integer of 64 bits."""
 
 if TYPE_CHECKING:
     Seed = int | jax.Array
@@ -186,7 +181,7 @@ class Sensor(Module):
         """
         if self.cfa is None:
             raise ArgumentError("this sensor has no mosaic, because its cfa is None: specify its cfa")
-        tile = np.array([_CHANNELS.index(c) for c in self.cfa]).reshape(2, 2)
+        tile = np.array(["RGB".index(c) for c in self.cfa]).reshape(2, 2)
         return np.tile(tile, ((height + 1) // 2, (width + 1) // 2))[:height, :width]
 
     def expected_electrons(self, radiance: ArrayLike, exposure: ArrayLike, time: ArrayLike = 0.0) -> jax.Array:
@@ -282,7 +277,8 @@ class Sensor(Module):
     def _offsets(self, shape: tuple[int, ...]) -> jax.Array:
         from matcam.core.jax import jax
 
-        return jax.random.normal(jax.random.fold_in(jax.random.key(self.pattern_seed), _OFFSETS), shape)
+        # index of the pattern of offsets; the patterns of sensitivity and dark current are the first two
+        return jax.random.normal(jax.random.fold_in(jax.random.key(self.pattern_seed), 2), shape)
 
 
 def _log_normal(key: jax.Array, shape: tuple[int, ...], std: jax.Array) -> jax.Array:
@@ -317,6 +313,7 @@ def random_key(seed: Seed) -> jax.Array:
 
     if isinstance(seed, jax.Array) and jax.numpy.issubdtype(seed.dtype, jax.dtypes.prng_key):
         return seed
-    if not isinstance(seed, int | np.integer) or isinstance(seed, bool) or not 0 <= seed < _SEEDS:
+    # number of seeds: JAX takes a seed as a signed integer of 64 bits
+    if not isinstance(seed, int | np.integer) or isinstance(seed, bool) or not 0 <= seed < (1 << 63):
         raise ArgumentError(f"seed must be a whole number in [0, 2^63) or a key of jax.random, got {seed!r:.60}")
     return jax.random.key(int(seed))

@@ -17,13 +17,12 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from matcam.core.arrays.dask import without_dask
+from matcam.core.errors import MatcamError
 from matcam.core.threads import use_one_blas_thread, use_one_heap
 
 BAD_INPUT = 2
 FAULT = 70
 INTERRUPTED = 130
-_INTERRUPTION = "interrupted; no incomplete file was left"
-_TOO_LATE = "interrupted after the files were written; they are complete"
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -76,7 +75,8 @@ def _warning_as_line(message: Any, *where: Any, **line: Any) -> str:
 def _interrupted() -> int:
     options: Any = sys.modules.get("matcam.cli.options")  # the commands may still be loading
     late = options is not None and options.files_are_written()
-    return _complain(_TOO_LATE if late else _INTERRUPTION, 128 + _ended_by[0] if _ended_by else INTERRUPTED)
+    message = "after the files were written; they are complete" if late else "no incomplete file was left"
+    return _complain(f"interrupted{' ' if late else '; '}{message}", 128 + _ended_by[0] if _ended_by else INTERRUPTED)
 
 
 def _unwritable() -> OSError | None:
@@ -89,7 +89,6 @@ def _unwritable() -> OSError | None:
 
 
 def _nowhere() -> TextIO:
-    """Return a stream that discards its output."""
     return Path(os.devnull).open("w", encoding="utf-8")
 
 
@@ -107,7 +106,6 @@ def _run(arguments: list[str] | None) -> int:
 
     from matcam.cli.app import app
     from matcam.cli.show import broken_output, in_options
-    from matcam.core.errors import MatcamError
 
     # typer contains its own copy of click, and does not export this exception
     usage_error: type[Any] = typer.BadParameter.__mro__[1]

@@ -15,14 +15,13 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from matcam.core.io import replacing, user_cache_folder
+from matcam.core.io import user_cache_folder, write_text
 from matcam.core.readers.names import printable
 
 _FIRST, _EACH = 0.8, 0.25  # delay before the line appears, and interval between its updates, s
 _LONG = 10.0
 """Elapsed time, s, from which the line shows the duration of the last run, which is of no interest for a short command."""
 _SIGNS = "|/-\\"
-_DURATIONS = "durations.json"
 _CLEAR = "\r\033[2K"
 
 
@@ -146,7 +145,6 @@ def hidden() -> contextlib.AbstractContextManager[Any]:
 
 
 def _durations() -> dict[str, float]:
-    """Read the last durations of commands, s."""
     try:
         known = json.loads(_path().read_text(encoding="utf-8"))
         return {str(name): float(took) for name, took in known.items()}
@@ -157,9 +155,8 @@ def _durations() -> dict[str, float]:
 def _remember(name: str, took: float) -> None:
     with contextlib.suppress(Exception):  # failure to write the file is not an error
         _path().parent.mkdir(parents=True, exist_ok=True)
-        with replacing(_path(), force=True) as temporary:
-            temporary.write_text(json.dumps(_durations() | {name: round(took, 1)}), encoding="utf-8")
+        write_text(_path(), json.dumps(_durations() | {name: round(took, 1)}), force=True)
 
 
 def _path() -> Path:
-    return user_cache_folder() / _DURATIONS
+    return user_cache_folder() / "durations.json"

@@ -8,10 +8,9 @@ from typing import Annotated
 import typer
 
 from matcam.cli import show
+from matcam.cli.options import option
 from matcam.core.errors import ArgumentError
 from matcam.core.readers.names import is_there
-
-_INTERRUPTED = 130
 
 
 def command(
@@ -23,26 +22,23 @@ def command(
     ] = None,
     host: Annotated[
         str,
-        typer.Option(
+        option(
             "--host",
-            metavar="ADDRESS",
-            help="Address to listen on. With another address than the default, other machines that know the token can "
+            "ADDRESS",
+            "Address to listen on. With another address than the default, other machines that know the token can "
             "connect, without encryption.",
         ),
     ] = "127.0.0.1",
-    port: Annotated[
-        int, typer.Option("--port", metavar="PORT", help="Port to listen on. Default: 0, any free port.")
-    ] = 0,
+    port: Annotated[int, option("--port", "PORT", "Port to listen on. Default: 0, any free port.")] = 0,
     browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page in the browser.")] = True,
 ) -> None:
     """Open a page on this machine to plan a rig, calibrate a camera and look at tables. Ctrl-C ends it.
 
     Example: `matcam app chromium.binary`
     """
-    try:
-        import bokeh  # noqa: F401
-    except ImportError:
-        raise ArgumentError("the app needs an extra: python -m pip install 'matcam[app]'") from None
+    from matcam.core import checks
+
+    checks.extra("the app", "app", "bokeh")
     for path in files or ():
         if not is_there(path):
             raise ArgumentError(f"{path} does not exist: give a file or a folder")
@@ -75,7 +71,7 @@ def _leave() -> None:
     show.remark("interrupted; no incomplete file was left")
     for stream in (sys.stdout, sys.stderr):
         stream.flush()
-    os._exit(_INTERRUPTED)
+    os._exit(130)
 
 
 def _open(address: str) -> None:

@@ -8,10 +8,21 @@ from typing import Annotated, Any
 import typer
 
 from matcam.cli import show
-from matcam.cli.options import AsJson, Budget, Force, Lens, Mosaic
+from matcam.cli.options import (
+    AsJson,
+    Budget,
+    Force,
+    HalfWidth,
+    Lens,
+    Mosaic,
+    Pitch,
+    Wavelength,
+    option,
+    use_caches,
+)
+from matcam.core.errors import ArgumentError, FileFormatError
+from matcam.core.io import check_outputs, check_picture, write_columns
 from matcam.core.readers.names import is_file, is_folder
-
-_SOME_FAILED = 1
 
 
 def command(
@@ -21,13 +32,9 @@ def command(
             help="Photographs of slanted edges to read, or folders of photographs: TIFF, PNG, JPEG, OpenEXR, camera raw."
         ),
     ],
-    output: Annotated[
-        Path, typer.Option("--output", "-o", metavar="FILE", help="Camera profile to write (JSON).")
-    ] = Path("camera.json"),
+    output: Annotated[Path, option("--output -o", "FILE", "Camera profile to write (JSON).")] = Path("camera.json"),
     model: Lens = "gaussian",
-    half_width: Annotated[
-        float, typer.Option("--half-width", metavar="PX", help="Half the width of a pixel's sensitive area, px.")
-    ] = 0.5,
+    half_width: HalfWidth = 0.5,
     fit_pixel: Annotated[
         bool,
         typer.Option(
@@ -35,78 +42,54 @@ def command(
             help="Also fit the half width; the command fails if the images do not determine it to 10 %.",
         ),
     ] = False,
-    wavelength: Annotated[
-        float | None,
-        typer.Option("--wavelength", metavar="NM", help="Wavelength of the light for diffraction and defocus, nm."),
-    ] = None,
-    pitch: Annotated[
-        float | None,
-        typer.Option(
-            "--pitch",
-            metavar="UM",
-            help="Pixel pitch, um: for diffraction and defocus, and to print frequencies in lp/mm.",
-        ),
-    ] = None,
+    wavelength: Wavelength = None,
+    pitch: Pitch = None,
     f_number: Annotated[
         list[float] | None,
-        typer.Option(
-            "--f-number",
-            metavar="F",
-            help="F-number: one for all images, or one for each image. Default: from the files.",
-        ),
+        option("--f-number", "F", "F-number: one for all images, or one for each image. Default: from the files."),
     ] = None,
     tone: Annotated[
         str,
-        typer.Option(
+        option(
             "--tone",
-            metavar="CURVE",
-            help="Tone curve: auto (8 bits are sRGB), linear, srgb, gamma:2.2, or a file with the linear value of each code.",
+            "CURVE",
+            "Tone curve: auto (8 bits are sRGB), linear, srgb, gamma:2.2, or a file with the linear value of each code.",
         ),
     ] = "auto",
     tone_patches: Annotated[
         Path | None,
-        typer.Option(
+        option(
             "--tone-patches",
-            metavar="FILE",
-            help="File with lines x y width height light: patches of the first image that determine its tone curve.",
+            "FILE",
+            "File with lines x y width height light: patches of the first image that determine its tone curve.",
         ),
     ] = None,
     channel: Annotated[
         list[str] | None,
-        typer.Option(
+        option(
             "--channel",
-            metavar="COLOUR",
-            help="Channel to measure: R, G, B, Y (luminance) or grey. Default: all channels of the images.",
+            "COLOUR",
+            "Channel to measure: R, G, B, Y (luminance) or grey. Default: all channels of the images.",
         ),
     ] = None,
     cfa: Mosaic = None,
     chart: Annotated[
         Path | None,
-        typer.Option(
-            "--chart",
-            metavar="FILE",
-            help="Description of the chart, as `matcam chart` writes it: measure all its targets.",
-        ),
+        option("--chart", "FILE", "Description of the chart, as `matcam chart` writes it: measure all its targets."),
     ] = None,
     accept_sharpened: Annotated[
         bool, typer.Option("--accept-sharpened", help="Also measure sharpened and processed images.")
     ] = False,
     sensor: Annotated[
         Path | None,
-        typer.Option(
-            "--sensor",
-            metavar="PROFILE",
-            help="Camera profile whose sensor is copied to the new profile (see `matcam sensor`).",
+        option(
+            "--sensor", "PROFILE", "Camera profile whose sensor is copied to the new profile (see `matcam sensor`)."
         ),
     ] = None,
     budget: Budget = None,
     figure: Annotated[
         Path | None,
-        typer.Option(
-            "--figure",
-            metavar="FILE",
-            help="Figure to write (.png, .pdf, .svg). Default: a .png file beside the profile.",
-        ),
+        option("--figure", "FILE", "Figure to write (.png, .pdf, .svg). Default: a .png file beside the profile."),
     ] = None,
     force: Force = False,
     json: AsJson = False,
@@ -115,7 +98,6 @@ def command(
 
     Example: `matcam calibrate chart-1.dng chart-2.dng -o camera.json`
     """
-    from matcam.core.io import check_output, check_picture
     from matcam.numerics.budget import check_budget
 
     files = _files(pictures)
@@ -123,14 +105,11 @@ def command(
         check_budget(budget, force=force, inputs=files)
     figure = figure or output.with_suffix(".png")
     table = output.with_name(f"{output.stem}-edges.csv")
-    check_output(output, force=force, inputs=files)
-    check_output(table, force=force, inputs=files)
+    check_outputs([output, table], force=force, inputs=files)
     check_picture(figure, force=force, inputs=files)
     electronics = _sensor(sensor)
     with show.working(f"measuring {len(files)} images"):
-        from matcam.core.jax import use_compilation_cache
-
-        use_compilation_cache()
+        use_caches()
         from matcam.calibration.camera.calibration import calibrate
 
         found = calibrate(
@@ -150,16 +129,15 @@ def command(
         if budget:
             written.append(_write_budget(found, budget, force))
     if json:
-        show.as_json({**found.to_dict(), "files": [str(path) for path in written]})
+        show.as_json({**found.to_dict(), "files": written})
     else:
         _print(found, written, pitch)
     for name, why in found.failed.items():
         show.remark(f"left out: {name}: {why}")
-    return _SOME_FAILED if found.failed else 0
+    return 1 if found.failed else 0
 
 
 def _write_budget(found: Any, path: Path, force: bool) -> Path:
-    """Write the uncertainty budget of each parameter of the camera of each channel."""
     from matcam.numerics.budget import parameter_budgets, write_budgets
 
     budgets = []
@@ -171,11 +149,9 @@ def _write_budget(found: Any, path: Path, force: bool) -> Path:
 
 
 def _sensor(path: Path | None) -> Any:
-    """Load the sensor of a camera profile."""
     if path is None:
         return None
     from matcam.camera.camera import Camera
-    from matcam.core.errors import ArgumentError
 
     sensor = Camera.load(path).sensor
     if sensor is None:
@@ -195,7 +171,6 @@ def _mtf50(camera: Any) -> float:
 
 def _files(given: list[Path]) -> list[Path]:
     """List the images. Those of a folder are sorted by name."""
-    from matcam.core.errors import FileFormatError
     from matcam.core.readers.names import check_within
     from matcam.files.photographs import PICTURES
 
@@ -216,7 +191,6 @@ def _files(given: list[Path]) -> list[Path]:
 
 
 def _tone(tone: str, patches: Path | None, files: list[Path]) -> Any:
-    from matcam.core.errors import ArgumentError
 
     if patches is not None:
         if tone != "auto":
@@ -243,7 +217,6 @@ def _tone(tone: str, patches: Path | None, files: list[Path]) -> Any:
 def _write(
     found: Any, sensor: Any, output: Path, figure: Path, table: Path, files: list[Path], force: bool
 ) -> list[Path]:
-    from matcam.core.io import check_output, write_columns
     from matcam.figures.calibration import calibration_figure
     from matcam.figures.style import save
     from matcam.files.photographs import open_photograph
@@ -251,8 +224,7 @@ def _write(
     profiles = {output: found.camera}
     if len(found.channels) > 1:
         profiles |= {output.with_name(f"{output.stem}-{name}.json"): camera for name, camera in found.cameras.items()}
-    for path in profiles:
-        check_output(path, force=force, inputs=files)
+    check_outputs(profiles, force=force, inputs=files)
     used = next(file for file in files if str(file) not in found.failed)
     picture = open_photograph(used).values
     for path, camera in profiles.items():
@@ -263,7 +235,6 @@ def _write(
 
 
 def _verdict(found: Any) -> list[str]:
-    """Format the result in a few lines."""
     lines = []
     for name, fit in found.channels.items():
         numbers = ", ".join(
@@ -286,6 +257,5 @@ def _print(found: Any, written: list[Path], pitch: float | None) -> None:
     for name, camera in found.cameras.items() if pitch else ():
         half = _mtf50(camera)
         show.say(f"{name}: MTF50 along the rows {half:.4f} cycles/px, {half * 1000 / (pitch or 1):.2f} lp/mm")
-    for remark in found.remarks:
-        show.say(f"note: {remark}")
-    show.say("written: " + ", ".join(map(str, written)))
+    show.notes(found.remarks)
+    show.written(written)

@@ -12,16 +12,15 @@ from matcam.cli import show
 from matcam.cli.common import with_common
 from matcam.cli.options import (
     AsJson,
-    CameraProfile,
     Command,
-    Distance,
     Force,
     Group,
-    LampDistance,
-    Radius,
-    SampleMm,
-    rig_of,
+    option,
+    use_caches,
 )
+from matcam.cli.rig_options import RigOptions, SphereRig
+from matcam.core.errors import ArgumentError
+from matcam.core.io import check_outputs
 
 app = typer.Typer(no_args_is_help=True, cls=Group)
 
@@ -35,18 +34,18 @@ def init(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of the capture; it is created.")],
     photographs: Annotated[
         Path | None,
-        typer.Option(
+        option(
             "--from",
-            metavar="FOLDER",
-            help="Folder of photographs: they are copied and listed in frames.csv, with exposure times from the metadata.",
+            "FOLDER",
+            "Folder of photographs: they are copied and listed in frames.csv, with exposure times from the metadata.",
         ),
     ] = None,
     lamps: Annotated[
         Path | None,
-        typer.Option(
+        option(
             "--lamps",
-            metavar="FILE",
-            help="Light position file (.lp) of the photographs of --from. Default: the .lp file in that folder, if any.",
+            "FILE",
+            "Light position file (.lp) of the photographs of --from. Default: the .lp file in that folder, if any.",
         ),
     ] = None,
     force: Force = False,
@@ -56,8 +55,6 @@ def init(
 
     Example: `matcam capture init chromium --from photographs`
     """
-    from matcam.core.errors import ArgumentError
-    from matcam.core.io import check_output
     from matcam.files.capture import LIST, SETTINGS
     from matcam.files.capture_listing import Listing, list_photographs
     from matcam.files.capture_writing import write_template
@@ -65,17 +62,15 @@ def init(
     if lamps is not None and photographs is None:
         raise ArgumentError("--lamps is for the photographs of --from: give both")
     listing = Listing() if photographs is None else list_photographs(photographs, lamps)
-    for name in (SETTINGS, LIST):
-        check_output(folder / name, force=force)
+    check_outputs([folder / SETTINGS, folder / LIST], force=force)
     listing.copy_to(folder, force=force)
     files = write_template(folder, listing.rows, force=force)
     if json:
-        show.as_json({"files": [str(path) for path in files], "frames": len(listing.rows), "notes": listing.notes})
+        show.as_json({"files": files, "frames": len(listing.rows), "notes": listing.notes})
         return
     for path in files:
         show.say(f"{'template' if not listing.rows or path.name == SETTINGS else 'list'}: {path}")
-    for note in listing.notes:
-        show.say(f"note: {note}")
+    show.notes(listing.notes)
 
 
 def check(
@@ -114,8 +109,7 @@ def check(
         column, row, radius = found.centre
         where = f"column {column:.1f}" + (f", row {row:.1f}" if math.isfinite(row) else "")
         show.say(f"outline from highlights and outline frames: {where}, radius {radius:.1f} px")
-    for remark in found.notes:
-        show.say(f"note: {remark}")
+    show.notes(found.notes)
     for remark in found.findings:
         show.say(f"found: {remark}")
     if not found.findings:
@@ -124,7 +118,6 @@ def check(
 
 
 def _print_radiometry(found: Any) -> None:
-    """Print exposures, clip level and noise."""
     show.table(
         ["exposure", "relative", "std"],
         [[name, f"{value.value:.5g}", f"{value.std / value.value:.2%}"] for name, value in found.exposures.items()],
@@ -139,38 +132,21 @@ def plan(
     roughness: Annotated[float, typer.Argument(help="Expected roughness (alpha, a slope) of the sample.")] = 0.01,
     accuracy: Annotated[
         float,
-        typer.Option(
-            "--accuracy",
-            metavar="SHARE",
-            help="Required relative standard deviation of F at the last angle (no unit).",
-        ),
+        option("--accuracy", "SHARE", "Required relative standard deviation of F at the last angle (no unit)."),
     ] = 0.01,
-    last: Annotated[
-        float, typer.Option("--last", metavar="DEGREES", help="Largest theta_d at which F is required, degrees.")
-    ] = 75.0,
+    last: Annotated[float, option("--last", "DEGREES", "Largest theta_d at which F is required, degrees.")] = 75.0,
     metal: Annotated[
         str | None,
-        typer.Option(
-            "--metal",
-            metavar="SYMBOL",
-            help="Metal whose F is expected. Default: a dielectric with n = 1.5, whose F is steep.",
-        ),
+        option("--metal", "SYMBOL", "Metal whose F is expected. Default: a dielectric with n = 1.5, whose F is steep."),
     ] = None,
-    camera: CameraProfile = None,
-    radius: Radius = None,
-    distance: Distance = None,
-    lamp_distance: LampDistance = None,
-    sample_mm: SampleMm = None,
+    rig: SphereRig = RigOptions(),
     json: AsJson = False,
 ) -> None:
     """Compute the lamp angles, exposures, image radius and tolerances for a required accuracy.
 
     Example: `matcam capture plan 0.02 --accuracy 0.01 --camera camera.json --radius 300`
     """
-    from matcam.core.jax import use_compilation_cache
-    from matcam.core.workspace import Workspace
-
-    use_compilation_cache()
+    workspace = use_caches()
     from matcam.inverse.capture_plan import plan_capture
     from matcam.material.optical_constants import metal as constants
 
@@ -178,9 +154,8 @@ def plan(
     if metal:
         values = constants(metal, 550e-9)
         n, k = float(values[0]), float(values[1])
-    rig = rig_of(camera, radius, 0.0, "sphere", distance, lamp_distance=lamp_distance, sample_mm=sample_mm)
     with show.working("planning"):
-        needs = plan_capture(rig, roughness, accuracy, math.radians(last), n=n, k=k, workspace=Workspace.user())
+        needs = plan_capture(rig.build(), roughness, accuracy, math.radians(last), n=n, k=k, workspace=workspace)
     if json:
         show.as_json(needs.to_dict())
         return

@@ -9,7 +9,8 @@ from typing import Annotated, Any, Literal
 import typer
 
 from matcam.cli import show
-from matcam.cli.options import AsJson, Force
+from matcam.cli.options import AsJson, Force, option
+from matcam.core.io import check_output, check_picture
 
 
 def command(
@@ -21,22 +22,17 @@ def command(
     ] = None,
     output: Annotated[
         Path,
-        typer.Option(
-            "--output",
-            "-o",
-            metavar="FILE",
-            help="Page to write (.pdf, .svg, .png); its description is written beside it.",
-        ),
+        option("--output -o", "FILE", "Page to write (.pdf, .svg, .png); its description is written beside it."),
     ] = Path("chart.pdf"),
     page: Annotated[Literal["a4", "a3", "letter"], typer.Option("--page", help="Paper format, landscape.")] = "a4",
     size: Annotated[
         tuple[float, float] | None,
-        typer.Option("--size", metavar="WIDTH HEIGHT", help="Size of a page of another format, mm."),
+        option("--size", "WIDTH HEIGHT", "Size of a page of another format, mm."),
     ] = None,
     pixels: Annotated[
-        float, typer.Option("--pixels", metavar="PX", help="Number of camera pixels across the width of the page.")
+        float, option("--pixels", "PX", "Number of camera pixels across the width of the page.")
     ] = 3000.0,
-    dpi: Annotated[float, typer.Option("--dpi", metavar="DPI", help="Resolution of a PNG, dots per inch.")] = 600.0,
+    dpi: Annotated[float, option("--dpi", "DPI", "Resolution of a PNG, dots per inch.")] = 600.0,
     force: Force = False,
     json: AsJson = False,
 ) -> None:
@@ -46,7 +42,6 @@ def command(
     """
     from matcam.calibration.chart.chart_file import description_path, is_description_of, write_chart
     from matcam.calibration.chart.chart_layout import design_chart
-    from matcam.core.io import check_output, check_picture
 
     description = description_path(output)
     check_picture(output, force=force)

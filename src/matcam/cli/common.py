@@ -12,11 +12,12 @@ from typing import Annotated, Any, get_type_hints
 import typer
 
 from matcam.cli import activity, show, suggestions
+from matcam.cli.options import option
 from matcam.cli.rig_file import read_rig_file
+from matcam.cli.rig_options import RigOptions
 
 
 def _defaults_of_rig(context: Any, path: Path | None) -> Path | None:
-    """Make the values of a rig file the defaults of the options of the command."""
     if path is not None and not context.resilient_parsing:
         known = {param.name for param in context.command.params}
         if "glare_radius" not in known:  # --glare of `correct` is an allowance, not the halo of the rig
@@ -29,18 +30,18 @@ def _defaults_of_rig(context: Any, path: Path | None) -> Path | None:
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print only errors and the output of --json.")]
 RigFile = Annotated[
     Path | None,
-    typer.Option(
+    option(
         "--rig",
-        metavar="FILE",
+        "FILE",
+        "Rig file to read (TOML): camera, sample, distances, lamp. Options override its values.",
         is_eager=True,
         callback=_defaults_of_rig,
-        help="Rig file to read (TOML): camera, sample, distances, lamp. Options override its values.",
     ),
 ]
 
 
 def with_common(name: str, command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add the common options to a command, as typer requires.
+    """Add the common options and those of a rig to a command, as typer requires.
 
     Args:
         name: words of the command, such as "data merl".
@@ -48,25 +49,34 @@ def with_common(name: str, command: Callable[..., Any]) -> Callable[..., Any]:
     """
     kinds = get_type_hints(command, include_extras=True)
     result_kind = kinds.pop("return", None)
-    old = inspect.signature(command).parameters
-    added: dict[str, Any] = {"quiet": (Quiet, False)}
-    if {"camera", "radius"} <= set(old):
-        added["rig_file"] = (RigFile, None)
+    names: list[str] = []
+    options: dict[str, tuple[Any, Any]] = {}
+    for parameter in inspect.signature(command).parameters.values():
+        if parameter.name == "rig":
+            names, of_rig = kinds["rig"].__metadata__[0].split(), get_type_hints(RigOptions, include_extras=True)
+            options |= {one: (of_rig[one], getattr(parameter.default, one)) for one in names}
+        else:
+            options[parameter.name] = (kinds[parameter.name], parameter.default)
+    options["quiet"] = (Quiet, False)
+    if names:
+        options["rig_file"] = (RigFile, None)
 
     @functools.wraps(command)
     def run(*, quiet: bool, rig_file: Path | None = None, **values: Any) -> Any:
+        rig = {"rig": RigOptions(**{one: values[one] for one in names})} if names else {}
+        given = {name: value for name, value in values.items() if name not in names}
         line = contextlib.nullcontext() if quiet else activity.shown(name)
         with line, show.speaking(quiet=quiet, schema=f"matcam-{name.replace(' ', '-')}-1"):
-            result = command(**values)
+            result = command(**given, **rig)
             if not result and not values.get("json") and (following := suggestions.after(name, values)):
                 show.say(f"next: {following}")
         return result
 
-    by_name = inspect.Parameter.KEYWORD_ONLY
-    parameters = [p.replace(kind=by_name, annotation=kinds[p.name]) for p in old.values()]
-    parameters += [
-        inspect.Parameter(one, by_name, annotation=kind, default=value) for one, (kind, value) in added.items()
-    ]
-    run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
-    run.__annotations__ = {**kinds, **{one: kind for one, (kind, _) in added.items()}, "return": result_kind}
+    run.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
+        [
+            inspect.Parameter(one, inspect.Parameter.KEYWORD_ONLY, annotation=kind, default=value)
+            for one, (kind, value) in options.items()
+        ]
+    )
+    run.__annotations__ = {one: kind for one, (kind, _) in options.items()} | {"return": result_kind}
     return run

@@ -8,7 +8,10 @@ from typing import Annotated, Any
 import typer
 
 from matcam.cli import show
-from matcam.cli.options import AsJson, CameraProfile, Force, LampRadius, Radius, Sampling, rig_of
+from matcam.cli.options import AsJson, Force, Sampling, option, use_caches
+from matcam.cli.rig_options import DistantRig, RigOptions
+from matcam.core.errors import OutputError
+from matcam.core.io import check_output, write_json
 from matcam.files.formats import MEASUREMENTS, suffixes_for, titles_for
 
 
@@ -24,31 +27,25 @@ def command(
     sampling: Sampling = "centre",
     square: Annotated[
         int,
-        typer.Option(
-            "--square",
-            metavar="N",
-            help="Resolution of a .bsdf to write: number of values along each side; 192 give 36 MB.",
-        ),
+        option("--square", "N", "Resolution of a .bsdf to write: number of values along each side; 192 give 36 MB."),
     ] = 192,
     error: Annotated[
         float | None,
-        typer.Option(
+        option(
             "--error",
-            metavar="SHARE",
-            help="Largest median difference, such as 0.01 (no unit): write the smallest .bsdf (0.2 to 70 MB) that meets it.",
+            "SHARE",
+            "Largest median difference, such as 0.01 (no unit): write the smallest .bsdf (0.2 to 70 MB) that meets it.",
         ),
     ] = None,
     metadata: Annotated[
         Path | None,
-        typer.Option(
+        option(
             "--metadata",
-            metavar="JSON",
-            help="JSON file to write with metadata of the measurement: the rig and the solid angle of its receiver.",
+            "JSON",
+            "JSON file to write with metadata of the measurement: the rig and the solid angle of its receiver.",
         ),
     ] = None,
-    camera: CameraProfile = None,
-    radius: Radius = None,
-    lamp: LampRadius = 0.0,
+    rig: DistantRig = RigOptions(),
     force: Force = False,
     json: AsJson = False,
 ) -> None:
@@ -57,21 +54,18 @@ def command(
     Example: `matcam convert chrome.binary chrome.bsdf`
     """
     from matcam.core import checks
-    from matcam.core.errors import OutputError
-    from matcam.core.io import check_output, write_json
 
     if ".zarr" in (*source.suffixes, *target.suffixes):
         checks.extra("Zarr", "scale", "zarr")
-    from matcam.core.jax import use_compilation_cache
     from matcam.exchange.conversion import convert
     from matcam.exchange.receiver import metadata as about
 
-    use_compilation_cache()
+    use_caches()
     if metadata:
-        check_output(metadata, force=force, inputs=[source, *([camera] if camera else [])])
+        check_output(metadata, force=force, inputs=[source, *rig.files])
         if metadata.absolute() == target.absolute():
             raise OutputError(f"output {metadata} is given twice: give two names")
-        document = about(rig_of(camera, radius, lamp), table=target.name)
+        document = about(rig.build(), table=target.name)
     with show.working("converting"):
         report = convert(source, target, sampling=sampling, square=square, error=error, force=force)
     if metadata:

@@ -12,28 +12,19 @@ from matcam.cli.fit import print_fit
 from matcam.cli.options import (
     AsJson,
     Budget,
-    CameraProfile,
     Device,
-    Distance,
     FamilyOrAuto,
     Force,
     ForceCorrection,
-    LampAzimuth,
-    LampDistance,
-    LampRadius,
     Masking,
-    PixelPhase,
-    Radius,
-    RealPixels,
-    SampleMm,
-    SampleShape,
-    Sampling,
     choose_device,
-    rig_of,
+    option,
+    use_caches,
 )
+from matcam.cli.rig_options import RigOptions, TableRig
+from matcam.core.errors import ArgumentError
+from matcam.core.io import check_outputs, where_written
 from matcam.core.readers.names import is_folder
-
-SOME_FAILED, NONE_DONE = 1, 2
 
 
 def command(
@@ -46,51 +37,31 @@ def command(
     ndf: FamilyOrAuto = "auto",
     glare: Annotated[
         float,
-        typer.Option(
+        option(
             "--glare",
-            metavar="SHARE",
-            help="Share of the light in a possible halo of the lens that the profile does not contain (no unit).",
+            "SHARE",
+            "Share of the light in a possible halo of the lens that the profile does not contain (no unit).",
         ),
     ] = 1e-3,
     masking: Masking = "smith",
-    camera: CameraProfile = None,
-    sample: SampleShape = "sphere",
-    radius: Radius = None,
-    distance: Distance = None,
-    lamp: LampRadius = 0.0,
-    lamp_distance: LampDistance = None,
-    sample_mm: SampleMm = None,
-    azimuth: LampAzimuth = None,
-    sampling: Sampling = "centre",
-    cell: RealPixels = None,
-    phase: PixelPhase = None,
+    rig: TableRig = RigOptions(),
     output: Annotated[
         Path | None,
-        typer.Option(
-            "--output",
-            "-o",
-            metavar="FILE",
-            help="MERL file to write, with .nc, .json and .html beside it; or the folder of a run. Default: "
+        option(
+            "--output -o",
+            "FILE",
+            "MERL file to write, with .nc, .json and .html beside it; or the folder of a run. Default: "
             "FILE-corrected.binary.",
         ),
     ] = None,
     workers: Annotated[
         int | None,
-        typer.Option(
-            "--workers",
-            metavar="N",
-            help="Number of processes of a run, one core each. Default: one for each core.",
-            min=1,
-        ),
+        option("--workers", "N", "Number of processes of a run, one core each. Default: one for each core.", min=1),
     ] = None,
     device: Device = None,
     cluster: Annotated[
         str | None,
-        typer.Option(
-            "--cluster",
-            metavar="WHERE",
-            help="Run on Dask: local:N, or a scheduler's address (tcp://host:8786).",
-        ),
+        option("--cluster", "WHERE", "Run on Dask: local:N, or a scheduler's address (tcp://host:8786)."),
     ] = None,
     pages: Annotated[bool, typer.Option("--pages/--no-pages", help="Write a page for each material.")] = True,
     compress: Annotated[
@@ -108,18 +79,18 @@ def command(
     ] = False,
     time_limit: Annotated[
         float,
-        typer.Option(
+        option(
             "--time-limit",
-            metavar="SECONDS",
-            help="Time limit for one material of a run, s. A material that exceeds it is reported as failed.",
+            "SECONDS",
+            "Time limit for one material of a run, s. A material that exceeds it is reported as failed.",
         ),
     ] = 3600.0,
     layers: Annotated[
         Path | None,
-        typer.Option(
+        option(
             "--layers",
-            metavar="FILE",
-            help="OpenEXR file to write with layers recorded, corrected, std, supported: the slice at phi_d 90°, "
+            "FILE",
+            "OpenEXR file to write with layers recorded, corrected, std, supported: the slice at phi_d 90°, "
             "half angle to the right, difference angle down.",
         ),
     ] = None,
@@ -137,7 +108,6 @@ def command(
     Example: `matcam correct chrome.binary -o chrome-corrected.binary`, `matcam correct brdfs/ -o corrected/`
     """
     from matcam.core import checks
-    from matcam.core.errors import ArgumentError
 
     one_file = len(paths) == 1 and not is_folder(paths[0])
     alone = one_file and (output is None or (bool(output.suffix) and not is_folder(output)))
@@ -156,48 +126,41 @@ def command(
     for wanted, what, module in ((zarr, "a run's Zarr store", "zarr"), (cluster, "a cluster", "distributed")):
         if wanted:
             checks.extra(what, "scale", module)
-    from matcam.core.jax import use_compilation_cache
-    from matcam.core.workspace import Workspace
-
     if device == "gpu" and not alone:
         raise ArgumentError(
             "--device gpu is for one table: omit it for several, because a process on each core is as fast"
         )
     choose_device(device)
-    use_compilation_cache()
-    workspace = Workspace.user()
-    near: dict[str, Any] = {
-        "sample": sample,
-        "distance": distance,
-        "lamp_distance": lamp_distance,
-        "sample_mm": sample_mm,
-    }
-    near["azimuth"] = azimuth
-    rig = rig_of(camera, radius, lamp, **near, cell_value=cell or "unknown", pixel_phase=phase)
+    workspace = use_caches()
+    recorded = rig.of_table()
     how: dict[str, Any] = {
         "ndf": ndf,
-        "masking": None if masking == "none" else masking,
+        "masking": masking,
         "glare": glare,
         "force_correction": force_correction,
     }
     if alone:
         from matcam.batch.job import Job, write_corrected
         from matcam.batch.recipe import Options, Recipe
-        from matcam.core.io import check_output
         from matcam.numerics.budget import check_budget
 
         target = output or Path(f"{paths[0].stem}-corrected.binary")
-        job = Job(paths[0], target, Recipe(rig, Options(**how), sampling, pages, compress), force=force, budget=budget)
+        job = Job(
+            paths[0],
+            target,
+            Recipe(recorded, Options(**how), rig.sampling, pages, compress),
+            force=force,
+            budget=budget,
+        )
         if budget:
             check_budget(budget, force=force, inputs=[paths[0]])
-        for path in [*job.files, *([layers] if layers else [])]:
-            check_output(path, force=force, inputs=[paths[0], *([camera] if camera else [])])
+        check_outputs([*job.files, layers], force=force, inputs=[paths[0], *rig.files])
         with show.working(f"{paths[0]}: correcting"):
             document = write_corrected(job, workspace)
             if layers:
-                _write_layers(paths[0], target, layers, sampling, force)
+                _write_layers(paths[0], target, layers, rig.sampling, force)
         files = [*job.files, *([layers] if layers else [])]
-        _print_table({**document, "files": [str(path) for path in files]}, paths[0].name, json)
+        _print_table({**document, "files": files}, paths[0].name, json)
         return 0
     from matcam.batch.run import correct_all
 
@@ -209,21 +172,20 @@ def command(
                 show.remark(progress.last.reason)
 
         run = correct_all(
-            paths, rig, output or "", sampling=sampling, workers=workers, cluster=cluster, pages=pages,
+            paths, recorded, output or "", sampling=rig.sampling, workers=workers, cluster=cluster, pages=pages,
             compress=compress, zarr=zarr, fit_camera=fit_camera, time_limit=time_limit, force=force,
             watch=show_progress, workspace=workspace, **how,
         )  # fmt: skip
     _print_run(run, json)
     if not run.failures:
         return 0
-    return SOME_FAILED if run.corrected or run.kept else NONE_DONE
+    return 1 if run.corrected or run.kept else 2
 
 
 def _write_layers(recorded: Path, target: Path, path: Path, sampling: Any, force: bool) -> None:
     """Write the slice across the plane of light and view, recorded and corrected, as layers of one image."""
     import numpy as np
 
-    from matcam.core.io import where_written
     from matcam.exchange.contents import read_table
     from matcam.files.datasets import read_netcdf
     from matcam.files.float_pictures import write_exr_layers
@@ -239,7 +201,6 @@ def _write_layers(recorded: Path, target: Path, path: Path, sampling: Any, force
 
 
 def _print_table(document: dict[str, Any], name: str, json: bool) -> None:
-    """Print the result of one table."""
     if json:
         show.as_json(document)
         return
@@ -251,11 +212,10 @@ def _print_table(document: dict[str, Any], name: str, json: bool) -> None:
     for remark in document["remarks"]:
         if remark not in document["fit"]["remarks"]:  # printed with the fit
             show.say(f"note: {remark['text']}")
-    show.say("written: " + ", ".join(document["files"]))
+    show.written(document["files"])
 
 
 def _print_run(run: Any, json: bool) -> None:
-    """Print the result of a run."""
     if json:
         show.as_json(run.to_dict())
         return

@@ -9,7 +9,9 @@ import typer
 
 from matcam.cli import show
 from matcam.cli.common import with_common
-from matcam.cli.options import AsJson, Command, Force, Group
+from matcam.cli.options import AsJson, Command, Force, Group, option
+from matcam.core.errors import ArgumentError, DownloadError, OutputError, unknown_name
+from matcam.core.io import check_output_folder, one_by_one
 
 app = typer.Typer(no_args_is_help=True, cls=Group)
 
@@ -24,15 +26,15 @@ def merl(
         list[str] | None, typer.Argument(metavar="NAME...", help="Materials to fetch, such as chrome.")
     ] = None,
     output: Annotated[
-        Path, typer.Option("--output", "-o", metavar="FOLDER", help="Folder to write to. Default: the current folder.")
+        Path, option("--output -o", "FOLDER", "Folder to write to. Default: the current folder.")
     ] = Path(),
     source: Annotated[
         str | None,
-        typer.Option(
+        option(
             "--source",
-            metavar="SOURCE",
+            "SOURCE",
+            "Address of an archive (.zip) or folder on another server. Default: the official archive.",
             envvar="MATCAM_MERL_SOURCE",
-            help="Address of an archive (.zip) or folder on another server. Default: the official archive.",
         ),
     ] = None,
     listing: Annotated[bool, typer.Option("--list", help="List the 100 materials.")] = False,
@@ -43,8 +45,6 @@ def merl(
 
     Example: `matcam data merl chrome nickel -o merl`
     """
-    from matcam.core.errors import ArgumentError, DownloadError, OutputError, unknown_name
-    from matcam.core.io import check_output_folder, one_by_one
     from matcam.files.downloads import fetch_merl, merl_checksums
 
     known = merl_checksums()

@@ -8,16 +8,13 @@ import tempfile
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from matcam.cli import figures, fresnel, predict, show
-from matcam.cli.options import AsJson, Force
+from matcam.cli.options import AsJson, Force, option, use_caches
+from matcam.core.io import check_outputs, where_written
 
 
 def command(
-    output: Annotated[Path, typer.Option("--output", "-o", metavar="FOLDER", help="Folder to write to.")] = Path(
-        "demo"
-    ),
+    output: Annotated[Path, option("--output -o", "FOLDER", "Folder to write to.")] = Path("demo"),
     force: Force = False,
     json: AsJson = False,
 ) -> None:
@@ -25,25 +22,20 @@ def command(
 
     Example: `matcam demo -o demo`
     """
-    from matcam.core.io import check_output
-    from matcam.core.jax import use_compilation_cache
-
     table, loss, term = (
         output / name for name in ("simulated-chromium.binary", "predicted-loss.png", "chromium-fresnel.png")
     )
     files = [table, loss, loss.with_suffix(".csv"), term, term.with_suffix(".csv"), term.with_suffix(".nc")]
     files += figures.outputs(output, ["figure-3", "figure-4", "figure-5", "figure-6-simulated-chromium"], "svg")
-    for path in files:
-        check_output(path, force=force)
-    use_compilation_cache()
+    check_outputs(files, force=force)
+    use_caches()
     with contextlib.redirect_stdout(sys.stderr) if json else contextlib.nullcontext():
         _show_all(output, table, loss, term, force)
     if json:
-        show.as_json({"open_first": str(term), "files": [str(path) for path in files]})
+        show.as_json({"open_first": str(term), "files": files})
 
 
 def _show_all(output: Path, table: Path, loss: Path, term: Path, force: bool) -> None:
-    from matcam.core.io import where_written
     from matcam.files.datasets import read_netcdf
     from matcam.files.merl import write_merl
     from matcam.forward.measurement import CHROMIUM_WIDTH, simulated_chromium

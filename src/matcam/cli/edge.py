@@ -8,13 +8,13 @@ from typing import Annotated, Any, Literal
 import typer
 
 from matcam.cli import show
-from matcam.cli.edge_series import SeriesFiles, focus_positions, run_series
-from matcam.cli.options import AsJson, Budget, EdgeLens, Force, Mosaic
+from matcam.cli.edge_series import focus_positions, run_series
+from matcam.cli.options import AsJson, Budget, EdgeLens, Force, HalfWidth, Mosaic, Pitch, Wavelength, option
+from matcam.core.errors import ArgumentError
+from matcam.core.io import check_output, check_outputs, check_picture, write_columns, write_text
 
 _DOUBTS = {"asymmetric", "compressed", "crushed", "demosaiced", "denoised", "filtered", "sharpened", "tone-curve"}
 """Codes of the remarks on images whose MTF is not that of the lens, in either estimate."""
-_HIGHEST = 1.25
-"""Largest frequency at which an MTF is tabulated, cycles/px."""
 
 
 def command(
@@ -26,18 +26,14 @@ def command(
     ],
     roi: Annotated[
         tuple[int, int, int, int] | None,
-        typer.Option(
-            "--roi",
-            metavar="X Y WIDTH HEIGHT",
-            help="Region with one edge, px; or X,Y,WIDTH,HEIGHT. Default: the whole image.",
-        ),
+        option("--roi", "X Y WIDTH HEIGHT", "Region with one edge, px; or X,Y,WIDTH,HEIGHT. Default: the whole image."),
     ] = None,
     rois: Annotated[
         Path | None,
-        typer.Option(
+        option(
             "--rois",
-            metavar="FILE",
-            help="CSV file to read, with columns x, y, width, height and optionally name: regions with one edge each.",
+            "FILE",
+            "CSV file to read, with columns x, y, width, height and optionally name: regions with one edge each.",
         ),
     ] = None,
     method: Annotated[
@@ -50,26 +46,12 @@ def command(
     ] = "likelihood",
     at: Annotated[
         list[float] | None,
-        typer.Option(
-            "--at", metavar="CY_PER_PX", help="Frequency at which to print the MTF, cycles/px; may be repeated."
-        ),
+        option("--at", "CY_PER_PX", "Frequency at which to print the MTF, cycles/px; may be repeated."),
     ] = None,
     model: EdgeLens = "gaussian",
-    wavelength: Annotated[
-        float | None,
-        typer.Option("--wavelength", metavar="NM", help="Wavelength of the light for diffraction and defocus, nm."),
-    ] = None,
-    pitch: Annotated[
-        float | None,
-        typer.Option(
-            "--pitch",
-            metavar="UM",
-            help="Pixel pitch, um: for diffraction and defocus, and to print frequencies in lp/mm.",
-        ),
-    ] = None,
-    half_width: Annotated[
-        float, typer.Option("--half-width", metavar="PX", help="Half the width of a pixel's sensitive area, px.")
-    ] = 0.5,
+    wavelength: Wavelength = None,
+    pitch: Pitch = None,
+    half_width: HalfWidth = 0.5,
     cfa: Mosaic = None,
     channel: Annotated[
         Literal["R", "G", "B", "Y", "all"] | None,
@@ -87,36 +69,25 @@ def command(
     ] = False,
     sfr: Annotated[
         Path | None,
-        typer.Option(
-            "--sfr",
-            metavar="FILE",
-            help="CSV file of the MTF to write, in the form of sfrmat and Imatest: frequency, SFR.",
-        ),
+        option("--sfr", "FILE", "CSV file of the MTF to write, in the form of sfrmat and Imatest: frequency, SFR."),
     ] = None,
     table: Annotated[
         Path | None,
-        typer.Option(
-            "--table", metavar="FILE", help="CSV file to write: a row for each photograph, region and channel."
-        ),
+        option("--table", "FILE", "CSV file to write: a row for each photograph, region and channel."),
     ] = None,
     focus: Annotated[
         str | None,
-        typer.Option(
+        option(
             "--focus",
-            metavar="POSITIONS",
-            help="Focus position of each photograph, separated by commas, in any unit: find the best focus, at which MTF50 is "
+            "POSITIONS",
+            "Focus position of each photograph, separated by commas, in any unit: find the best focus, at which MTF50 is "
             "largest. -o then draws MTF50 over the position.",
         ),
     ] = None,
     budget: Budget = None,
     output: Annotated[
         Path | None,
-        typer.Option(
-            "--output",
-            "-o",
-            metavar="FILE",
-            help="Figure to write (.png, .pdf, .svg); a .csv is written beside it.",
-        ),
+        option("--output -o", "FILE", "Figure to write (.png, .pdf, .svg); a .csv is written beside it."),
     ] = None,
     force: Force = False,
     json: AsJson = False,
@@ -126,16 +97,14 @@ def command(
     Example: `matcam edge chart.tif --roi 120 80 80 160`
     """
     from matcam.core import checks
-    from matcam.core.errors import ArgumentError
-    from matcam.core.io import check_output, check_picture
     from matcam.numerics.budget import check_budget
 
     several = len(pictures) > 1 or rois is not None or channel == "all" or table is not None
     positions = None if focus is None else focus_positions(focus, len(pictures), method)
-    for option, given in (("-o", output), ("--sfr", sfr), ("--budget", budget)):
-        if given and not (positions and option == "-o") and (several or (method == "iso12233" and option != "--sfr")):
+    for name, given in (("-o", output), ("--sfr", sfr), ("--budget", budget)):
+        if given and not (positions and name == "-o") and (several or (method == "iso12233" and name != "--sfr")):
             one = "one region of one image" if several else "--method likelihood"
-            raise ArgumentError(f"{option} needs {one}: omit this option")
+            raise ArgumentError(f"{name} needs {one}: omit this option")
     if roi is not None and rois is not None:
         raise ArgumentError("--roi and --rois both give regions: give one of them")
     if output:
@@ -143,12 +112,11 @@ def command(
         check_output(output.with_suffix(".csv"), force=force, inputs=pictures)
     if pitch is not None:
         checks.positive("--pitch", pitch, "um")
-    for path in (sfr, table):
-        if path:
-            check_output(path, force=force, inputs=pictures)
+    check_outputs([sfr, table], force=force, inputs=pictures)
     if budget:
         check_budget(budget, force=force, inputs=pictures)
-    frequencies = tuple(float(checks.within("--at", f, 0, _HIGHEST, "cycles/px")) for f in at or ())
+    # largest frequency at which an MTF is tabulated, cycles/px
+    frequencies = tuple(float(checks.within("--at", f, 0, 1.25, "cycles/px")) for f in at or ())
 
     def measure(photograph: Any, region: Any, colour: Any) -> Any:
         if method == "iso12233":
@@ -177,10 +145,10 @@ def command(
         return dict(document)
 
     if several:
-        written = SeriesFiles(table, output, force)
         return run_series(
-            pictures, rois, roi, channel, cfa, positions, written, json, lambda *given: document_of(measure(*given))
-        )
+            pictures, rois, roi, channel, cfa, positions, table, output, force, json,
+            lambda *given: document_of(measure(*given)),
+        )  # fmt: skip
     picture = pictures[0]
     with show.working(f"{picture}: measuring the edge"):
         from matcam.files.photographs import open_photograph
@@ -189,7 +157,7 @@ def command(
         result = measure(photograph, roi, channel)
     files = [*([output, output.with_suffix(".csv")] if output else []), *(path for path in (sfr, budget) if path)]
     if json:
-        show.as_json(document_of(result) | {"files": [str(path) for path in files]})
+        show.as_json(document_of(result) | {"files": files})
     elif method == "iso12233":
         _print_readings(_readings(result, frequencies), pitch, "e-SFR, ISO 12233:2023")
     else:
@@ -218,8 +186,6 @@ def _readings(result: Any, frequencies: tuple[float, ...]) -> dict[str, Any]:
 
 
 def _print_readings(found: dict[str, Any], pitch: float | None, name: str) -> None:
-    """Print the values of an edge."""
-
     def shown(key: str, std: str) -> str:
         return f"{found[key]:.4f}" + (f" ± {found[std]:.4f}" if std in found else "")
 
@@ -242,8 +208,6 @@ def _lp_per_mm(frequency: Any, pitch: float) -> Any:
 
 def _write_sfr(result: Any, path: Path, pitch: float | None, force: bool) -> None:
     """Write the columns of the MTF up to twice the Nyquist frequency, which other programs plot."""
-    from matcam.core.io import replacing
-
     head = ["frequency_cy_per_px", *(["frequency_lp_per_mm"] if pitch else []), "SFR"]
     lines = [",".join(head)]
     mtf = result.sfr if hasattr(result, "sfr") else result.mtf
@@ -251,8 +215,7 @@ def _write_sfr(result: Any, path: Path, pitch: float | None, force: bool) -> Non
         if frequency <= 1:
             cells = [frequency, *([_lp_per_mm(frequency, pitch)] if pitch else []), value]
             lines.append(",".join(f"{float(cell):.8g}" for cell in cells))
-    with replacing(path, force=force) as temporary:
-        Path(temporary).write_text("\n".join(lines) + "\n", encoding="utf-8")
+    write_text(path, "\n".join(lines) + "\n", force=force)
 
 
 def _write_budget(result: Any, path: Path, force: bool) -> None:
@@ -269,7 +232,6 @@ def _write_budget(result: Any, path: Path, force: bool) -> None:
 
 
 def _write(result: Any, image: Any, roi: Any, name: str, output: Path, force: bool) -> None:
-    from matcam.core.io import write_columns
     from matcam.figures.calibration import edge_figure
     from matcam.figures.style import save
 

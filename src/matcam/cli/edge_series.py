@@ -4,35 +4,15 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from matcam.cli import show
-
-
-class SeriesFiles(NamedTuple):
-    """Files that a series writes.
-
-    Attributes:
-        table: CSV file with a row for each edge; None: none.
-        figure: figure of MTF50 over the focus position; None: none.
-        force: whether to replace files.
-    """
-
-    table: Path | None
-    figure: Path | None
-    force: bool
-
-    @property
-    def columns(self) -> Path:
-        """Return the file with the values of the figure."""
-        assert self.figure is not None
-        return self.figure.with_suffix(".csv")
+from matcam.core.errors import ArgumentError, FitError
+from matcam.core.io import plain, write_columns
 
 
 def focus_positions(text: str, count: int, method: str) -> list[float]:
     """Read the focus positions of `count` photographs."""
-    from matcam.core.errors import ArgumentError
-
     if method == "iso12233":
         raise ArgumentError(
             "--focus needs --method likelihood, because an e-SFR has no standard deviations: omit this option"
@@ -48,26 +28,24 @@ def focus_positions(text: str, count: int, method: str) -> list[float]:
     return positions
 
 
-def _draw_focus(rows: Any, of_file: dict[str, float], foci: Any, files: SeriesFiles) -> None:
+def _draw_focus(rows: Any, of_file: dict[str, float], foci: Any, figure: Path, force: bool) -> None:
     """Draw MTF50 over the focus position, and write the values beside the figure."""
     import numpy as np
 
-    from matcam.core.io import write_columns
     from matcam.figures.style import save
-    from matcam.figures.through_focus import FocusSeries, through_focus_figure
+    from matcam.figures.through_focus import through_focus_figure
 
-    assert files.figure is not None
     series = {}
     columns: dict[str, Any] = {"region": [], "channel": [], "focus_position": [], "mtf50": [], "mtf50_std": []}
     for (region, colour), of in foci.items():
         mine = [row for row in rows if (row.region, row.channel) == (region, colour) and row.found]
         values = [(of_file[row.file], row.found["mtf50_cycles_per_px"], row.found["mtf50_std"]) for row in mine]
         position, mtf50, std = np.array(values).T
-        series[f"{region} {colour}"] = FocusSeries(position, mtf50, std, of if hasattr(of, "mtf50_at") else None)
+        series[f"{region} {colour}"] = position, mtf50, std, of if hasattr(of, "mtf50_at") else None
         for name, cells in zip(columns, zip(*((region, colour, *one) for one in values), strict=True), strict=True):
             columns[name] += cells
-    save(through_focus_figure(series), files.figure, force=files.force)
-    write_columns(files.columns, columns, force=files.force)
+    save(through_focus_figure(series), figure, force=force)
+    write_columns(figure.with_suffix(".csv"), columns, force=force)
 
 
 def run_series(
@@ -77,13 +55,16 @@ def run_series(
     channel: str | None,
     cfa: str | None,
     positions: list[float] | None,
-    files: SeriesFiles,
+    table: Path | None,
+    figure: Path | None,
+    force: bool,
     json: bool,
     measure: Any,
 ) -> int:
     """Measure many edges, and show or write a row for each. Return the exit code: 1 if some could not be measured.
 
-    positions: focus position of each photograph; None: the photographs are not a through-focus series.
+    positions: focus position of each photograph; None: the photographs are not a through-focus series. table: CSV file
+    with a row for each edge; None: none. figure: figure of MTF50 over the focus position; None: none.
     """
     from functools import partial
 
@@ -93,8 +74,6 @@ def run_series(
         read_regions,
         series_columns,
     )
-    from matcam.core.errors import FitError
-    from matcam.core.io import plain, write_columns
     from matcam.files.photographs import open_photograph
 
     regions = read_regions(rois) if rois else {"whole" if roi is None else ",".join(map(str, roi)): roi}
@@ -112,11 +91,11 @@ def run_series(
     if positions:
         columns = {"file": columns.pop("file"), "focus_position": [of_file[row.file] for row in rows], **columns}
     foci = focus_of_series(rows, of_file) if positions else {}
-    if files.table:
-        write_columns(files.table, columns, force=files.force)
-    if files.figure:
-        _draw_focus(rows, of_file, foci, files)
-    written = [str(path) for path in (files.table, files.figure, files.figure and files.columns) if path]
+    if table:
+        write_columns(table, columns, force=force)
+    if figure:
+        _draw_focus(rows, of_file, foci, figure, force)
+    written = [path for path in (table, figure, figure and figure.with_suffix(".csv")) if path]
     if json:
         edges = [
             {"file": r.file, "region": r.region, "channel": r.channel, **r.found, "problem": r.problem} for r in rows
@@ -135,7 +114,7 @@ def run_series(
         if focused:
             head = ["region", "channel", "best focus", "±", "MTF50 there, cycles/px", "±"]
             show.table(head, [[*key, *(f"{value:.4f}" for value in of[:4])] for key, of in focused.items()])
-        for name, path in (("table", files.table), ("figure", files.figure)):
+        for name, path in (("table", table), ("figure", figure)):
             if path:
                 show.say(f"{name}: {path}")
     for (region, colour), of in foci.items():

@@ -9,18 +9,16 @@ from typing import Annotated, Any, Literal
 import typer
 
 from matcam.cli import show
-from matcam.cli.options import AsJson, Force
-
-_SIMULATED = Path("simulated-chromium")
+from matcam.cli.options import AsJson, Force, option, use_caches
+from matcam.core.errors import ArgumentError
+from matcam.core.io import check_outputs, write_columns
 
 
 def command(
     measured: Annotated[
         list[Path] | None, typer.Argument(help="MERL files to read for Figure 6. Default: a simulated chromium sphere.")
     ] = None,
-    output: Annotated[Path, typer.Option("--output", "-o", metavar="FOLDER", help="Folder to write to.")] = Path(
-        "figures"
-    ),
+    output: Annotated[Path, option("--output -o", "FOLDER", "Folder to write to.")] = Path("figures"),
     vector: Annotated[Literal["pdf", "svg"], typer.Option("--vector", help="Vector format beside PNG.")] = "pdf",
     force: Force = False,
     json: AsJson = False,
@@ -29,22 +27,21 @@ def command(
 
     Example: `matcam figures chrome.binary -o figures`
     """
-    from matcam.core.errors import ArgumentError
-    from matcam.core.io import check_output
-
     sources = measured or []
-    stems = ["figure-3", "figure-4", "figure-5", *(f"figure-6-{path.stem}" for path in sources or [_SIMULATED])]
+    stems = [
+        "figure-3",
+        "figure-4",
+        "figure-5",
+        *(f"figure-6-{path.stem}" for path in sources or [Path("simulated-chromium")]),
+    ]
     if len(set(stems)) < len(stems):
         raise ArgumentError("two files have the same name, and so would their figures: draw them into two folders")
-    for path in outputs(output, stems, vector):
-        check_output(path, force=force, inputs=sources)
-    from matcam.core.jax import use_compilation_cache
-
-    use_compilation_cache()
+    check_outputs(outputs(output, stems, vector), force=force, inputs=sources)
+    use_caches()
     of_stem = [*[None] * 3, *sources] if sources else [None] * 4
     draw_all(dict(zip(stems, of_stem, strict=True)), output, vector, force=force, quiet=json)
     if json:
-        show.as_json({"files": [str(path) for path in outputs(output, stems, vector)]})
+        show.as_json({"files": outputs(output, stems, vector)})
 
 
 def draw_all(sources: Mapping[str, Any], output: Path, vector: str, *, force: bool, quiet: bool) -> None:
@@ -92,7 +89,6 @@ def _draw(stem: str, source: Any) -> tuple[Any, Any]:
 
 
 def _write(data: Any, figure: Any, stem: Path, vector: str, force: bool) -> None:
-    from matcam.core.io import write_columns
     from matcam.figures.style import save
 
     write_columns(stem.with_name(f"{stem.name}.csv"), data, force=force)

@@ -12,23 +12,16 @@ from matcam.cli import show
 from matcam.cli.options import (
     AsJson,
     Budget,
-    CameraProfile,
-    Distance,
     Family,
     Force,
     FresnelModel,
-    LampAzimuth,
-    LampDistance,
-    LampRadius,
     Masking,
-    PixelPhase,
-    Radius,
-    RealPixels,
-    SampleMm,
-    SampleShape,
-    Sampling,
-    rig_of,
+    option,
+    use_caches,
 )
+from matcam.cli.rig_options import RigOptions, TableRig
+from matcam.core.errors import ArgumentError
+from matcam.core.io import check_outputs, plain, write_json
 
 
 def command(
@@ -49,32 +42,20 @@ def command(
     blind: Annotated[bool, typer.Option("--no-camera", help="Fit as if the camera were perfect.")] = False,
     spline: Annotated[
         float,
-        typer.Option(
+        option(
             "--spline",
-            metavar="STRENGTH",
-            help="Prior standard deviation of the departure from the family, 0 to 10 (no unit); 1: non-parametric.",
+            "STRENGTH",
+            "Prior standard deviation of the departure from the family, 0 to 10 (no unit); 1: non-parametric.",
         ),
     ] = 0.0,
     rival: Annotated[
         bool,
         typer.Option("--rival", help="Compare the camera with free shadowing: which of both fits the data better."),
     ] = False,
-    slice_step: Annotated[int, typer.Option("--slice-step", metavar="N", help="Use every n-th slice of theta_d.")] = 1,
+    slice_step: Annotated[int, option("--slice-step", "N", "Use every n-th slice of theta_d.")] = 1,
     masking: Masking = "smith",
-    camera: CameraProfile = None,
-    sample: SampleShape = "sphere",
-    radius: Radius = None,
-    distance: Distance = None,
-    lamp: LampRadius = 0.0,
-    lamp_distance: LampDistance = None,
-    sample_mm: SampleMm = None,
-    azimuth: LampAzimuth = None,
-    sampling: Sampling = "centre",
-    cell: RealPixels = None,
-    phase: PixelPhase = None,
-    output: Annotated[
-        Path | None, typer.Option("--output", "-o", metavar="FILE", help="JSON file of the result to write.")
-    ] = None,
+    rig: TableRig = RigOptions(),
+    output: Annotated[Path | None, option("--output -o", "FILE", "JSON file of the result to write.")] = None,
     budget: Budget = None,
     force: Force = False,
     json: AsJson = False,
@@ -83,8 +64,6 @@ def command(
 
     Example: `matcam fit chrome.binary --ndf epd --fresnel free`
     """
-    from matcam.core.errors import ArgumentError
-    from matcam.core.io import check_output
     from matcam.numerics.budget import check_budget, write_budgets
 
     if blind and lens != "auto":
@@ -93,46 +72,38 @@ def command(
         raise ArgumentError(
             "--rival compares the camera of one table with free shadowing: give one file, and omit --no-camera"
         )
-    inputs = [*files, *([camera] if camera else [])]
-    if output:
-        check_output(output, force=force, inputs=inputs)
+    inputs = [*files, *rig.files]
+    check_outputs([output], force=force, inputs=inputs)
     if budget:
         check_budget(budget, force=force, inputs=inputs)
-    from matcam.core.jax import use_compilation_cache
-    from matcam.core.workspace import Workspace
-
-    use_compilation_cache()
+    workspace = use_caches()
     from matcam.exchange.contents import read_table
     from matcam.inverse.fit.fit_setup import fit
 
-    near: dict[str, Any] = {
-        "sample": sample,
-        "distance": distance,
-        "lamp_distance": lamp_distance,
-        "sample_mm": sample_mm,
-    }
-    near["azimuth"] = azimuth
-    rig = None if blind else rig_of(camera, radius, lamp, **near, cell_value=cell or "unknown", pixel_phase=phase)
+    recorded: Any = None if blind else rig.of_table()
     with show.working(f"fitting {', '.join(str(f) for f in files)} through the camera"):
         found = fit(
-            [read_table(file, sampling=sampling) for file in files],
-            rig,
+            [read_table(file, sampling=rig.sampling) for file in files],
+            recorded,
             ndf,
             fresnel=fresnel,
             diffuse=diffuse,
             per_channel=per_channel,
-            masking=None if masking == "none" else masking,
+            masking=masking,
             camera_parameters=None if lens == "auto" else lens,
             spline=spline,
             slice_step=slice_step,
-            workspace=Workspace.user(),
+            workspace=workspace,
         )
-    document = {"files": [str(file) for file in files], **found.to_dict()}
+    document = {"files": files, **found.to_dict()}
     if rival:
-        document["rival"] = _rival(files[0], rig, ndf, sampling, slice_step)
-    if output:
-        from matcam.core.io import plain, write_json
+        from matcam.inverse.rival_fits import rivals
 
+        table = read_table(files[0], sampling=rig.sampling)
+        with show.working(f"fitting {files[0]} with free shadowing instead"):
+            found_rivals = rivals(table, recorded, ndf, slice_step=slice_step, workspace=workspace)
+        document["rival"] = found_rivals.to_dict()
+    if output:
         write_json(output, plain(document), force=force)
     if budget:
         write_budgets(budget, found.uncertainty_budgets(), force=force)
@@ -144,18 +115,7 @@ def command(
             show.say(f"note: {document['rival']['verdict']}")
         written = [str(path) for path in (output, budget) if path]
         if written:
-            show.say(f"written: {', '.join(written)}")
-
-
-def _rival(file: Path, rig: Any, ndf: str, sampling: Any, slice_step: int) -> dict[str, Any]:
-    from matcam.core.workspace import Workspace
-    from matcam.exchange.contents import read_table
-    from matcam.inverse.rival_fits import rivals
-
-    with show.working(f"fitting {file} with free shadowing instead"):
-        return rivals(
-            read_table(file, sampling=sampling), rig, ndf, slice_step=slice_step, workspace=Workspace.user()
-        ).to_dict()
+            show.written(written)
 
 
 def print_fit(summary: dict[str, Any], name: str) -> None:
@@ -177,5 +137,4 @@ def print_fit(summary: dict[str, Any], name: str) -> None:
         f"least {LEAST_FLOOR:g} of the image's peak, so faint cells lower the ratio. The noise is estimated from the "
         "residuals, so the ratio is not a test of the model"
     )
-    for remark in summary["remarks"]:
-        show.say(f"note: {remark['text']}")
+    show.notes(remark["text"] for remark in summary["remarks"])

@@ -12,23 +12,16 @@ from matcam.cli import show
 from matcam.cli.options import (
     AsJson,
     Budget,
-    CameraProfile,
-    Distance,
     FamilyOrAuto,
     Force,
     ForceCorrection,
-    LampAzimuth,
-    LampDistance,
-    LampRadius,
     Masking,
-    PixelPhase,
-    Radius,
-    RealPixels,
-    SampleMm,
-    SampleShape,
-    Sampling,
-    rig_of,
+    option,
+    use_caches,
 )
+from matcam.cli.rig_options import RigOptions, TableRig
+from matcam.core.errors import ArgumentError
+from matcam.core.io import check_outputs, check_picture, write_columns
 
 _ANGLES = (10, 30, 45, 60, 70, 75, 80, 85)
 
@@ -37,44 +30,27 @@ def command(
     file: Annotated[Path, typer.Argument(help="Table to read (.binary, .nc, .csv).")],
     metal: Annotated[
         str | None,
-        typer.Option(
+        option(
             "--metal",
-            metavar="SYMBOL",
-            help="Metal (Cr, Fe, ...) for comparison. Default: the closest of all materials, including dielectrics.",
+            "SYMBOL",
+            "Metal (Cr, Fe, ...) for comparison. Default: the closest of all materials, including dielectrics.",
         ),
     ] = None,
     ndf: FamilyOrAuto = "auto",
     masking: Masking = "smith",
-    camera: CameraProfile = None,
-    sample: SampleShape = "sphere",
-    radius: Radius = None,
-    distance: Distance = None,
-    lamp: LampRadius = 0.0,
-    lamp_distance: LampDistance = None,
-    sample_mm: SampleMm = None,
-    azimuth: LampAzimuth = None,
-    sampling: Sampling = "centre",
-    cell: RealPixels = None,
-    phase: PixelPhase = None,
+    rig: TableRig = RigOptions(),
     normalise: Annotated[
         tuple[float, float],
-        typer.Option(
-            "--normalise",
-            metavar="LOW HIGH",
-            help="Range of theta_d, degrees; F is divided by its mean over this range.",
-        ),
+        option("--normalise", "LOW HIGH", "Range of theta_d, degrees; F is divided by its mean over this range."),
     ] = (10.0, 45.0),
     channel: Annotated[Literal["R", "G", "B"], typer.Option("--channel", help="Channel to draw and print.")] = "G",
-    slice_step: Annotated[
-        int, typer.Option("--slice-step", metavar="N", help="Use every n-th slice of theta_d.", min=1, max=30)
-    ] = 1,
+    slice_step: Annotated[int, option("--slice-step", "N", "Use every n-th slice of theta_d.", min=1, max=30)] = 1,
     output: Annotated[
         Path | None,
-        typer.Option(
-            "--output",
-            "-o",
-            metavar="FILE",
-            help="Figure to write (.png, .pdf, .svg); .csv and .nc are written beside it. Default: FILE-fresnel.png.",
+        option(
+            "--output -o",
+            "FILE",
+            "Figure to write (.png, .pdf, .svg); .csv and .nc are written beside it. Default: FILE-fresnel.png.",
         ),
     ] = None,
     budget: Budget = None,
@@ -86,8 +62,6 @@ def command(
 
     Example: `matcam fresnel chrome.binary --metal Cr`
     """
-    from matcam.core.errors import ArgumentError
-    from matcam.core.io import check_output, check_picture
     from matcam.core.threads import import_behind
     from matcam.numerics.budget import check_budget
 
@@ -95,17 +69,13 @@ def command(
     if not 0 <= low < high < 90:
         raise ArgumentError(f"--normalise must be LOW HIGH with 0 <= LOW < HIGH < 90 degrees, got {low:g} {high:g}")
     output = output or Path(f"{file.stem}-fresnel.png")
-    inputs = [path for path in (file, camera) if path]
+    inputs = [file, *rig.files]
     check_picture(output, force=force, inputs=inputs)
-    for path in (output.with_suffix(".csv"), output.with_suffix(".nc")):
-        check_output(path, force=force, inputs=inputs)
+    check_outputs([output.with_suffix(".csv"), output.with_suffix(".nc")], force=force, inputs=inputs)
     if budget:
         check_budget(budget, force=force, inputs=inputs)
     with show.working(f"{file}: fitting the lobe through the camera"):
-        from matcam.core.jax import use_compilation_cache
-        from matcam.core.workspace import Workspace
-
-        use_compilation_cache()
+        workspace = use_caches()
         from matcam.exchange.contents import read_table
         from matcam.inverse.fresnel_tables import tabulated_fresnel
         from matcam.inverse.fresnel_term import fresnel
@@ -113,25 +83,18 @@ def command(
 
         if metal is not None:
             metals(metal)  # raises an error for an unknown name before the fit
-        near: dict[str, Any] = {
-            "sample": sample,
-            "distance": distance,
-            "lamp_distance": lamp_distance,
-            "sample_mm": sample_mm,
-        }
-        near["azimuth"] = azimuth
-        table = read_table(file, sampling=sampling)
-        rig = rig_of(camera, radius, lamp, **near, cell_value=cell or "unknown", pixel_phase=phase)
+        table = read_table(file, sampling=rig.sampling)
+        recorded = rig.of_table()
         import_behind("matcam.figures.curves", "matcam.files.datasets")
         result = fresnel(
             table,
-            rig,
+            recorded,
             ndf=ndf,
-            masking=None if masking == "none" else masking,
+            masking=masking,
             normalise=(math.radians(low), math.radians(high)),
             slice_step=slice_step,
             force_correction=force_correction,
-            workspace=Workspace.user(),
+            workspace=workspace,
         )
         tables = tabulated_fresnel(result, metal)
         _write(result, tables, output, force, channel)
@@ -162,7 +125,6 @@ def _write_budget(result: Any, path: Path, force: bool) -> None:
 
 
 def _write(result: Any, tables: Any, output: Path, force: bool, channel: str) -> None:
-    from matcam.core.io import write_columns
     from matcam.figures.curves import fresnel_figure
     from matcam.figures.style import save
     from matcam.files.datasets import write_netcdf
@@ -202,7 +164,7 @@ def _document(result: Any, tables: Any, files: list[Path]) -> dict[str, Any]:
             }
             for t in tables["table"].values
         },
-        "files": [str(path) for path in files],
+        "files": files,
     }
 
 
@@ -245,12 +207,11 @@ def _print(result: Any, tables: Any, files: list[Path], channel: str) -> None:
         f"{attrs['noise_floor']:.2%} of the image's peak"
     )
     show.say(f"camera uncertainty: {attrs['camera_uncertainty']}")
-    for remark in from_attribute(attrs["remarks"]):
-        show.say(f"note: {remark}")
+    show.notes(from_attribute(attrs["remarks"]))
     show.say(f"supported (std below 5 %) up to theta_d = {np.degrees(float(one['supported_angle'])):.1f}°")
     rms = tables.sel(channel=channel)
     order = np.argsort(rms["rms_corrected"].values, kind="stable")[:4]
     for i in order:
         name, after, before = str(rms["table"].values[i]), float(rms["rms_corrected"][i]), float(rms["rms_raw"][i])
         show.say(f"against {name}: rms difference {before:.1%} raw, {after:.1%} corrected")
-    show.say(f"written: {', '.join(str(path) for path in files)}")
+    show.written(files)

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from matcam.cli import show
-from matcam.cli.options import AsJson, Sampling
+from matcam.cli.options import AsJson, Sampling, option, use_caches
 from matcam.files import formats
 from matcam.files.formats import CONTENTS, titles_for
 
@@ -18,7 +18,7 @@ def command(
     sampling: Sampling = "centre",
     radius: Annotated[
         float,
-        typer.Option("--radius", metavar="PX", help="Radius of the limb in the images behind a table, px."),
+        option("--radius", "PX", "Radius of the limb in the images behind a table, px."),
     ] = 256.0,
     json: AsJson = False,
 ) -> None:
@@ -44,9 +44,7 @@ def _report(file: Path, sampling: Any, radius: float) -> dict[str, Any]:
     from matcam.exchange.file_report import inspect
 
     if formats.identify(file) not in ("camera profile", "picture sidecar"):
-        from matcam.core.jax import use_compilation_cache
-
-        use_compilation_cache()
+        use_caches()
     with show.working("inspecting the file"):
         return inspect(file, sampling=sampling, radius=radius)
 

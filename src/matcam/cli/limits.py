@@ -9,16 +9,10 @@ import typer
 from matcam.cli import show
 from matcam.cli.options import (
     AsJson,
-    CameraProfile,
-    Distance,
-    LampAzimuth,
-    LampDistance,
-    LampRadius,
-    Radius,
-    SampleMm,
-    SampleShape,
-    rig_of,
+    option,
+    use_caches,
 )
+from matcam.cli.rig_options import RigOptions, TurnedRig
 
 
 def command(
@@ -27,44 +21,29 @@ def command(
         typer.Argument(help="Roughnesses (alpha, a slope) to evaluate. Default: ten from 0.0003 to 0.2."),
     ] = None,
     relative: Annotated[
-        float, typer.Option("--noise", metavar="SHARE", help="Noise of a pixel, as a share of its value (no unit).")
+        float, option("--noise", "SHARE", "Noise of a pixel, as a share of its value (no unit).")
     ] = 0.01,
     floor: Annotated[
         float,
-        typer.Option("--floor", metavar="SHARE", help="Noise of a pixel, as a share of its slice's peak (no unit)."),
+        option("--floor", "SHARE", "Noise of a pixel, as a share of its slice's peak (no unit)."),
     ] = 1e-4,
-    camera: CameraProfile = None,
-    sample: SampleShape = "sphere",
-    radius: Radius = None,
-    distance: Distance = None,
-    lamp: LampRadius = 0.0,
-    lamp_distance: LampDistance = None,
-    sample_mm: SampleMm = None,
-    azimuth: LampAzimuth = None,
+    rig: TurnedRig = RigOptions(),
     json: AsJson = False,
 ) -> None:
     """Compute bounds of the roughness and angle that a rig can recover (Cramer-Rao), and the effect of changes of the rig.
 
     Example: `matcam limits 0.0005 0.001 0.005 --radius 256`
     """
-    from matcam.core.jax import use_compilation_cache
-    from matcam.core.workspace import Workspace
-
-    use_compilation_cache()
+    workspace = use_caches()
     from matcam.camera.sensor import PixelNoise
     from matcam.inverse.recoverability import ROUGHNESSES, limits
 
-    near: dict[str, Any] = {
-        "sample": sample,
-        "distance": distance,
-        "lamp_distance": lamp_distance,
-        "sample_mm": sample_mm,
-    }
-    near["azimuth"] = azimuth
-    rig = rig_of(camera, radius, lamp, **near)
     with show.working("computing the bounds"):
         found = limits(
-            rig, roughness=roughness or ROUGHNESSES, noise=PixelNoise(relative, floor, 0.01), workspace=Workspace.user()
+            rig.build(),
+            roughness=roughness or ROUGHNESSES,
+            noise=PixelNoise(relative, floor, 0.01),
+            workspace=workspace,
         )
     if json:
         show.as_json({**found.attrs, **{str(name): found[name].values for name in [*found.data_vars, *found.coords]}})

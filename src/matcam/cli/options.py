@@ -1,4 +1,4 @@
-"""Common options of commands, the rig that they describe, and errors in terms of options.
+"""Common options of commands, and errors in terms of options.
 
 Messages of the library name Python arguments ("half_width must lie in ..."). `Command` translates them, for all
 commands, by the options of the command and by the tables below ("--half-width must lie in ...").
@@ -16,15 +16,11 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from matcam.cli import help_page, show
-from matcam.core.errors import ArgumentError, MatcamError
+from matcam.core.errors import MatcamError
 from matcam.core.io import Outputs, all_or_nothing
 from matcam.core.memory import check_address_space
 from matcam.core.registry import CFAS, FAMILIES, FITTED_LENSES, FRESNEL_MODELS, MASKING_MODELS, PARAMETRIC_LENSES
 from matcam.files import formats
-
-if TYPE_CHECKING:
-    from matcam.lamp.lamps import Lamp
-    from matcam.rigs import Rig
 
 _RENAMED = {
     "camera": "lens",
@@ -61,54 +57,21 @@ _SCALES = {
 
 _VERBS = "must|can|belongs|needs|asks|as|may"
 
-CameraProfile = Annotated[
-    Path | None,
-    typer.Option("--camera", metavar="PROFILE", help="Camera profile (JSON). Default: the MERL rig's camera."),
-]
-SampleShape = Annotated[
-    Literal["sphere", "cylinder", "flat"],
-    typer.Option("--sample", help="Shape of the sample. The camera does not blur the reflectance of a flat sample."),
-]
-Radius = Annotated[
-    float | None,
-    typer.Option(
-        "--radius", metavar="PX", help="Radius of the sample's limb in the image, px. Default: 256, as in the MERL rig."
-    ),
-]
-LampRadius = Annotated[
-    float,
-    typer.Option(
-        "--lamp", metavar="DEGREES", help="Angular radius of the source disc as seen from the sample, degrees."
-    ),
-]
-LampDistance = Annotated[
-    float | None,
-    typer.Option(
-        "--lamp-distance",
-        metavar="RADII",
-        help="Distance of the lamp from the sample's centre, in radii of the sample; in mm with --sample-mm. "
-        "Default: infinite.",
-    ),
-]
-LampAzimuth = Annotated[
-    float | None,
-    typer.Option(
-        "--azimuth",
-        metavar="DEGREES",
-        help="Azimuth of the lamp about the optical axis in the images behind a table, degrees; 0 is right, 90 up. "
-        "Default: from the table, or 0.",
-    ),
-]
-SampleMm = Annotated[
-    float | None,
-    typer.Option(
-        "--sample-mm", metavar="MM", help="Radius of the sample, mm. With this option --lamp-distance is in mm."
-    ),
-]
+
+def option(names: str, metavar: str, help: str, **more: Any) -> Any:  # noqa: A002
+    """Declare an option with a value.
+
+    names: names of the option, separated by blanks. more: further arguments of `typer.Option`.
+    """
+    return typer.Option(*names.split(), metavar=metavar, help=help, **more)
+
+
 if TYPE_CHECKING:
+    from matcam.core.workspace import Workspace
+
     Family = str
     FamilyOrAuto = str
-    Masking = str
+    Masking = str | None
     FresnelModel = str
     Lens = str
     EdgeLens = str
@@ -125,7 +88,12 @@ else:  # Literal types of the names in the registries, as typer requires
     Family = Annotated[_one_of(FAMILIES), typer.Option("--ndf", help="Family of the lobe.")]
     FamilyOrAuto = Annotated[_one_of(["auto", *FAMILIES]), typer.Option("--ndf", help=_AUTO)]
     Masking = Annotated[
-        _one_of([*MASKING_MODELS, None]), typer.Option("--masking", help="Masking function G of the material.")
+        _one_of([*MASKING_MODELS, None]),
+        typer.Option(
+            "--masking",
+            callback=lambda name: None if name == "none" else name,
+            help="Masking function G of the material.",
+        ),
     ]
     FresnelModel = Annotated[_one_of(FRESNEL_MODELS), typer.Option("--fresnel", help=_FRESNEL)]
     Lens = Annotated[_one_of(FITTED_LENSES), typer.Option("--model", help="Model of the lens.")]
@@ -141,33 +109,10 @@ Device = Annotated[
 ]
 Budget = Annotated[
     Path | None,
-    typer.Option(
+    option(
         "--budget",
-        metavar="FILE",
-        help="Uncertainty budget to write (.json, .csv): sources, combined and expanded uncertainty (GUM).",
-    ),
-]
-Sampling = Annotated[
-    Literal["centre", "edge"],
-    typer.Option(
-        "--sampling", help="Position in its cell at which a value is sampled. A MERL file does not specify it."
-    ),
-]
-RealPixels = Annotated[
-    Literal["nearest", "bilinear", "mean"] | None,
-    typer.Option(
-        "--cell",
-        help="Lookup of cells in real pixels; mean: mean of the pixels inside a cell. Default: estimated from the table; "
-        "one pixel for each cell if the table does not determine it.",
-    ),
-]
-PixelPhase = Annotated[
-    tuple[float, float] | None,
-    typer.Option(
-        "--phase",
-        metavar="X Y",
-        help="Offset of the pixel centres of --cell from the sphere's centre, modulo 1 px. "
-        "Default: estimated from the table.",
+        "FILE",
+        "Uncertainty budget to write (.json, .csv): sources, combined and expanded uncertainty (GUM).",
     ),
 ]
 ForceCorrection = Annotated[
@@ -179,24 +124,38 @@ ForceCorrection = Annotated[
 ]
 Force = Annotated[bool, typer.Option("--force", help="Replace existing output.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print only the result as JSON to standard output.")]
-
-Distance = Annotated[
+Power = Annotated[
     float | None,
+    option("--power", "P", "Power p of an epd or sgd lobe, required for these (no unit)."),
+]
+Sampling = Annotated[
+    Literal["centre", "edge"],
     typer.Option(
-        "--distance", metavar="RADII", help="Distance of the camera, in radii of the sample. Default: infinite."
+        "--sampling", help="Position in its cell at which a value is sampled. A MERL file does not specify it."
     ),
 ]
-Glare = Annotated[
-    float,
-    typer.Option(
-        "--glare",
-        metavar="SHARE",
-        help="Share of the light that the lens scatters into a halo, added to its profile (no unit).",
-    ),
+Wavelength = Annotated[
+    float | None,
+    option("--wavelength", "NM", "Wavelength of the light for diffraction and defocus, nm."),
 ]
-GlareRadius = Annotated[
-    float, typer.Option("--glare-radius", metavar="PX", help="Standard deviation of the halo of --glare, px.")
+Pitch = Annotated[
+    float | None,
+    option("--pitch", "UM", "Pixel pitch, um: for diffraction and defocus, and to print frequencies in lp/mm."),
 ]
+HalfWidth = Annotated[float, option("--half-width", "PX", "Half the width of a pixel's sensitive area, px.")]
+
+
+def use_caches() -> Workspace:
+    """Keep compiled functions, and results that depend on a rig alone, in the user's cache folder.
+
+    Returns:
+        Workspace with these results.
+    """
+    from matcam.core.jax import use_compilation_cache
+    from matcam.core.workspace import Workspace
+
+    use_compilation_cache()
+    return Workspace.user()
 
 
 def choose_device(device: str | None) -> None:
@@ -214,63 +173,6 @@ def choose_device(device: str | None) -> None:
         show.remark(
             "computing on the processor, which is faster than the GPU for one table; to use the GPU, give --device gpu"
         )
-
-
-def rig_of(
-    camera: Path | None,
-    radius: float | None,
-    lamp_degrees: float,
-    sample: str = "sphere",
-    distance: float | None = None,
-    glare: float = 0.0,
-    glare_radius: float = 30.0,
-    lamp_distance: float | None = None,
-    sample_mm: float | None = None,
-    azimuth: float | None = None,
-    **more: Any,
-) -> Rig:
-    """Build the MERL rig, with the parts that the options replace.
-
-    azimuth: azimuth of the lamp, degrees.
-    """
-    from matcam import rigs
-    from matcam.camera.camera import Camera
-    from matcam.camera.optics.halo import HaloOptics
-    from matcam.core import checks
-    from matcam.sample.curved import Cylinder, Sphere
-    from matcam.sample.shape import Flat, Sample
-
-    merl = rigs.merl()
-    chosen = merl.camera if camera is None else Camera.load(camera)
-    if glare:
-        checks.within("--glare", glare, 0, 1, open_high=True)
-        checks.positive("--glare-radius", glare_radius, "px")
-        optics = HaloOptics(chosen.optics, glare, glare_radius)
-        chosen = Camera(optics, chosen.pixel, chosen.sensor, provenance=chosen.provenance)
-    size = 256.0 if radius is None else radius
-    far = math.inf if distance is None else distance
-    shape: Sample = Flat() if sample == "flat" else {"sphere": Sphere, "cylinder": Cylinder}[sample](size, far)
-    turned = None if azimuth is None else math.radians(azimuth)
-    lamp = _lamp_of(math.radians(lamp_degrees), lamp_distance, sample_mm)
-    return rigs.Rig(chosen, shape, lamp, lamp_azimuth=turned, **more)
-
-
-def _lamp_of(angular_radius: float, distance: float | None, sample_mm: float | None) -> Lamp:
-    """Build a distant lamp, or a near one if its distance is given.
-
-    distance: radii of the sample, or mm if sample_mm is given. sample_mm: radius of the sample.
-    """
-    from matcam.core import checks
-    from matcam.lamp.lamps import DistantLamp, NearLamp
-
-    if distance is None:
-        if sample_mm is not None:
-            raise ArgumentError("--sample-mm sets the unit of --lamp-distance, which is missing: give both")
-        return DistantLamp(angular_radius)
-    if sample_mm is not None:
-        distance /= float(checks.positive("--sample-mm", sample_mm, "mm"))
-    DistantLamp(angular_radius)  # raises an error if the angular radius is out of range
-    return NearLamp(distance, math.tan(angular_radius) * distance if distance > 1 else 0.0)
 
 
 class Group(TyperGroup):

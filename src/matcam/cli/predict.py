@@ -11,19 +11,14 @@ import typer
 from matcam.cli import show
 from matcam.cli.options import (
     AsJson,
-    CameraProfile,
-    Distance,
     Family,
     Force,
-    Glare,
-    GlareRadius,
-    LampDistance,
-    LampRadius,
-    Radius,
-    SampleMm,
-    SampleShape,
-    rig_of,
+    Power,
+    option,
+    use_caches,
 )
+from matcam.cli.rig_options import HaloRig, RigOptions
+from matcam.core.io import check_picture, write_columns
 
 _PARAMETERS = {
     "sigma_px": "lens sigma {:g} px",
@@ -43,16 +38,10 @@ def command(
         ),
     ] = None,
     ndf: Family = "ggx",
-    power: Annotated[
-        float | None,
-        typer.Option("--power", metavar="P", help="Power p of an epd or sgd lobe, required for these (no unit)."),
-    ] = None,
-    sample: SampleShape = "sphere",
+    power: Power = None,
     dims: Annotated[
         int,
-        typer.Option(
-            "--dims", metavar="N", help="Dimensions: 2 for a real sample, 1 for the paper's one-dimensional model."
-        ),
+        option("--dims", "N", "Dimensions: 2 for a real sample, 1 for the paper's one-dimensional model."),
     ] = 2,
     exact: Annotated[
         bool,
@@ -61,27 +50,14 @@ def command(
             help="Integrate over the curved sample with its limb and Smith masking, instead of its tangent plane.",
         ),
     ] = False,
-    camera: CameraProfile = None,
-    radius: Radius = None,
-    distance: Distance = None,
-    lamp: LampRadius = 0.0,
-    lamp_distance: LampDistance = None,
-    sample_mm: SampleMm = None,
-    glare: Glare = 0.0,
-    glare_radius: GlareRadius = 30.0,
+    rig: HaloRig = RigOptions(),
     map_: Annotated[
         Path | None,
-        typer.Option(
-            "--map",
-            metavar="FILE",
-            help="Figure over roughness and angle to write; a .csv is written beside it.",
-        ),
+        option("--map", "FILE", "Figure over roughness and angle to write; a .csv is written beside it."),
     ] = None,
     output: Annotated[
         Path | None,
-        typer.Option(
-            "--output", "-o", metavar="FILE", help="Figure to write (.png, .pdf, .svg); a .csv is written beside it."
-        ),
+        option("--output -o", "FILE", "Figure to write (.png, .pdf, .svg); a .csv is written beside it."),
     ] = None,
     force: Force = False,
     json: AsJson = False,
@@ -95,26 +71,21 @@ def command(
 
     Example: `matcam predict 0.001 0.01 0.1 --radius 400 -o loss.png --map plane.png`
     """
-    from matcam.core.io import check_picture
-
-    inputs = [camera] if camera else []
     for path in (output, map_):
         if path:
-            check_picture(path, force=force, inputs=inputs)
-    if exact or glare:
-        from matcam.core.jax import use_compilation_cache
-
-        use_compilation_cache()
+            check_picture(path, force=force, inputs=rig.files)
+    if exact or rig.glare:
+        use_caches()
     from matcam.core.registry import family_ndf
     from matcam.forward.prediction import predicted
 
-    rig = rig_of(camera, radius, lamp, sample, distance, glare, glare_radius, lamp_distance, sample_mm)
+    built = rig.build()
     values = roughness or [0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1]
     with show.working("predicting"):
         lobes = [family_ndf(ndf, value, power) for value in values]
-        data = predicted(rig, lobes, dims, exact)
-    false = _false_light(rig, lobes) if glare else []
-    title = f"{ndf}{f' {power:g}' if power else ''} lobe on a {sample}: response at 0°, and loss relative to 0°"
+        data = predicted(built, lobes, dims, exact)
+    false = _false_light(built, lobes) if rig.glare else []
+    title = f"{ndf}{f' {power:g}' if power else ''} lobe on a {rig.sample}: response at 0°, and loss relative to 0°"
     if json:
         show.as_json(
             {
@@ -130,18 +101,17 @@ def command(
     else:
         _print(data, title)
         if false:
-            _print_false_light(data, false, glare, glare_radius)
+            _print_false_light(data, false, rig.glare, rig.glare_radius)
     if output:
-        _write(data, rig, output, force)
+        _write(data, built, output, force)
     if map_:
-        _map(rig, ndf, power, (dims, exact), map_, force)
+        _map(built, ndf, power, (dims, exact), map_, force)
     for path in (output, map_):
         if path and not json:
             show.say(f"figure: {path}")
 
 
 def _print(data: Any, title: str) -> None:
-    """Print the kept share at some angles, and the loss angle."""
     at = [int(abs(data.theta - math.radians(angle)).argmin()) for angle in _ANGLES]
     rows = [
         [f"{value:g}", f"{r0:.1%}", *(f"{1 - r:.1%}" for r in relative[1:]), f"{angle:.1f}°" if angle < 90 else "-"]
@@ -153,7 +123,6 @@ def _print(data: Any, title: str) -> None:
 
 
 def _print_false_light(data: Any, false: list[Any], glare: float, radius: float) -> None:
-    """Print the effect of the glare of the lens."""
     show.table(
         ["roughness", "false diffuse", "haze at 2°", "at 5°", "at 10°"],
         [
@@ -166,7 +135,6 @@ def _print_false_light(data: Any, false: list[Any], glare: float, radius: float)
 
 
 def _false_light(rig: Any, lobes: list[Any]) -> list[Any]:
-    """Compute the effect of the glare of the lens on each lobe."""
     from matcam.forward.false_light import false_light
     from matcam.material.microfacet import Microfacet
 
@@ -181,10 +149,8 @@ def _haze(false: Any, degrees: float = 2.0) -> float:
 
 
 def _map(rig: Any, ndf: str, power: float | None, how: tuple[int, bool], path: Path, force: bool) -> None:
-    """Write the figure and the columns of the prediction over roughness and angle."""
     import numpy as np
 
-    from matcam.core.io import write_columns
     from matcam.core.registry import family_ndf
     from matcam.figures.curves import plane_figure
     from matcam.figures.style import save
@@ -201,15 +167,12 @@ def _map(rig: Any, ndf: str, power: float | None, how: tuple[int, bool], path: P
 
 
 def _degrees(angles: Any) -> list[float]:
-    """Convert angles to degrees."""
     import numpy as np
 
     return np.degrees(angles).tolist()
 
 
 def _write(data: Any, rig: Any, output: Path, force: bool) -> None:
-    """Write the figure and the columns of a prediction."""
-    from matcam.core.io import write_columns
     from matcam.figures.curves import prediction_figure
     from matcam.figures.style import save
 

@@ -9,9 +9,9 @@ from typing import Annotated, Any
 import typer
 
 from matcam.cli import show
-from matcam.cli.options import AsJson, Budget, FamilyOrAuto, Force, Masking
-
-_SOME_FAILED = 1
+from matcam.cli.options import AsJson, Budget, FamilyOrAuto, Force, Masking, option, use_caches
+from matcam.core.errors import ArgumentError
+from matcam.core.io import check_outputs, plain, user_cache_folder, write_json
 
 
 def command(
@@ -23,27 +23,26 @@ def command(
     ] = True,
     rig_from: Annotated[
         Path | None,
-        typer.Option(
+        option(
             "--rig-from",
-            metavar="FILE",
-            help="JSON file of an earlier reconstruction by the same rig, whose lens, distances and lamps are the prior.",
+            "FILE",
+            "JSON file of an earlier reconstruction by the same rig, whose lens, distances and lamps are the prior.",
         ),
     ] = None,
     output: Annotated[
         Path | None,
-        typer.Option(
-            "--output",
-            "-o",
-            metavar="FILE",
-            help="MERL file to write, with -pinhole.binary, .nc, .json and .html beside it. Default: DIR-reconstructed.binary.",
+        option(
+            "--output -o",
+            "FILE",
+            "MERL file to write, with -pinhole.binary, .nc, .json and .html beside it. Default: DIR-reconstructed.binary.",
         ),
     ] = None,
     workers: Annotated[
         int | None,
-        typer.Option(
+        option(
             "--workers",
-            metavar="N",
-            help="Number of lamp positions whose frames are read at a time. Default: one for each core, at most 4.",
+            "N",
+            "Number of lamp positions whose frames are read at a time. Default: one for each core, at most 4.",
             min=1,
         ),
     ] = None,
@@ -61,8 +60,6 @@ def command(
 
     Example: `matcam reconstruct shots/ -o chrome.binary`
     """
-    from matcam.core.errors import ArgumentError
-    from matcam.core.io import check_output, plain, user_cache_folder
     from matcam.numerics.budget import check_budget, write_budgets
 
     target = output or Path(f"{capture.resolve().name}-reconstructed.binary")
@@ -75,20 +72,17 @@ def command(
         "document": target.with_suffix(".json"),
         "page": target.with_suffix(".html"),
     }
-    for path in files.values():
-        check_output(path, force=force)
+    check_outputs(files.values(), force=force)
     if budget:
         check_budget(budget, force=force)
-    from matcam.core.jax import use_compilation_cache
-
-    use_compilation_cache()
+    use_caches()
     from matcam.reconstruction.from_capture import reconstruct
 
     with show.stepping() as watch:
         result: Any = reconstruct(
             capture,
             ndf,
-            masking=None if masking == "none" else masking,
+            masking=masking,
             diffuse=diffuse,
             rig_from=rig_from,
             progress=watch,
@@ -98,7 +92,7 @@ def command(
     files = {name: path for name, path in files.items() if name in _files_of(result)}
     if budget:
         files["budget"] = budget
-    document = plain({**result.to_dict(), "files": [str(path) for path in files.values()]})
+    document = plain({**result.to_dict(), "files": [*files.values()]})
     if result.sample == "flat":
         _write_maps(result, document, files, force)
     else:
@@ -109,11 +103,10 @@ def command(
         show.as_json(document)
     else:
         _print(result, document)
-    return 0 if result.complete else _SOME_FAILED
+    return 0 if result.complete else 1
 
 
 def _files_of(result: Any) -> tuple[str, ...]:
-    """Return the files of a result."""
     if result.sample == "flat":
         return "data", "document"
     table = () if "phi_h" in result.table.dims else ("table",)  # a MERL file has no azimuth of the half vector
@@ -121,7 +114,6 @@ def _files_of(result: Any) -> tuple[str, ...]:
 
 
 def _write_maps(result: Any, document: dict[str, Any], files: dict[str, Path], force: bool) -> None:
-    from matcam.core.io import write_json
     from matcam.files.datasets import write_netcdf
 
     write_netcdf(files["data"], result.maps, force=force)
@@ -130,7 +122,6 @@ def _write_maps(result: Any, document: dict[str, Any], files: dict[str, Path], f
 
 def _write(result: Any, document: dict[str, Any], files: dict[str, Path], capture: Path, force: bool) -> None:
     from matcam.acquisition.outline import stacked
-    from matcam.core.io import write_json
     from matcam.figures.fitted_windows import fitted_windows
     from matcam.figures.reconstruction_page import write_reconstruction_page
     from matcam.files.datasets import write_netcdf
@@ -159,7 +150,6 @@ def _write(result: Any, document: dict[str, Any], files: dict[str, Path], captur
 
 
 def _print(result: Any, document: dict[str, Any]) -> None:
-    """Print the parameters, the error budget, the verdict, the remarks and the files."""
     from matcam.reconstruction.stated.captured_scene import INCOMPLETE
 
     show.table(
@@ -177,4 +167,4 @@ def _print(result: Any, document: dict[str, Any]) -> None:
     show.say(document["verdict"])
     for one in result.remarks:
         show.say(f"{'left out' if one.code in INCOMPLETE else 'note'}: {one}")
-    show.say("written: " + ", ".join(document["files"]))
+    show.written(document["files"])

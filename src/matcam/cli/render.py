@@ -9,7 +9,9 @@ from typing import Annotated
 import typer
 
 from matcam.cli import show
-from matcam.cli.options import AsJson, Force, Sampling
+from matcam.cli.options import AsJson, Force, Sampling, option, use_caches
+from matcam.core.errors import ArgumentError
+from matcam.core.io import check_output, check_picture
 
 
 def command(
@@ -18,32 +20,23 @@ def command(
     ],
     output: Annotated[
         Path | None,
-        typer.Option(
-            "--output",
-            "-o",
-            metavar="FILE",
-            help="Figure (.png, .pdf, .svg) or linear radiance of one file (.exr) to write. Default: FILE-render.png here.",
+        option(
+            "--output -o",
+            "FILE",
+            "Figure (.png, .pdf, .svg) or linear radiance of one file (.exr) to write. Default: FILE-render.png here.",
         ),
     ] = None,
-    lamp_angle: Annotated[
-        float, typer.Option("--lamp-angle", metavar="DEGREES", help="Angle between lamp and camera, degrees.")
-    ] = 40.0,
+    lamp_angle: Annotated[float, option("--lamp-angle", "DEGREES", "Angle between lamp and camera, degrees.")] = 40.0,
     environment: Annotated[
         Path | None,
-        typer.Option(
-            "--environment", metavar="EXR", help="Environment map that lights the sphere instead of the lamp."
-        ),
+        option("--environment", "EXR", "Environment map that lights the sphere instead of the lamp."),
     ] = None,
     exposure: Annotated[
         float,
-        typer.Option(
-            "--exposure", metavar="FACTOR", help="Factor by which radiance is multiplied before display (no unit)."
-        ),
+        option("--exposure", "FACTOR", "Factor by which radiance is multiplied before display (no unit)."),
     ] = 0.8,
-    size: Annotated[
-        int, typer.Option("--size", metavar="PX", help="Height and width of the image of a sphere, px.")
-    ] = 256,
-    samples: Annotated[int, typer.Option("--samples", metavar="N", help="Number of rays for each pixel.")] = 64,
+    size: Annotated[int, option("--size", "PX", "Height and width of the image of a sphere, px.")] = 256,
+    samples: Annotated[int, option("--samples", "N", "Number of rays for each pixel.")] = 64,
     sampling: Sampling = "centre",
     force: Force = False,
     json: AsJson = False,
@@ -53,11 +46,8 @@ def command(
     Example: `matcam render chrome.binary chrome-corrected.binary -o chrome.png`
     """
     from matcam.core import checks
-    from matcam.core.errors import ArgumentError
-    from matcam.core.io import check_output, check_picture
 
     checks.extra("rendering", "render", "mitsuba")
-    from matcam.core.jax import use_compilation_cache
     from matcam.exchange.contents import material_of, read_contents
     from matcam.exchange.renderers import rendered_sphere
     from matcam.figures.spheres import spheres_figure
@@ -74,7 +64,7 @@ def command(
     if linear and len(files) > 1:
         raise ArgumentError("an .exr contains one sphere: render the files one by one")
     (check_output if linear else check_picture)(target, force=force, inputs=inputs)
-    use_compilation_cache()
+    use_caches()
     pictures = {}
     for number, file in enumerate(files):
         with show.working(f"rendering {file.name}"):
@@ -89,6 +79,6 @@ def command(
         save(spheres_figure(pictures, light, exposure), target, force=force)
     if json:
         means = {name: [float(v) for v in p.mean(axis=(0, 1))] for name, p in pictures.items()}
-        show.as_json({"output": str(target), "files": [str(f) for f in files], "light": light, "mean_radiance": means})
+        show.as_json({"output": str(target), "files": files, "light": light, "mean_radiance": means})
     else:
         show.say(f"{', '.join(f.name for f in files)}, {light}: {target}")

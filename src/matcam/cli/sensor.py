@@ -8,7 +8,9 @@ from typing import Annotated, Any
 import typer
 
 from matcam.cli import show
-from matcam.cli.options import AsJson, Force, Mosaic
+from matcam.cli.options import AsJson, Force, Mosaic, option
+from matcam.core.errors import ArgumentError
+from matcam.core.io import check_outputs, check_picture, write_columns
 
 
 def command(
@@ -23,35 +25,26 @@ def command(
     cfa: Mosaic = None,
     bits: Annotated[
         int | None,
-        typer.Option(
-            "--bits", metavar="N", help="Depth of the codes. Default: from the descriptor or the largest code."
-        ),
+        option("--bits", "N", "Depth of the codes. Default: from the descriptor or the largest code."),
     ] = None,
     camera: Annotated[
         Path | None,
-        typer.Option("--camera", metavar="PROFILE", help="Camera profile (JSON) to which the sensor is added."),
+        option("--camera", "PROFILE", "Camera profile (JSON) to which the sensor is added."),
     ] = None,
     profile: Annotated[
         Path | None,
-        typer.Option(
-            "--profile", metavar="FILE", help="Camera profile to write: the profile of --camera with this sensor."
-        ),
+        option("--profile", "FILE", "Camera profile to write: the profile of --camera with this sensor."),
     ] = None,
     pitch: Annotated[
         float | None,
-        typer.Option("--pitch", metavar="UM", help="Pixel pitch, um. Default: that of --camera, if it has one."),
+        option("--pitch", "UM", "Pixel pitch, um. Default: that of --camera, if it has one."),
     ] = None,
     output: Annotated[
         Path | None,
-        typer.Option(
-            "--output",
-            "-o",
-            metavar="FILE",
-            help="Figure to write (.png, .pdf, .svg). Default: FOLDER-sensor.png here.",
-        ),
+        option("--output -o", "FILE", "Figure to write (.png, .pdf, .svg). Default: FOLDER-sensor.png here."),
     ] = None,
     page: Annotated[
-        Path | None, typer.Option("--page", metavar="FILE", help="HTML page to write, with values, remarks and figure.")
+        Path | None, option("--page", "FILE", "HTML page to write, with values, remarks and figure.")
     ] = None,
     maps: Annotated[
         bool,
@@ -66,8 +59,6 @@ def command(
 
     Example: `matcam sensor exposures --camera camera.json --profile camera-with-sensor.json --pitch 3.45`
     """
-    from matcam.core.errors import ArgumentError
-    from matcam.core.io import check_output, check_picture, write_columns
     from matcam.files.exposure_series import read_exposure_series
 
     if (profile is None) != (camera is None):
@@ -78,9 +69,7 @@ def command(
     pictures = {f"{one}_map": output.with_name(f"{output.stem}-{one}.tif") for one in ("prnu", "dsnu")} if maps else {}
     inputs = [file for one in read_exposure_series(folder).sets for file in one.files] + ([camera] if camera else [])
     check_picture(output, force=force, inputs=inputs)
-    for path in (table, page, profile, *pictures.values()):
-        if path is not None:
-            check_output(path, force=force, inputs=inputs)
+    check_outputs([table, page, profile, *pictures.values()], force=force, inputs=inputs)
     base, metres = _camera(camera, pitch)
     with show.stepping() as progress:
         from matcam.calibration.sensor.characterise import characterise_sensor
@@ -101,7 +90,7 @@ def command(
             base.with_sensor(found.sensor(metres)).save(profile, force=force)
     files = [output, table, *(path for path in (page, profile) if path is not None), *pictures.values()]
     if json:
-        show.as_json({**found.to_dict(), "files": [str(path) for path in files]})
+        show.as_json({**found.to_dict(), "files": files})
     else:
         _print(found, files)
 
@@ -111,7 +100,6 @@ def _camera(path: Path | None, pitch: float | None) -> tuple[Any, float]:
     if path is None:
         return None, float("nan")
     from matcam.camera.camera import Camera
-    from matcam.core.errors import ArgumentError
 
     camera = Camera.load(path)
     stated = [value for name, value in camera.parameters().items() if name.endswith("pixel_pitch_m")]
@@ -129,6 +117,5 @@ def _print(found: Any, files: list[Path]) -> None:
     rows = [[name, f"{value:.5g}", f"{std:.2g}"] for name, value, std, _ in found.quantities()]
     show.table(["characteristic", "value", "std"], rows)
     show.say(found.verdict)
-    for remark in found.remarks:
-        show.say(f"note: {remark}")
-    show.say("written: " + ", ".join(map(str, files)))
+    show.notes(found.remarks)
+    show.written(files)

@@ -13,7 +13,7 @@ import os
 import re
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 from matcam.cli import activity
@@ -109,6 +109,17 @@ def say(text: str, *, quiet: bool = False) -> None:
         _print("\n".join(map(printable, text.split("\n"))))
 
 
+def notes(texts: Iterable[object]) -> None:
+    """Print the remarks on a result."""
+    for text in texts:
+        say(f"note: {text}")
+
+
+def written(paths: Iterable[object]) -> None:
+    """Print the names of the output files."""
+    say(f"written: {', '.join(map(str, paths))}")
+
+
 def remark(text: str) -> None:
     """Print a remark, such as the failure of one input, to standard error."""
     activity.clear()
@@ -136,20 +147,23 @@ working = activity.doing
 
 
 @contextlib.contextmanager
+def _bar(*columns: Any, **options: Any) -> Iterator[Any]:
+    """Show a progress bar on standard error, if it is a terminal."""
+    from rich import progress as rich
+    from rich.console import Console
+
+    shown = rich.TextColumn("{task.description}", markup=False), rich.BarColumn(), *columns
+    bar = rich.Progress(*shown, console=Console(stderr=True), disable=not sys.stderr.isatty(), **options)
+    with activity.hidden(), bar as progress:
+        yield progress
+
+
+@contextlib.contextmanager
 def counting(what: str) -> Iterator[Any]:
     """Show a progress bar over bytes on standard error; yield update(done, total)."""
-    from rich.console import Console
-    from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeRemainingColumn, TransferSpeedColumn
+    from rich import progress as rich
 
-    columns = (
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        DownloadColumn(),
-        TransferSpeedColumn(),
-        TimeRemainingColumn(),
-    )
-    bar = Progress(*columns, console=Console(stderr=True), disable=not sys.stderr.isatty())
-    with activity.hidden(), bar as progress:
+    with _bar(rich.DownloadColumn(), rich.TransferSpeedColumn(), rich.TimeRemainingColumn()) as progress:
         task = progress.add_task(printable(what), total=None)
         yield lambda done, total: progress.update(task, completed=done, total=total)
 
@@ -160,27 +174,11 @@ def tallying(what: str) -> Iterator[Any]:
 
     The bar is written to standard error. If standard error is not a terminal, at most two lines a minute are written.
     """
-    from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
+    from rich import progress as rich
 
-    columns = (
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TextColumn("left:"),
-        TimeRemainingColumn(),
-    )
     terminal = sys.stderr.isatty()
-    bar = Progress(*columns, console=Console(stderr=True), disable=not terminal, speed_estimate_period=3600.0)
-    with activity.hidden(), bar as progress:
+    columns = rich.MofNCompleteColumn(), rich.TimeElapsedColumn(), rich.TextColumn("left:"), rich.TimeRemainingColumn()
+    with _bar(*columns, speed_estimate_period=3600.0) as progress:
         task = progress.add_task(what, total=None)
         log = _Log(what)
         begun = False

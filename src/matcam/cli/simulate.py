@@ -11,22 +11,18 @@ import typer
 from matcam.cli import show
 from matcam.cli.options import (
     AsJson,
-    CameraProfile,
     Device,
-    Distance,
     Family,
     Force,
-    Glare,
-    GlareRadius,
-    LampDistance,
-    LampRadius,
-    Radius,
-    SampleMm,
-    SampleShape,
+    Power,
     Sampling,
     choose_device,
-    rig_of,
+    option,
+    use_caches,
 )
+from matcam.cli.rig_options import HaloRig, RigOptions
+from matcam.core.errors import ArgumentError
+from matcam.core.io import check_output, check_picture
 from matcam.files.formats import suffixes_for
 
 _TABLES, _PICTURES = (".binary", ".nc"), suffixes_for("picture")
@@ -35,11 +31,8 @@ _TABLES, _PICTURES = (".binary", ".nc"), suffixes_for("picture")
 def command(
     output: Annotated[
         Path | None,
-        typer.Option(
-            "--output",
-            "-o",
-            metavar="FILE",
-            help="Table (.binary, .nc) or image (.exr, .tif; a .json is written beside it) to write.",
+        option(
+            "--output -o", "FILE", "Table (.binary, .nc) or image (.exr, .tif; a .json is written beside it) to write."
         ),
     ] = None,
     table: Annotated[
@@ -48,104 +41,75 @@ def command(
     ] = None,
     roughness: Annotated[
         float,
-        typer.Option(
-            "--roughness", metavar="ALPHA", help="Width of the lobe: alpha or beta (slopes), rad for gaussian."
-        ),
+        option("--roughness", "ALPHA", "Width of the lobe: alpha or beta (slopes), rad for gaussian."),
     ] = 0.01,
     ndf: Family = "ggx",
-    power: Annotated[
-        float | None,
-        typer.Option("--power", metavar="P", help="Power p of an epd or sgd lobe, required for these (no unit)."),
-    ] = None,
-    metal: Annotated[
-        str, typer.Option("--metal", metavar="SYMBOL", help="Metal whose n and k give the Fresnel term.")
-    ] = "Cr",
+    power: Power = None,
+    metal: Annotated[str, option("--metal", "SYMBOL", "Metal whose n and k give the Fresnel term.")] = "Cr",
     source: Annotated[
         str | None,
-        typer.Option(
-            "--source", metavar="SOURCE", help="Published table of n and k. Default: the first table of the metal."
-        ),
+        option("--source", "SOURCE", "Published table of n and k. Default: the first table of the metal."),
     ] = None,
-    diffuse: Annotated[
-        float, typer.Option("--diffuse", metavar="ALBEDO", help="Albedo of a Lambertian part, 0 to 1 (no unit).")
-    ] = 0.0,
+    diffuse: Annotated[float, option("--diffuse", "ALBEDO", "Albedo of a Lambertian part, 0 to 1 (no unit).")] = 0.0,
     lamp_angle: Annotated[
         float,
-        typer.Option("--lamp-angle", metavar="DEGREES", help="Angle between lamp and camera in an image, degrees."),
+        option("--lamp-angle", "DEGREES", "Angle between lamp and camera in an image, degrees."),
     ] = 60.0,
     azimuth: Annotated[
         float,
-        typer.Option(
-            "--azimuth",
-            metavar="DEGREES",
-            help="Azimuth of the lamp about the optical axis, degrees; 0 is right, 90 up.",
-        ),
+        option("--azimuth", "DEGREES", "Azimuth of the lamp about the optical axis, degrees; 0 is right, 90 up."),
     ] = 0.0,
-    sample: SampleShape = "sphere",
     cell: Annotated[
         Literal["centre", "edge", "mean", "nearest", "bilinear"],
         typer.Option("--cell", help="Definition of the value of a cell of a table."),
     ] = "centre",
     phase: Annotated[
         tuple[float, float] | None,
-        typer.Option(
+        option(
             "--phase",
-            metavar="X Y",
-            help="Offset of the pixel centres of --cell nearest, bilinear or mean from the sphere's centre, modulo 1 px.",
+            "X Y",
+            "Offset of the pixel centres of --cell nearest, bilinear or mean from the sphere's centre, modulo 1 px.",
         ),
     ] = None,
     size: Annotated[
         tuple[int, int] | None,
-        typer.Option(
-            "--size", metavar="HEIGHT WIDTH", help="Height and width of the image, px. Default: that of the sample."
-        ),
+        option("--size", "HEIGHT WIDTH", "Height and width of the image, px. Default: that of the sample."),
     ] = None,
     crop: Annotated[
         tuple[int, int] | None,
-        typer.Option(
-            "--crop",
-            metavar="HEIGHT WIDTH",
-            help="Height and width of the used part of the sensor, which is centred, px.",
-        ),
+        option("--crop", "HEIGHT WIDTH", "Height and width of the used part of the sensor, which is centred, px."),
     ] = None,
     exposure: Annotated[
         float | None,
-        typer.Option(
+        option(
             "--exposure",
-            metavar="ELECTRONS",
-            help="Electrons per unit of radiance: simulate a raw image with the sensor of the profile and its noise.",
+            "ELECTRONS",
+            "Electrons per unit of radiance: simulate a raw image with the sensor of the profile and its noise.",
         ),
     ] = None,
     capture: Annotated[
         Path | None,
-        typer.Option(
+        option(
             "--capture",
-            metavar="DIR",
-            help="Folder to write a whole capture to, instead of --output: frames, dark frames, outline, reference, truth.",
+            "DIR",
+            "Folder to write a whole capture to, instead of --output: frames, dark frames, outline, reference, truth.",
         ),
     ] = None,
     positions: Annotated[
         int,
-        typer.Option(
+        option(
             "--lamp-positions",
-            metavar="N",
-            help="Number of lamp positions of --capture, theta_d from 5 to 82 degrees; or of tilts of a flat sample, from 0 to "
+            "N",
+            "Number of lamp positions of --capture, theta_d from 5 to 82 degrees; or of tilts of a flat sample, from 0 to "
             "40 degrees.",
         ),
     ] = 18,
     preview: Annotated[
         Path | None,
-        typer.Option("--preview", metavar="FILE", help="Figure of the image to write (.png, .pdf, .svg)."),
+        option("--preview", "FILE", "Figure of the image to write (.png, .pdf, .svg)."),
     ] = None,
-    seed: Annotated[int, typer.Option("--seed", metavar="N", help="Seed of the noise of --exposure.")] = 0,
-    camera: CameraProfile = None,
-    radius: Radius = None,
-    distance: Distance = None,
-    lamp: LampRadius = 0.0,
-    lamp_distance: LampDistance = None,
-    sample_mm: SampleMm = None,
-    glare: Glare = 0.0,
-    glare_radius: GlareRadius = 30.0,
+    seed: Annotated[int, option("--seed", "N", "Seed of the noise of --exposure.")] = 0,
+    rig: HaloRig = RigOptions(),
     sampling: Sampling = "centre",
     device: Device = None,
     force: Force = False,
@@ -155,53 +119,43 @@ def command(
 
     Example: `matcam simulate --ndf ggx --roughness 0.005 --metal Cr --lamp-angle 60 -o chromium.exr`
     """
-    from matcam.core.errors import ArgumentError
-    from matcam.core.io import check_output
-
-    near = {"lamp_distance": lamp_distance, "sample_mm": sample_mm}
     lobe = {"ndf": ndf, "roughness": roughness, "power": power, "metal": metal, "source": source, "diffuse": diffuse}
     if (output is None) == (capture is None):
         raise ArgumentError("give --output for a table or an image, or --capture for a folder")
     if capture is not None:
         if table or preview or exposure:
             raise ArgumentError("--capture is for the lobe of a metal: leave out TABLE, --preview and --exposure")
-        rig = rig_of(camera, radius, lamp, sample, distance, glare, glare_radius, **near)
         plan: dict[str, Any] = {"azimuth": math.radians(azimuth), "shape": size}
-        if sample == "flat":
+        if rig.sample == "flat":
             plan["exposures"] = 2  # exposures without clipping
-        _capture(lobe, rig, plan, positions, capture, seed, force, json)
+        _capture(lobe, rig.build(), plan, positions, capture, seed, force, json)
         return
     assert output is not None
     suffix = output.suffix.lower()
     if suffix not in _TABLES + _PICTURES:
         raise ArgumentError(f"{output}: the name must end in one of {', '.join(_TABLES + _PICTURES)}")
-    inputs = [path for path in (camera, table) if path]
+    inputs = [*rig.files, *([table] if table else [])]
     check_output(output, force=force, inputs=inputs)
     if suffix in _PICTURES:
         from matcam.files.sidecar import sidecar_path
 
         check_output(sidecar_path(output), force=force, inputs=inputs)
     if preview:
-        from matcam.core.io import check_picture
-
         if suffix in _TABLES:
             raise ArgumentError("--preview shows an image, but the output is a table: omit --preview")
         check_picture(preview, force=force, inputs=inputs)
-    from matcam.core.jax import use_compilation_cache
-
     choose_device(device)
-    use_compilation_cache()
-    table_of_rig: dict[str, Any] = {"cell_value": cell, "pixel_phase": phase, "crop": crop}
-    rig = rig_of(camera, radius, lamp, sample, distance, glare, glare_radius, **near, **table_of_rig)
+    use_caches()
+    built = rig.build(cell_value=cell, pixel_phase=phase, crop=crop)
     turned = math.radians(azimuth)
     material, described = _tabulated(table, sampling) if table else _microfacet(lobe)
     if suffix in _TABLES:
-        result = _table(material, rig, turned, output, described, force)
+        result = _table(material, built, turned, output, described, force)
     else:
         options = {"shape": size, "exposure": exposure, "seed": seed if exposure else None, "azimuth": turned}
-        result = _picture(material, rig, math.radians(lamp_angle), options, output, described, force)
+        result = _picture(material, built, math.radians(lamp_angle), options, output, described, force)
         if preview:
-            _preview(result.pop("picture"), described, rig, preview, force)
+            _preview(result.pop("picture"), described, built, preview, force)
         result.pop("picture", None)
     if json:
         show.as_json({**result, "material": described, "output": str(output)})
@@ -219,13 +173,11 @@ def _capture(
     force: bool,
     json: bool,
 ) -> None:
-    """Write a whole capture, and print its contents."""
     import numpy as np
 
-    from matcam.core.jax import use_compilation_cache
     from matcam.forward.synthetic_capture import CapturePlan, sensor_or_usual, simulate_capture
 
-    use_compilation_cache()
+    use_caches()
     material, described = _microfacet(lobe)
     theta_d = np.radians(np.linspace(5, 82, positions)) if positions > 1 else [math.radians(45)]
     plan = CapturePlan(tuple(theta_d), **options)
@@ -240,7 +192,6 @@ def _capture(
 
 
 def _tabulated(table: Path, sampling: Any) -> tuple[Any, dict[str, Any]]:
-    """Read the material of a table, and describe it."""
     from matcam.exchange.contents import read_table
     from matcam.material.measured import Tabulated
 
@@ -263,7 +214,6 @@ def _microfacet(lobe: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
 def _table(
     material: Any, rig: Any, azimuth: float, output: Path, described: dict[str, Any], force: bool
 ) -> dict[str, Any]:
-    """Write the table of the rig, and return its summary."""
     from matcam.files.datasets import write_netcdf
     from matcam.files.merl import write_merl
     from matcam.forward.measurement import measure
@@ -286,7 +236,6 @@ def _picture(
     described: dict[str, Any],
     force: bool,
 ) -> dict[str, Any]:
-    """Write the image of the rig with its sidecar, and return its summary."""
     from matcam.core.grid import CHANNEL_WAVELENGTHS
     from matcam.files.float_pictures import write_exr, write_float_tiff
     from matcam.files.sidecar import sidecar_path, write_sidecar
@@ -331,7 +280,6 @@ def _picture(
 
 
 def _preview(image: Any, described: dict[str, Any], rig: Any, path: Path, force: bool) -> None:
-    """Write a figure of the image."""
     from matcam.figures.spheres import picture_figure
     from matcam.figures.style import save
 

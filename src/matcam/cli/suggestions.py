@@ -6,7 +6,7 @@ import shlex
 from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from matcam.core.errors import FileFormatError
 from matcam.core.io import where_written
@@ -25,26 +25,19 @@ def after(name: str, values: dict[str, Any]) -> str | None:
     words = maker(values) if maker else None
     if words is None or not all(is_there(where_written(word)) for word in words if isinstance(word, Path)):
         return None
-    return shlex.join(str(_unused(word) if isinstance(word, _Output) else word) for word in words)
+    return shlex.join(map(str, words))
 
 
-class _Output(NamedTuple):
-    """Output of the next command; an existing name would require --force."""
-
-    path: Path
-
-
-def _unused(output: _Output) -> Path:
-    """Return the path of an output, with a number if that name exists."""
-    path, number = output.path, 1
+def _unused(output: Path) -> str:
+    """Name an output of the next command, with a number if a file has its name, which would require --force."""
+    path, number = output, 1
     while is_there(where_written(path)):
         number += 1
-        path = output.path.with_stem(f"{output.path.stem}-{number}")
-    return path
+        path = output.with_stem(f"{output.stem}-{number}")
+    return str(path)
 
 
 def _camera(values: dict[str, Any]) -> list[Any]:
-    """Return the options of the same rig."""
     found: list[Any] = ["--sample", values["sample"]] if values.get("sample", "sphere") != "sphere" else []
     for parameter in ("camera", "radius", "distance", "lamp_distance", "sample_mm"):
         option = f"--{parameter.replace('_', '-')}"
@@ -86,7 +79,7 @@ def _after_inspect(values: dict[str, Any]) -> list[Any] | None:
     if table is None:
         return None
     if table.attrs.get(CORRECTED):
-        return ["matcam", "convert", file, _Output(file.with_suffix(".bsdf"))]
+        return ["matcam", "convert", file, _unused(file.with_suffix(".bsdf"))]
     return ["matcam", "correct", file]
 
 
@@ -103,7 +96,7 @@ def _after_correct(values: dict[str, Any]) -> list[Any] | None:
     if find_spec("mitsuba") is None:  # Mitsuba is an optional dependency
         return None
     target = output or Path(f"{paths[0].stem}-corrected.binary")
-    return ["matcam", "render", paths[0], target, "-o", _Output(target.with_suffix(".png"))]
+    return ["matcam", "render", paths[0], target, "-o", _unused(target.with_suffix(".png"))]
 
 
 def _after_reconstruct(values: dict[str, Any]) -> list[Any] | None:
@@ -120,14 +113,14 @@ def _after_data(values: dict[str, Any]) -> list[Any] | None:
 
 def _after_check(values: dict[str, Any]) -> list[Any]:
     name = values["folder"].resolve().name or "capture"
-    return ["matcam", "reconstruct", values["folder"], "-o", _Output(Path(f"{name}.binary"))]
+    return ["matcam", "reconstruct", values["folder"], "-o", _unused(Path(f"{name}.binary"))]
 
 
 _NEXT: dict[str, Callable[[dict[str, Any]], list[Any] | None]] = {
     "predict": lambda v: ["matcam", "limits", *(v["roughness"] or [])[:5], *_camera(v)],
     "simulate": _after_simulate,
     "capture check": _after_check,
-    "edge": lambda v: ["matcam", "calibrate", *v["pictures"], "-o", _Output(Path("camera.json"))],
+    "edge": lambda v: ["matcam", "calibrate", *v["pictures"], "-o", _unused(Path("camera.json"))],
     "calibrate": lambda v: ["matcam", "inspect", v["output"]] if v["output"] else None,
     "inspect": _after_inspect,
     "convert": _after_convert,

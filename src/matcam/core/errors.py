@@ -49,6 +49,11 @@ def one_line(error: Exception) -> str:
     return " ".join(str(error).split())[:120] or type(error).__name__
 
 
+def described(error: Exception) -> str:
+    """Format an unexpected error with its class, as one line."""
+    return " ".join(f"{type(error).__name__}: {error}".split())
+
+
 def unknown_name(kind: str, name: object, known: Iterable[str]) -> ArgumentError:
     """Build the error for an unknown name, with the nearest known name."""
     known = sorted(known)

@@ -31,7 +31,6 @@ Sampling = Literal["centre", "edge"]
 SAMPLINGS: tuple[Sampling, ...] = ("centre", "edge")
 """Sampling positions of values in their cells; loaders of MERL files differ."""
 
-_BORDER = 1e-9  # cells: an angle below a border by less than this is on the border, up to rounding
 
 DIMS = ("theta_h", "theta_d", "phi_d", "channel")
 CHANNELS = ("R", "G", "B")
@@ -87,11 +86,11 @@ class Grid(NamedTuple):
 
 
 def _cell_of(name: str, angle: ArrayLike, count: int) -> Any:
-    """Return the index of the cell that contains an angle."""
     end = np.pi if name == "phi_d" else np.pi / 2
     share = np.asarray(checks.within(name, angle, 0, end, "rad")) / end
     position = count * (np.sqrt(share) if name == "theta_h" else share)
-    cell = np.minimum(np.floor(position + _BORDER).astype(int), count - 1)
+    # cells: an angle below a border by less than this is on the border, up to rounding
+    cell = np.minimum(np.floor(position + 1e-9).astype(int), count - 1)
     return cell if cell.ndim else int(cell)
 
 

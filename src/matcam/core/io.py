@@ -55,6 +55,13 @@ def check_output(path: str | Path, *, force: bool = False, inputs: Iterable[str 
     return path
 
 
+def check_outputs(paths: Iterable[Path | None], *, force: bool, inputs: Iterable[str | Path] = ()) -> None:
+    """Check all given outputs by `check_output`."""
+    for path in paths:
+        if path is not None:
+            check_output(path, force=force, inputs=inputs)
+
+
 def _check_position(path: Path, inputs: Iterable[str | Path]) -> None:
     for source in inputs:
         if path.exists() and Path(source).exists() and path.samefile(source):
@@ -405,10 +412,22 @@ def write_json(path: str | Path, document: dict[str, Any], *, force: bool = Fals
     A ValueError or TypeError is raised for values that JSON cannot represent, before writing; an OutputError is raised if
     the file cannot be written.
     """
-    text = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    # bytes that are not text, as in names of files, are escaped in JSON, too
+    write_text(path, json_text(document), force=force, errors="backslashreplace")
+
+
+def json_text(document: dict[str, Any]) -> str:
+    """Format a document as indented JSON.
+
+    A ValueError or TypeError is raised for values that JSON cannot represent.
+    """
+    return json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def write_text(path: str | Path, text: str, *, force: bool = False, errors: str = "strict") -> None:
+    """Write text in UTF-8. errors: treatment of characters without encoding, as for `open`."""
     with replacing(path, force=force) as temporary:
-        # bytes that are not text, as in names of files, are escaped in JSON, too
-        temporary.write_text(text, encoding="utf-8", errors="backslashreplace")
+        temporary.write_text(text, encoding="utf-8", errors=errors)
 
 
 def plain(value: Any) -> Any:
@@ -424,4 +443,4 @@ def plain(value: Any) -> Any:
         return plain(value.tolist())
     if isinstance(value, float) and not math.isfinite(value):
         return None
-    return value
+    return str(value) if isinstance(value, Path) else value

@@ -49,10 +49,6 @@ P = ParamSpec("P")
 T = TypeVar("T")
 Runs = Literal["once", "some", "many"]
 Device = Literal["cpu", "gpu"]
-_GPU_PLUGINS = ("jax_cuda12_plugin", "jax_cuda13_plugin", "jax_rocm60_plugin", "jax_rocm7_plugin")
-"""Modules with GPU support of JAX."""
-_GPU_DEVICES = ("/dev/nvidia0", "/dev/kfd", "/dev/dxg")
-"""Device files of GPUs: NVIDIA and AMD on Linux, and the file of the Windows subsystem for Linux."""
 
 
 _LARGEST_CACHE = 1 << 30  # limit of the size of the cached functions, bytes
@@ -64,8 +60,13 @@ def has_gpu() -> bool:
 
     JAX does not start the GPU for this check, because the start takes seconds and memory.
     """
-    known = any(importlib.util.find_spec(plugin) for plugin in _GPU_PLUGINS)
-    return known and any(Path(device).exists() for device in _GPU_DEVICES)
+    # modules with GPU support of JAX
+    known = any(
+        importlib.util.find_spec(plugin)
+        for plugin in ("jax_cuda12_plugin", "jax_cuda13_plugin", "jax_rocm60_plugin", "jax_rocm7_plugin")
+    )
+    # device files of GPUs: NVIDIA and AMD on Linux, and the file of the Windows subsystem for Linux
+    return known and any(Path(device).exists() for device in ("/dev/nvidia0", "/dev/kfd", "/dev/dxg"))
 
 
 def use_device(device: Device) -> None:
@@ -177,13 +178,9 @@ def _use_sealed_cache() -> bool:
         return False
     there = hasattr(compilation_cache, "get_file_cache")
     if there:
-        compilation_cache.get_file_cache = _sealed_cache
+        sealed: Any = lambda path: (CompiledFunctions(path), path)  # noqa: E731
+        compilation_cache.get_file_cache = sealed
     return there
-
-
-def _sealed_cache(path: str) -> Any:
-    """Return a cache and its path, as JAX requires."""
-    return CompiledFunctions(path), path
 
 
 def _trim(folder: Path) -> None:

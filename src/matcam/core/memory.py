@@ -13,12 +13,6 @@ from pathlib import Path
 from matcam.core.errors import ArgumentError
 
 _GROUPS = Path("/sys/fs/cgroup")
-_LIBRARIES = 2 << 30
-"""Address space that NumPy, SciPy and JAX require to load, compile and run the smallest command, with a margin,
-bytes.
-"""
-_OF_A_PROCESSOR = 40 << 20
-"""Memory of OpenBLAS for the thread and the buffer of each further processor, bytes."""
 
 
 def available_memory() -> int:
@@ -28,7 +22,7 @@ def available_memory() -> int:
         The minimum of the available memory of the machine, of the control groups (versions 1 and 2) of this process,
         and of its address-space limit.
     """
-    return max(min(_of_machine(), *_of_groups(), _of_process()), 0)
+    return max(min(_of_machine(), _of_process(), *(limit - used for limit, used in _groups())), 0)
 
 
 def check_address_space() -> None:
@@ -40,7 +34,9 @@ def check_address_space() -> None:
     Raises:
         ArgumentError: the limit is too small.
     """
-    least = _LIBRARIES + _OF_A_PROCESSOR * ((os.cpu_count() or 1) - 1)
+    # address space, bytes, that NumPy, SciPy and JAX require to load, compile and run the smallest command, with a
+    # margin, and that OpenBLAS requires for the thread and the buffer of each further processor
+    least = (2 << 30) + (40 << 20) * ((os.cpu_count() or 1) - 1)
     limit = _own_limit()
     if limit < least:
         raise ArgumentError(
@@ -99,10 +95,6 @@ def _of_process() -> int:
     except (OSError, ValueError, IndexError):
         return limit
     return limit - used
-
-
-def _of_groups() -> list[int]:
-    return [limit - used for limit, used in _groups()] or [1 << 62]
 
 
 def _groups() -> list[tuple[int, int]]:

@@ -23,7 +23,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 _SEAL = hashlib.sha256().digest_size
-_OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
 _READ = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
 _NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
 _BY_FOLDER = {os.open, os.rename, os.unlink, os.stat} <= os.supports_dir_fd and hasattr(os, "O_DIRECTORY")
@@ -166,7 +165,9 @@ def _warn_of(folder: Path) -> None:
 
 def _is_foreign(status: os.stat_result) -> bool:
     """Check whether another user could have written a file, or the content of a folder."""
-    return hasattr(os, "getuid") and (status.st_uid not in (os.getuid(), 0) or bool(status.st_mode & _OTHERS_WRITE))
+    return hasattr(os, "getuid") and (
+        status.st_uid not in (os.getuid(), 0) or bool(status.st_mode & (stat.S_IWGRP | stat.S_IWOTH))
+    )
 
 
 def _seal(key: bytes, content: bytes) -> bytes:

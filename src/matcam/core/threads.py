@@ -22,7 +22,6 @@ ONE_BLAS_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM
 Matrices of a fit have some thousand rows and twenty columns. OpenBLAS distributes even such matrices over all processors with
 spinning threads, which is much slower on busy processors.
 """
-_ARENA_MAX = -8  # M_ARENA_MAX of mallopt(3)
 
 
 def use_one_blas_thread() -> None:
@@ -44,7 +43,8 @@ def use_one_heap() -> None:
     """
     if "MALLOC_ARENA_MAX" not in os.environ:
         with contextlib.suppress(OSError, AttributeError):
-            ctypes.CDLL(None).mallopt(_ARENA_MAX, 1)
+            # M_ARENA_MAX of mallopt(3)
+            ctypes.CDLL(None).mallopt(-8, 1)
 
 
 def available_cores() -> int:

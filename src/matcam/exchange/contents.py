@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,44 +24,34 @@ from matcam.inverse.correction.corrected_table import CORRECTED
 from matcam.material.material import Material
 from matcam.material.measured import Adaptive, Tabulated
 
-MERL_SUFFIX = ".binary"
-
 
 @dataclass(frozen=True)
 class Contents:
-    """Contents of a file; one field besides `format` is not None.
+    """Contents of a file.
 
     Attributes:
-        format: short name of the file's format; "": not from a file.
-        table: a BRDF on the MERL grid.
-        fields: a BRDF in RGL's parameterisation.
-        samples: samples of a BRDF that are not on the MERL grid.
-        result: any other labelled result.
-        picture: an image.
+        content: kind of the data, one of `MEASUREMENTS`: a BRDF on the MERL grid ("table"), in RGL's parameterisation
+            ("fields"), or as samples that are not on the MERL grid ("samples"), any other labelled result ("result"),
+            or an image ("picture").
+        data: DataArray, Dataset or array.
+        format: short name of the file's format. Default: "", not from a file.
     """
 
+    content: str
+    data: Any
     format: str = ""
-    table: xr.DataArray | None = None
-    fields: xr.Dataset | None = None
-    samples: xr.DataArray | None = None
-    result: xr.Dataset | None = None
-    picture: np.ndarray | None = None
 
     @property
-    def content(self) -> str:
-        """Return the name of the field that is not None."""
-        return next(name for name in MEASUREMENTS if getattr(self, name) is not None)
-
-    @property
-    def data(self) -> Any:
-        """Return the field that is not None."""
-        return getattr(self, self.content)
+    def table(self) -> xr.DataArray | None:
+        """Return the BRDF on the MERL grid; None for other data."""
+        return self.data if self.content == "table" else None
 
     @property
     def kind(self) -> str:
         """Return the kind of the contents, in words."""
-        brdf = self.table if self.result is None else self.result.get("brdf")
-        if brdf is not None and (self.result is not None or brdf.attrs.get(CORRECTED)):
+        of_result = self.content == "result"
+        brdf = self.data.get("brdf") if of_result else self.table
+        if brdf is not None and (of_result or brdf.attrs.get(CORRECTED)):
             return f"a {brdf.attrs.get('long_name', 'BRDF')}"
         return CONTENTS[self.content]
 
@@ -147,14 +136,14 @@ def contents_of(thing: Any) -> Contents:
         return thing
     if isinstance(thing, xr.DataArray):
         if thing.dims == DIMS:
-            return Contents(table=checked_table(thing))
+            return Contents("table", checked_table(thing))
         if thing.dims == ("sample", "channel"):
-            return Contents(samples=checked_samples(thing))
-        return Contents(result=thing.to_dataset(name=thing.name or "values"))
+            return Contents("samples", checked_samples(thing))
+        return Contents("result", thing.to_dataset(name=thing.name or "values"))
     if isinstance(thing, xr.Dataset):
-        return Contents(fields=check_fields(thing)) if "vndf" in thing else Contents(result=thing)
+        return Contents("fields", check_fields(thing)) if "vndf" in thing else Contents("result", thing)
     if isinstance(thing, np.ndarray) or hasattr(thing, "__jax_array__") or type(thing).__module__.startswith("jax"):
-        return Contents(picture=np.asarray(thing))
+        return Contents("picture", np.asarray(thing))
     raise ArgumentError(
         f"thing must be an xarray.DataArray or Dataset, an image as an array, a Camera or a Chart, got {type(thing).__name__}"
     )
@@ -193,16 +182,16 @@ def read_contents(path: str | Path, sampling: Sampling = "centre") -> Contents:
     if not set(form.holds) & set(MEASUREMENTS):
         raise FileFormatError(f"{path}: the file is a {form.name}, which contains no measurement")
     if form.name == "merl":
-        return Contents(form.name, table=_read_merl(Path(path), sampling))
+        return Contents("table", _read_merl(Path(path), sampling), form.name)
     data = form.read(path)
     if form.name == "csv":
         try:
-            return Contents(form.name, table=table_of(data))
+            return Contents("table", table_of(data), form.name)
         except ArgumentError:
-            return Contents(form.name, samples=data)
+            return Contents("samples", data, form.name)
     if len(form.holds) > 1:
         return _labelled(Path(path), form.name, data)
-    return dataclasses.replace(Contents(form.name), **{form.holds[0]: data})
+    return Contents(form.holds[0], data, form.name)
 
 
 def read_table(path: str | Path, sampling: Sampling = "centre") -> xr.DataArray:
@@ -219,14 +208,14 @@ def read_table(path: str | Path, sampling: Sampling = "centre") -> xr.DataArray:
     Raises:
         FileFormatError: the file contains no table, or is damaged.
     """
-    if Path(path).suffix.lower() == MERL_SUFFIX:  # its own reader has the best error message
+    if Path(path).suffix.lower() == ".binary":  # its own reader has the best error message
         return _read_merl(Path(path), sampling)
     contents = read_contents(path, sampling)
     if contents.table is not None:
         return contents.table
-    if contents.result is not None and "brdf" in contents.result and contents.result["brdf"].dims == DIMS:
+    if contents.content == "result" and "brdf" in contents.data and contents.data["brdf"].dims == DIMS:
         try:
-            return checked_table(contents.result["brdf"])
+            return checked_table(contents.data["brdf"])
         except ArgumentError as error:
             raise FileFormatError(f"{path}: {error}") from None
     raise FileFormatError(f"{path}: the file contains {contents.kind}, not a BRDF table on the MERL grid")
@@ -252,12 +241,12 @@ def _read_merl(path: Path, sampling: Sampling) -> xr.DataArray:
 def _labelled(path: Path, name: str, data: xr.Dataset) -> Contents:
     try:
         if "vndf" in data:
-            return Contents(name, fields=check_fields(data))
+            return Contents("fields", check_fields(data), name)
         if "brdf" in data and data["brdf"].dims == DIMS and len(data.data_vars) == 1:
-            return Contents(name, table=checked_table(data["brdf"]))
+            return Contents("table", checked_table(data["brdf"]), name)
     except ArgumentError as error:
         raise FileFormatError(f"{path}: {error}") from None
-    return Contents(name, result=data)
+    return Contents("result", data, name)
 
 
 def material_of(contents: Contents) -> Material:
@@ -265,10 +254,10 @@ def material_of(contents: Contents) -> Material:
 
     An ArgumentError is raised if they do not define a material.
     """
-    if contents.table is not None:
-        return Tabulated(contents.table)
-    if contents.fields is not None:
-        return Adaptive(contents.fields)
+    if contents.content == "table":
+        return Tabulated(contents.data)
+    if contents.content == "fields":
+        return Adaptive(contents.data)
     raise ArgumentError(
         f"{contents.kind} cannot be evaluated at arbitrary angles: give a table (MERL, RGL, CSV on the MERL grid)"
     )

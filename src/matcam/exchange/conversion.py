@@ -29,8 +29,6 @@ from matcam.material.measured import Adaptive, Tabulated
 _PAIRS, _FARTHEST = 4096, np.radians(80)
 _MIRRORED = 46
 """Number of mirror directions among which the peak is searched for: one per degree, the width of a cell of a table."""
-_FLOOR = 1e-6
-"""Share of the peak below which a value is not used as a divisor. A camera of 16 bits resolves 1.5e-5."""
 
 
 def convert(
@@ -96,7 +94,7 @@ def convert(
         return {**report, **_write_surface(target, contents, force)}
     contents, details = _resample(contents, form, sampling, square, error)
     form.writer(contents.content)
-    if contents.picture is not None:
+    if contents.content == "picture":
         details |= _write_sidecar(source, target, force)
     write_contents(target, contents, force=force)
     return {**report, "resampled": None, **details}
@@ -118,7 +116,8 @@ def resampling_error(before: Material, after: Material) -> dict[str, float]:
     random = np.random.default_rng(1)
     light, view = (_directions(random) for _ in range(2))
     at_peak, at_peak_after = (_brdf(material, *_mirrored()) for material in (before, after))
-    floor = _FLOOR * np.max(at_peak, axis=0, where=np.isfinite(at_peak), initial=0.0)
+    # Share of the peak below which a value is not used as a divisor. A camera of 16 bits resolves 1.5e-5.
+    floor = 1e-6 * np.max(at_peak, axis=0, where=np.isfinite(at_peak), initial=0.0)
     relative = _differences(_brdf(before, light, view), _brdf(after, light, view), floor)
     peak = _differences(at_peak, at_peak_after, floor)
     median, p99, largest = np.quantile(relative, [0.5, 0.99, 1]) if relative.size else [np.nan] * 3
@@ -167,20 +166,20 @@ def _resample(
 
     Return the contents, and details for the report.
     """
-    if contents.table is not None and form.holds == ("fields",):
-        material = material_of(contents)
+    if contents.content == "table" and form.holds == ("fields",):
+        material, source = material_of(contents), str(contents.data.attrs.get("source", ""))
         if error is None:
-            fields = adaptive_grid(material, description=str(_source(contents)), square=square)
+            fields = adaptive_grid(material, description=source, square=square)
             found = resampling_error(material, Adaptive(fields))
         else:
-            fields, found = _smallest_grid(material, error, str(_source(contents)))
+            fields, found = _smallest_grid(material, error, source)
         side = fields.sizes["row"]
         note = f"to RGL's parameterisation, {fields.sizes['theta_i']} angles of light, {side} x {side} values each"
         if error is not None and not max(found["median"], found["peak"]) <= error:
             note += f"; no grid has an error of at most {error:.2%}"
         details = {"missing_share": fields.attrs["missing_share"], "error": found}
-        return Contents(contents.format, fields=fields), {"resampled": note, **details}
-    if contents.fields is not None and "table" in form.holds and "fields" not in form.holds:
+        return Contents("fields", fields, contents.format), {"resampled": note, **details}
+    if contents.content == "fields" and "table" in form.holds and "fields" not in form.holds:
         return _as_table(contents, sampling)
     return contents, {}
 
@@ -200,7 +199,6 @@ def _smallest_grid(material: Material, error: float, description: str) -> tuple[
 
 
 def _write_surface(target: Path, contents: Contents, force: bool) -> dict[str, Any]:
-    """Fit an OpenPBR surface, and write it with its residual."""
     material = material_of(contents)
     surface = fit_openpbr(material)
     error = resampling_error(material, surface.material)
@@ -215,7 +213,6 @@ def _write_surface(target: Path, contents: Contents, force: bool) -> dict[str, A
 
 
 def _as_table(contents: Contents, sampling: Sampling) -> tuple[Contents, dict[str, Any]]:
-    """Resample RGL's fields to the MERL grid."""
     material = material_of(contents)
     if isinstance(material, Adaptive) and material.mirrored:
         raise ArgumentError(
@@ -227,7 +224,7 @@ def _as_table(contents: Contents, sampling: Sampling) -> tuple[Contents, dict[st
     table = table.clip(min=0).assign_attrs(table.attrs)
     note = f"to the MERL grid at each cell's {sampling}; negative values set to zero: {negative:.2%}"
     details = {"resampled": note, "missing_share": 0.0, "error": resampling_error(material, Tabulated(table))}
-    return Contents(contents.format, table=table), details
+    return Contents("table", table, contents.format), details
 
 
 def _write_sidecar(source: Path, target: Path, force: bool) -> dict[str, Any]:
@@ -240,8 +237,3 @@ def _write_sidecar(source: Path, target: Path, force: bool) -> dict[str, Any]:
     document["picture"]["file"] = target.name
     write_json(sidecar_path(target), document, force=force)
     return {"sidecar": str(sidecar_path(target))}
-
-
-def _source(contents: Contents) -> str:
-    data = contents.table if contents.table is not None else contents.fields
-    return "" if data is None else str(data.attrs.get("source", ""))

@@ -12,11 +12,8 @@ from matcam.core import checks
 from matcam.core.grid import Sampling
 from matcam.files.formats import identify
 
-_RADIUS = 256.0
-"""Radius of the sphere of the MERL rig, px."""
 
-
-def inspect(source: Any, *, sampling: Sampling = "centre", radius: float = _RADIUS) -> dict[str, Any]:
+def inspect(source: Any, *, sampling: Sampling = "centre", radius: float = 256.0) -> dict[str, Any]:
     """Report the contents of a file or a result.
 
     `matcam inspect` prints the same report.

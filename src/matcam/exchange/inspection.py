@@ -22,11 +22,6 @@ from matcam.inverse.operator.pixel_phase import cell_rule
 from matcam.material.material import albedo
 from matcam.material.measured import Adaptive, Tabulated
 
-_IN_PLANE, _ACROSS = 0.95, 0.3  # limits of |cos phi_d| for cells in the plane, and across
-_STEEPEST = np.radians(75)  # largest theta_d, rad
-_FEWEST = 20  # smallest number of angles with a lobe
-_HWHM = np.sqrt(2 * np.log(2))  # half width at half maximum over the standard deviation of a Gaussian
-_SIGNIFICANCE, _WIDENING = 5.0, 1.15
 SPHERE_RADIUS = 256.0
 """Default radius of the sphere, px: that of the MERL rig."""
 
@@ -76,8 +71,8 @@ def lobe_widths(table: xr.DataArray) -> LobeWidths:
     along = np.abs(np.cos(table["phi_d"].values))
     theta_h = table["theta_h"].values
     return LobeWidths(
-        in_plane=_half_widths(table.values[:, :, along > _IN_PLANE], theta_h),
-        across=_half_widths(table.values[:, :, along < _ACROSS], theta_h),
+        in_plane=_half_widths(table.values[:, :, along > 0.95], theta_h),
+        across=_half_widths(table.values[:, :, along < 0.3], theta_h),
     )
 
 
@@ -108,12 +103,15 @@ def camera_trace(table: xr.DataArray) -> dict[str, Any]:
     widths = lobe_widths(table)
     theta_d = table["theta_d"].values
     cos = np.cos(theta_d)
-    known = np.isfinite(widths.in_plane) & np.isfinite(widths.across) & (theta_d < _STEEPEST)
+    # largest theta_d, rad
+    known = np.isfinite(widths.in_plane) & np.isfinite(widths.across) & (theta_d < np.radians(75))
     # broad lobes are cut at the horizon
     known &= theta_d + 3 * np.nan_to_num(widths.in_plane, nan=9.0) < np.pi / 2
-    if known.sum() < _FEWEST:
+    # smallest number of angles with a lobe
+    if known.sum() < 20:
         return {"visible": None, "kernel_rad": None, "lobe_rad": None, "significance": None, "widening": None}
-    squares = (widths.in_plane[known] / _HWHM) ** 2
+    # half width at half maximum over the standard deviation of a Gaussian
+    squares = (widths.in_plane[known] / np.sqrt(2 * np.log(2))) ** 2
     basis = np.stack([np.ones(known.sum()), cos[known] ** -2], axis=-1)
     (lobe2, kernel2), *_ = np.linalg.lstsq(basis, squares, rcond=None)
     left = squares - basis @ [lobe2, kernel2]
@@ -122,7 +120,7 @@ def camera_trace(table: xr.DataArray) -> dict[str, Any]:
     ratio = (widths.in_plane / widths.across)[known]
     widening = float(np.median(ratio[-5:]) / np.median(ratio[:5]))
     return {
-        "visible": bool(significance > _SIGNIFICANCE and widening > _WIDENING),
+        "visible": bool(significance > 5.0 and widening > 1.15),
         "kernel_rad": float(np.sqrt(max(kernel2, 0.0))),
         "lobe_rad": float(np.sqrt(max(lobe2, 0.0))),
         "significance": significance,

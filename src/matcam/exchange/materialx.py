@@ -21,19 +21,14 @@ from scipy.optimize import least_squares
 from matcam.core import checks
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import CHANNELS
-from matcam.core.io import replacing
+from matcam.core.io import write_text
 from matcam.core.jax import jax, jnp
 from matcam.material.material import Material
 from matcam.material.microfacet import Microfacet
 from matcam.material.ndf.ggx import GGX
 from matcam.material.reflectance import Dielectric, Schlick
 
-_HALF_ANGLES = np.linspace(0.0, 1.0, 28) ** 2 * np.radians(85)
-"""Half angles of the fit, rad: dense about the peak, as in a MERL table."""
-_DIFFERENCE_ANGLES = np.radians(np.arange(5.0, 76, 10))
 _AZIMUTHS = np.radians([0.0, 45.0, 90.0])
-_STARTS = (0.003, 0.02, 0.1, 0.4)
-"""Initial values of alpha: the residual has several minima for narrow lobes."""
 _LIMITS = {"alpha": (1e-3, 1.0), "colour": (1e-4, 1.0), "ior": (1.05, 3.0)}
 
 
@@ -84,7 +79,10 @@ def fit_openpbr(material: Material) -> OpenPBRSurface:
     """
     if not isinstance(material, Material):
         raise ArgumentError(f"material must be a Material such as Tabulated(table), got {type(material).__name__}")
-    theta_h, theta_d, phi_d = np.meshgrid(_HALF_ANGLES, _DIFFERENCE_ANGLES, _AZIMUTHS, indexing="ij")
+    # half angles of the fit, rad: dense about the peak, as in a MERL table
+    theta_h, theta_d, phi_d = np.meshgrid(
+        np.linspace(0.0, 1.0, 28) ** 2 * np.radians(85), np.radians(np.arange(5.0, 76, 10)), _AZIMUTHS, indexing="ij"
+    )
     mean, half = np.cos(theta_h) * np.cos(theta_d), np.sin(theta_h) * np.sin(theta_d) * np.cos(phi_d)
     above = np.minimum(mean - half, mean + half) > 0.02
     theta_h, theta_d, phi_d = theta_h[above], theta_d[above], phi_d[above]
@@ -111,7 +109,8 @@ def fit_openpbr(material: Material) -> OpenPBRSurface:
         (_dielectric, [1.5, *[0.3] * 3], [_LIMITS["ior"][0], *[0.0] * 3], [_LIMITS["ior"][1], *[1.0] * 3]),
     ):
         residuals = residuals_of(build)
-        for alpha in _STARTS:
+        # initial values of alpha: the residual has several minima for narrow lobes
+        for alpha in (0.003, 0.02, 0.1, 0.4):
             bounds = ([np.log(_LIMITS["alpha"][0]), *low], [np.log(_LIMITS["alpha"][1]), *high])
             found = least_squares(residuals, [np.log(alpha), *free], bounds=bounds, x_scale=[0.3, *[0.1] * len(free)])
             if best is None or found.cost < best[0].cost * (1 - 1e-9):
@@ -162,8 +161,7 @@ def write_openpbr(path: str | Path, surface: OpenPBRSurface, *, note: str = "", 
         "  </surfacematerial>",
         "</materialx>",
     ]
-    with replacing(path, force=force) as temporary:
-        Path(temporary).write_text("\n".join(lines) + "\n", encoding="utf-8")
+    write_text(path, "\n".join(lines) + "\n", force=force)
 
 
 def _metal(x: Any) -> Microfacet:

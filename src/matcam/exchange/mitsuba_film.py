@@ -16,8 +16,6 @@ from matcam.camera.camera import Camera
 from matcam.core import checks
 from matcam.core.errors import ArgumentError
 
-_ENCLOSED = 0.999
-"""Share of the kernel within its support radius. The weights within it are scaled to a sum of 1."""
 _FARTHEST = 32
 """Largest support radius, px: the kernel then has a width of 65 px."""
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(2)
@@ -130,7 +128,8 @@ def _reach(camera: Camera) -> int:
     """Compute the distance that contains 99.9 % of the line spread function, px."""
     distance = np.arange(1, _FARTHEST + 1)
     enclosed = np.asarray(camera.esf(distance + 0.5)) - np.asarray(camera.esf(-distance - 0.5))
-    enough = np.flatnonzero(enclosed >= _ENCLOSED)
+    # Share of the kernel within its support radius. The weights within it are scaled to a sum of 1.
+    enough = np.flatnonzero(enclosed >= 0.999)
     return int(distance[enough[0]]) if enough.size else _FARTHEST
 
 

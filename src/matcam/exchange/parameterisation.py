@@ -80,10 +80,7 @@ _PEAK_TO, _PEAK_STEP = 45.5, 0.5
 """Largest angle of the light up to which the peak is resolved, and the spacing of the candidate angles, degrees. The
 candidates are the centres and the edges of the cells of a MERL table, between which the table is linear.
 """
-_SAME = np.radians(0.75)
-"""Distance of two angles of the light below which one of them suffices, rad: less than a cell of a MERL table."""
 _THETA_NODES = 181
-_VISIBLE_SHARE, _LOGARITHMIC_SHARE, _EVEN_SHARE = 0.4, 0.3, 0.3
 _FAINTEST = 1e-9  # smallest divisor, as a share of the peak of D
 
 
@@ -141,7 +138,8 @@ def resampled_grid(
     square, light_angles = size.square, _light_angles(*size.angles)
     if peak_error is not None:
         needed = peak_angles(material, peak_error)
-        apart = np.abs(light_angles[:, None] - needed).min(axis=1) > _SAME
+        # distance of two angles of the light below which one of them suffices, rad: less than a cell of a MERL table
+        apart = np.abs(light_angles[:, None] - needed).min(axis=1) > np.radians(0.75)
         light_angles = np.sort(np.concatenate([needed, light_angles[apart]]))
     u = np.linspace(0, 1, _nodes(material))
     facets = _facets(material, u)
@@ -283,8 +281,8 @@ def _visible(u: np.ndarray, facets: np.ndarray, light_angles: np.ndarray, azimut
     along = np.trapezoid(seen, u)[..., None]
     over_azimuth = along / np.trapezoid(along[..., 0], phi[:, 0])[:, None, None] + 1 / (2 * np.pi)
     logarithmic = np.sqrt(facets) * np.cos(theta) * _jacobian(u)
-    spread = _VISIBLE_SHARE * seen / along + _LOGARITHMIC_SHARE * logarithmic / np.trapezoid(logarithmic, u)
-    return over_azimuth * (spread + _EVEN_SHARE * 2 * u)
+    spread = 0.4 * seen / along + 0.3 * logarithmic / np.trapezoid(logarithmic, u)
+    return over_azimuth * (spread + 0.3 * 2 * u)
 
 
 def _outgoing(

@@ -160,10 +160,6 @@ def _colour(values: np.ndarray) -> dict[str, Any]:
     return {"type": "rgb", "value": values.tolist()}
 
 
-_SKY = 0.2  # radiance of the uniform sky, which makes the shadow side of the sphere visible
-_VARIANT = "scalar_rgb"
-
-
 def rendered_sphere(
     material: Material,
     *,
@@ -209,7 +205,10 @@ def rendered_sphere(
         checks.whole_number(name, value, low, high)
     if not -np.pi < float(checks.scalar("lamp_angle", checks.number("lamp_angle", lamp_angle))) < np.pi:
         raise ArgumentError(f"lamp_angle must lie in (-180, 180) degrees, got {np.degrees(lamp_angle):g}")
-    mitsuba = _mitsuba()
+    checks.extra("rendering", "render", "mitsuba")
+    import mitsuba
+
+    mitsuba.set_variant("scalar_rgb")
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "material.bsdf"
         with one_by_one():  # written at once, because Mitsuba reads it
@@ -250,12 +249,5 @@ def _scene(
         return scene | {"environment": {"type": "envmap", "bitmap": mitsuba.Bitmap(light)}}
     towards = np.array([np.sin(lamp_angle), np.sin(lamp_angle) / 3, np.cos(lamp_angle)])
     lamp = {"type": "directional", "direction": (-towards).tolist(), "irradiance": {"type": "rgb", "value": np.pi}}
-    return scene | {"lamp": lamp, "sky": {"type": "constant", "radiance": {"type": "rgb", "value": _SKY}}}
-
-
-def _mitsuba() -> Any:
-    checks.extra("rendering", "render", "mitsuba")
-    import mitsuba
-
-    mitsuba.set_variant(_VARIANT)
-    return mitsuba
+    # radiance of the uniform sky, which makes the shadow side of the sphere visible
+    return scene | {"lamp": lamp, "sky": {"type": "constant", "radiance": {"type": "rgb", "value": 0.2}}}

@@ -16,7 +16,7 @@ from matcam.core.grid import merl_grid, sampling_of
 from matcam.figures.calibration import draw_calibration, draw_camera_fit, draw_edge_mtf
 from matcam.figures.curves import draw_corrected_lobe, draw_fresnel, draw_prediction
 from matcam.figures.sensor import draw_transfer
-from matcam.figures.style import BLUE, CYCLE, GREY, VERMILION, degrees_axis, nyquist_line, styled
+from matcam.figures.style import BLUE, GREY, VERMILION, channel_colour, degrees_axis, draw_with_std, mtf_lines, styled
 
 if TYPE_CHECKING:
     from matcam.camera.camera import Camera
@@ -25,10 +25,6 @@ if TYPE_CHECKING:
     from matcam.reconstruction.flat.flat_reconstruction import FlatReconstruction
     from matcam.reconstruction.reconstruction import Reconstruction
 
-_SIZE = (7.5, 4.4)
-"""Size of a figure of one panel, inches."""
-_COLOURS = {"R": "#C0392B", "G": "#009E73", "B": "#0072B2"}
-"""Colours of the channels. Channels of other names follow the colour cycle of the style."""
 _SHOWN = np.pi / 4
 """Default theta_d of the drawn lobe, rad. Most tables contain a complete highlight there."""
 
@@ -46,13 +42,12 @@ def draw_camera(axes: Axes, camera: Camera) -> None:
             "Camera(camera.optics.red, camera.pixel)"
         )
     frequency = np.linspace(0, 1, 201)
-    axes.axhline(0, color=GREY, lw=0.6)
     axes.plot(frequency, np.asarray(camera.mtf(frequency)), color=BLUE, label="lens and pixel, along the rows")
     diagonal = np.asarray(camera.mtf(frequency, np.pi / 4))
     axes.plot(frequency, diagonal, color=BLUE, ls="--", lw=1.2, label="lens and pixel, along the diagonal")
     if camera.optics.isotropic:
         axes.plot(frequency, np.asarray(camera.optics.mtf(frequency)), color=GREY, lw=1.2, label="lens")
-    nyquist_line(axes)
+    mtf_lines(axes)
     axes.set(xlim=(0, 1), xlabel="frequency [cycles/px]", ylabel="MTF [-]")
     axes.legend(loc="upper right")
 
@@ -67,9 +62,8 @@ def draw_fit(axes: Axes, fit: MaterialFit, channel: int | None = None) -> None:
     names = [str(name) for name in curves["channel"].values]
     for index in _channels(channel, names):
         value, std = (curves[name].values[:, index] for name in ("fresnel", "fresnel_std"))
-        colour = _colour(names[index], index)
-        axes.plot(theta, value, color=colour, marker="o", ms=3, lw=1.2, label=names[index])
-        axes.fill_between(theta, value - std, value + std, color=colour, alpha=0.25, lw=0)
+        colour = channel_colour(names[index], index)
+        draw_with_std(axes, theta, value, std, colour, marker="o", ms=3, lw=1.2, label=names[index])
     degrees_axis(axes, r"difference angle $\theta_d$")
     axes.set_ylabel("F, ± 1 std [-]")
     axes.set_ylim(0, None)
@@ -159,16 +153,11 @@ def draw_flat_reconstruction(axes: Axes, result: FlatReconstruction, map: str = 
 
 
 def _channels(channel: int | None, names: list[str]) -> range:
-    """Return the indices of the channels to draw: one, or all."""
     if channel is None:
         return range(len(names))
     index = checks.whole_number("channel", channel, 0, len(names) - 1)
     assert index is not None
     return range(index, index + 1)
-
-
-def _colour(name: str, index: int) -> str:
-    return _COLOURS.get(name[:1] if name[1:].isdigit() or len(name) == 1 else name, CYCLE[index % len(CYCLE)])
 
 
 _ARTISTS: dict[str, Callable[..., None]] = {
@@ -214,7 +203,8 @@ def draw(kind: str, result: Any, ax: Axes | None, options: Mapping[str, Any]) ->
     import matplotlib.pyplot as plt
 
     with styled():
-        figure, ax = plt.subplots(figsize=_SIZE, layout="constrained")
+        # size of a figure of one panel, inches
+        figure, ax = plt.subplots(figsize=(7.5, 4.4), layout="constrained")
         try:
             artist(ax, result, **options)
         except Exception:

@@ -9,8 +9,20 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from matcam.figures.field_maps import COLOURS, draw_blur_map, draw_lateral_colour
-from matcam.figures.style import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILION, legend_above, nyquist_line, styled
+from matcam.figures.field_maps import draw_blur_map, draw_lateral_colour
+from matcam.figures.style import (
+    BLACK,
+    BLUE,
+    CHANNELS,
+    GREEN,
+    GREY,
+    ORANGE,
+    VERMILION,
+    draw_with_std,
+    drawing,
+    legend_above,
+    mtf_lines,
+)
 
 if TYPE_CHECKING:
     from matcam.calibration.camera.calibration import Calibration
@@ -20,7 +32,6 @@ if TYPE_CHECKING:
     from matcam.camera.camera import Camera
 
 _MARKS = {"R": "s", "G": "o", "B": "^", "Y": "o", "grey": "o"}
-_LARGEST = 900  # largest side of the drawn image, px
 
 
 def edge_figure(result: EdgeMTF, image: np.ndarray, roi: Sequence[int] | None, name: str) -> Figure:
@@ -32,8 +43,7 @@ def edge_figure(result: EdgeMTF, image: np.ndarray, roi: Sequence[int] | None, n
         roi: region (x, y, width, height), px; None: the whole image.
         name: title.
     """
-    with styled():
-        figure = Figure(figsize=(10.2, 6.2), layout="constrained")
+    with drawing(10.2, 6.2) as figure:
         axes = figure.subplot_mosaic([["region", "esf", "lsf"], ["mtf", "mtf", "residual"]], width_ratios=(1, 1.2, 1.2))
         _draw_region(axes["region"], result, image, roi)
         reach = _reach(result)
@@ -87,8 +97,7 @@ def _draw_esf(axes: Axes, result: EdgeMTF, reach: float) -> None:
     distance = np.linspace(-reach, reach, 400)
     found = result.esf(distance)
     axes.plot(samples.distance[near], samples.value[near], ".", ms=2.5, color=GREY, label="pixels")
-    axes.plot(distance, found.value, color=BLUE, label="model-free")
-    axes.fill_between(distance, found.value - found.std, found.value + found.std, color=BLUE, alpha=0.25, lw=0)
+    draw_with_std(axes, distance, *found, BLUE, label="model-free")
     axes.set(xlabel="distance [px]", ylabel="edge response [-]", xlim=(-reach, reach))
     axes.legend(loc="upper left", fontsize=8.5)
     axes.set_title("ESF", loc="left")
@@ -97,8 +106,7 @@ def _draw_esf(axes: Axes, result: EdgeMTF, reach: float) -> None:
 def _draw_lsf(axes: Axes, result: EdgeMTF, reach: float) -> None:
     distance = np.linspace(-reach, reach, 400)
     found = result.lsf(distance)
-    axes.plot(distance, found.value, color=BLUE)
-    axes.fill_between(distance, found.value - found.std, found.value + found.std, color=BLUE, alpha=0.25, lw=0)
+    draw_with_std(axes, distance, *found, BLUE)
     axes.set(xlabel="distance [px]", ylabel="line response [1/px]", xlim=(-reach, reach))
     axes.set_title("LSF", loc="left")
 
@@ -106,8 +114,7 @@ def _draw_lsf(axes: Axes, result: EdgeMTF, reach: float) -> None:
 def draw_edge_mtf(axes: Axes, result: EdgeMTF) -> None:
     """Draw the model-free and the parametric MTF across an edge, with MTF50."""
     fit, f = result.parametric, result.frequency
-    axes.axhline(0, color=BLACK, lw=0.6)
-    nyquist_line(axes)
+    mtf_lines(axes)
     label = f"{fit.model} lens: {fit.mtf50:.4f} ± {fit.mtf50_std:.4f}"
     axes.plot(
         f,
@@ -117,8 +124,8 @@ def draw_edge_mtf(axes: Axes, result: EdgeMTF) -> None:
         lw=1.2,
         label=label if fit.consistent else f"{label} (wrong model)",
     )
-    axes.plot(f, result.mtf, color=BLUE, label=f"model-free: {result.mtf50:.4f} ± {result.mtf50_std:.4f}")
-    axes.fill_between(f, result.mtf - result.mtf_std, result.mtf + result.mtf_std, color=BLUE, alpha=0.25, lw=0)
+    label = f"model-free: {result.mtf50:.4f} ± {result.mtf50_std:.4f}"
+    draw_with_std(axes, f, result.mtf, result.mtf_std, BLUE, label=label)
     axes.errorbar(result.mtf50, 0.5, xerr=result.mtf50_std, fmt="o", color=BLUE, ms=4, capsize=2)
     if result.glare_found:
         label = f"model-free, without {result.glare_fraction:.1%} of glare: {result.core_mtf50:.4f}"
@@ -159,8 +166,7 @@ def calibration_figure(found: Calibration, picture: np.ndarray | None, lines: Se
     channel = found.channels[found.channel]
     edges = channel.edges if picture is not None else None
     maps = [["map", "lateral" if found.lateral_colour else "."]] if edges is not None else []
-    with styled():
-        figure = Figure(figsize=(10.5, 7.6 + 3.4 * len(maps)), layout="constrained")
+    with drawing(10.5, 7.6 + 3.4 * len(maps)) as figure:
         rows: list[Any] = [["picture", "mtf"], ["residuals", "field"], *maps, ["words", "words"]]
         axes = figure.subplot_mosaic(
             rows,
@@ -196,7 +202,8 @@ def _draw_picture(axes: Axes, fit: CameraFit, picture: np.ndarray | None, channe
         axes.axis("off")
         return
     height, width = picture.shape[:2]
-    step = max(1, int(np.ceil(max(height, width) / _LARGEST)))
+    # largest side of the drawn image, px
+    step = max(1, int(np.ceil(max(height, width) / 900)))
     shown = picture[::step, ::step].astype(float)
     shown = shown if shown.ndim == 2 else shown.mean(-1)
     low, high = np.quantile(shown, (0.005, 0.995))
@@ -223,21 +230,13 @@ def draw_camera_fit(axes: Axes, fit: CameraFit) -> None:
 
 
 def _draw_mtf(axes: Axes, channels: Mapping[str, CameraFit]) -> None:
-    axes.axhline(0, color=BLACK, lw=0.6)
-    nyquist_line(axes)
+    mtf_lines(axes)
     for name, fit in channels.items():
-        colour = COLOURS[name]
-        if np.isfinite(fit.curve.mtf).all():
-            axes.fill_between(
-                fit.curve.frequency,
-                fit.curve.mtf - 2 * fit.curve.mtf_std,
-                fit.curve.mtf + 2 * fit.curve.mtf_std,
-                color=colour,
-                alpha=0.25,
-                lw=0,
-            )
-            axes.plot(fit.curve.frequency, fit.curve.mtf, color=colour, lw=1.3, label=f"{name}: edges, model-free")
-        axes.plot(fit.curve.frequency, fit.curve.camera_mtf, color=colour, lw=1.1, ls="--", label=f"{name}: camera")
+        curve, colour = fit.curve, CHANNELS[name]
+        if np.isfinite(curve.mtf).all():
+            label = f"{name}: edges, model-free"
+            draw_with_std(axes, curve.frequency, curve.mtf, 2 * curve.mtf_std, colour, lw=1.3, label=label)
+        axes.plot(curve.frequency, curve.camera_mtf, color=colour, lw=1.1, ls="--", label=f"{name}: camera")
     axes.set(xlim=(0, 1), ylim=(-0.03, 1.05), xlabel="frequency [cycles/px]", ylabel="MTF of lens and pixel [-]")
     axes.legend(loc="upper right", fontsize=8.5, frameon=True, framealpha=1, edgecolor="none")
     axes.set_title("MTF, and 2 standard deviations", loc="left")
@@ -246,15 +245,9 @@ def _draw_mtf(axes: Axes, channels: Mapping[str, CameraFit]) -> None:
 def _draw_residuals(axes: Axes, found: Calibration) -> None:
     axes.axhline(0, color=BLACK, lw=0.6)
     for name, fit in found.channels.items():
-        left = fit.curve.mtf - fit.curve.camera_mtf
-        axes.plot(fit.curve.frequency, left, color=COLOURS[name], lw=1.2, label=name)
-        axes.fill_between(
-            fit.curve.frequency,
-            left - 2 * fit.curve.mtf_std,
-            left + 2 * fit.curve.mtf_std,
-            color=COLOURS[name],
-            alpha=0.2,
-            lw=0,
+        curve, colour = fit.curve, CHANNELS[name]
+        draw_with_std(
+            axes, curve.frequency, curve.mtf - curve.camera_mtf, 2 * curve.mtf_std, colour, lw=1.2, label=name
         )
     axes.set(xlim=(0, 0.75), xlabel="frequency [cycles/px]", ylabel="edges - camera [-]")
     if len(found.channels) > 1:
@@ -272,11 +265,11 @@ def _draw_field(axes: Axes, found: Calibration, picture: np.ndarray | None) -> N
         else:
             middle = ((picture.shape[1] - 1) / 2, (picture.shape[0] - 1) / 2)
         radius, meridional = edges.over_field(middle)
-        for plane, fill in (("meridional", COLOURS[name]), ("sagittal", "white")):
+        for plane, fill in (("meridional", CHANNELS[name]), ("sagittal", "white")):
             which = meridional == (plane == "meridional")
             axes.errorbar(
                 radius[which], edges.sigma[which], edges.sigma_std[which], fmt=_MARKS[name], ms=3.5, lw=0.7,
-                color=COLOURS[name], mfc=fill, label=f"{name}, {plane}",
+                color=CHANNELS[name], mfc=fill, label=f"{name}, {plane}",
             )  # fmt: skip
     axes.set(xlabel="distance from the centre of the image [px]", ylabel="blur as Gaussian sigma [px]")
     legend_above(axes, 2)
@@ -297,11 +290,9 @@ def targets_figure(samples: Sequence[MTFSamples], camera: Camera | None = None, 
         camera: camera to compare with; a second panel then shows the differences in standard deviations. Default: None.
         title: title. Default: "MTF".
     """
-    with styled():
-        figure = Figure(figsize=(9.2, 4.2), layout="constrained")
+    with drawing(9.2, 4.2) as figure:
         axes, left = figure.subplots(1, 2, width_ratios=(1.5, 1)) if camera is not None else (figure.subplots(), None)
-        axes.axhline(0, color=BLACK, lw=0.6)
-        nyquist_line(axes)
+        mtf_lines(axes)
         highest = max(float(s.frequency.max()) for s in samples)
         if camera is not None:
             f = np.linspace(0, highest, 200)

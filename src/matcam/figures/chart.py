@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import NamedTuple
 
 import numpy as np
 from matplotlib.collections import PolyCollection
@@ -12,25 +11,15 @@ from matplotlib.figure import Figure
 from matcam.calibration.chart.chart import Chart, Dots, Element, Fiducial, Grating, Star
 from matcam.core import checks
 from matcam.core.errors import ArgumentError
-from matcam.figures.style import styled
+from matcam.figures.style import drawing
 from matcam.files import tone_curve as srgb
 
 _STEPS = 24  # polygons per cycle of a sine
 _AROUND = 64  # corners of the polygon of a circle
 _INCH = 25.4
+_Polygon = tuple[np.ndarray, float]
+"""Corners of a polygon, mm (n, 2), and its luminance relative to that of the paper, in [0, 1] (no unit)."""
 _MOST = 2e8  # pixels of a raster
-
-
-class Polygon(NamedTuple):
-    """Polygon with one level.
-
-    Attributes:
-        points: corners, mm (n, 2).
-        level: luminance relative to that of the paper, in [0, 1] (no unit).
-    """
-
-    points: np.ndarray
-    level: float
 
 
 def chart_figure(chart: Chart) -> Figure:
@@ -41,15 +30,14 @@ def chart_figure(chart: Chart) -> Figure:
     polygons = [polygon for fiducial in chart.fiducials for polygon in _fiducial(fiducial, chart.ink)]
     polygons += [polygon for element in chart.elements for polygon in element_polygons(element)]
     width, height = chart.page
-    with styled():
-        figure = Figure(figsize=(width / _INCH, height / _INCH), facecolor="white")
+    with drawing(width / _INCH, height / _INCH, layout=None, facecolor="white") as figure:
         axes = figure.add_axes((0, 0, 1, 1))
         axes.set(xlim=(0, width), ylim=(height, 0))
         axes.axis("off")
         axes.add_collection(
             PolyCollection(
-                [polygon.points for polygon in polygons],
-                facecolors=[(_nearest_code(polygon.level),) * 3 for polygon in polygons],
+                [points for points, _ in polygons],
+                facecolors=[(_nearest_code(level),) * 3 for _, level in polygons],
                 edgecolors="none",
                 linewidths=0,
             ),
@@ -77,7 +65,7 @@ def check_raster(chart: Chart, dpi: float) -> None:
         )
 
 
-def element_polygons(element: Element) -> Iterator[Polygon]:
+def element_polygons(element: Element) -> Iterator[_Polygon]:
     """Yield the polygons of an element, in painting order."""
     if isinstance(element, Grating):
         yield from _grating(element)
@@ -85,9 +73,9 @@ def element_polygons(element: Element) -> Iterator[Polygon]:
         yield from _star(element)
     elif isinstance(element, Dots):
         for centre in element.centres:
-            yield Polygon(_circle(centre, element.radius), element.level)
+            yield _circle(centre, element.radius), element.level
     else:
-        yield Polygon(np.array(element.corners), element.level)
+        yield np.array(element.corners), element.level
 
 
 def _nearest_code(level: float) -> float:
@@ -102,14 +90,14 @@ def _circle(centre: tuple[float, float], radius: float) -> np.ndarray:
     return np.array(centre) + radius * np.stack([np.cos(t), np.sin(t)], axis=-1)
 
 
-def _fiducial(fiducial: Fiducial, ink: float) -> Iterator[Polygon]:
+def _fiducial(fiducial: Fiducial, ink: float) -> Iterator[_Polygon]:
     for ring in range(fiducial.rings, 0, -1):
-        yield Polygon(_circle(fiducial.centre, (2 * ring + 1) * fiducial.radius), ink)
-        yield Polygon(_circle(fiducial.centre, 2 * ring * fiducial.radius), 1.0)
-    yield Polygon(_circle(fiducial.centre, fiducial.radius), ink)
+        yield _circle(fiducial.centre, (2 * ring + 1) * fiducial.radius), ink
+        yield _circle(fiducial.centre, 2 * ring * fiducial.radius), 1.0
+    yield _circle(fiducial.centre, fiducial.radius), ink
 
 
-def _grating(grating: Grating) -> Iterator[Polygon]:
+def _grating(grating: Grating) -> Iterator[_Polygon]:
     across = np.array([np.cos(grating.angle), np.sin(grating.angle)])
     along = np.array([-np.sin(grating.angle), np.cos(grating.angle)]) * grating.size[1] / 2
     half = grating.size[0] / 2
@@ -120,22 +108,22 @@ def _grating(grating: Grating) -> Iterator[Polygon]:
 
     if grating.profile == "sine":
         for start, stop, level in _staircase(-half, half, grating, 2 * np.pi / grating.period):
-            yield Polygon(strip(start, stop), level)
+            yield strip(start, stop), level
         return
     # dark bars on a bright background: if its level is that of the paper, its border is invisible
-    yield Polygon(strip(-half, half), grating.bright)
+    yield strip(-half, half), grating.bright
     shift, reach = grating.phase / (2 * np.pi), half / grating.period
     for n in range(int(np.floor(shift - reach)) - 1, int(np.ceil(shift + reach)) + 2):
         low, high = ((n - shift + side) * grating.period for side in (grating.duty / 2, 1 - grating.duty / 2))
         if low < half and high > -half:
-            yield Polygon(strip(low, high), grating.dark)
+            yield strip(low, high), grating.dark
 
 
-def _star(star: Star) -> Iterator[Polygon]:
+def _star(star: Star) -> Iterator[_Polygon]:
     for start, stop, level in _staircase(0.0, 2 * np.pi, star, star.cycles):
         t = np.array([start, stop])
         rim = np.stack([np.cos(t), np.sin(t)], axis=-1)
-        yield Polygon(np.array(star.centre) + np.concatenate([star.inner * rim, star.outer * rim[::-1]]), level)
+        yield np.array(star.centre) + np.concatenate([star.inner * rim, star.outer * rim[::-1]]), level
 
 
 def _staircase(low: float, high: float, of: Grating | Star, per: float) -> Iterator[tuple[float, float, float]]:

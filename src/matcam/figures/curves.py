@@ -10,11 +10,20 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from matcam.figures.style import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, VERMILION, degrees_axis, styled
+from matcam.figures.style import (
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    PURPLE,
+    VERMILION,
+    degrees_axis,
+    draw_with_std,
+    drawing,
+)
 from matcam.forward.prediction import LOSS, Prediction
 
-_TABLE_COLOURS = (GREEN, ORANGE, PURPLE, BLACK)
-_MOST_TABLES = 4
 _LIMIT = f"{100 * LOSS:g} % loss"
 """Label of the loss limit."""
 RAW_LABEL = "raw: from the recorded peak, camera ignored"
@@ -35,8 +44,7 @@ def fresnel_figure(
         channel: index of the channel. Default: None, the middle one (green).
     """
     channel = result.sizes["channel"] // 2 if channel is None else channel
-    with styled():
-        figure = Figure(figsize=(9.6, 5.0))  # fixed margins: a search for them takes as long as drawing
+    with drawing(9.6, 5.0, layout=None) as figure:  # fixed margins: a search for them takes as long as drawing
         left, right = figure.subplots(1, 2, width_ratios=(2.1, 1))
         draw_fresnel(left, result, tables, channel)
         handles, labels = left.get_legend_handles_labels()
@@ -67,11 +75,11 @@ def draw_fresnel(axes: Axes, result: xr.Dataset, tables: xr.Dataset | None, chan
         ls=(0, (1, 1.2)),
         label="peak over the recorded share (as in the paper)",
     )
-    axes.fill_between(theta, corrected - std, corrected + std, color=BLUE, alpha=0.25, lw=0)
-    axes.plot(theta, corrected, color=BLUE, lw=2, label="corrected: lobe fitted through the camera, ± 1 std")
+    label = "corrected: lobe fitted through the camera, ± 1 std"
+    draw_with_std(axes, theta, corrected, std, BLUE, lw=2, label=label)
     if tables is not None:
-        best = np.argsort(tables["rms_corrected"].isel(channel=channel).values, kind="stable")[:_MOST_TABLES]
-        for index, colour in zip(sorted(best), _TABLE_COLOURS, strict=False):
+        best = np.argsort(tables["rms_corrected"].isel(channel=channel).values, kind="stable")[:4]
+        for index, colour in zip(sorted(best), (GREEN, ORANGE, PURPLE, BLACK), strict=False):
             table = tables.isel(table=index, channel=channel)
             axes.plot(theta, table["tabulated"], color=colour, lw=1.2, ls="--", label=str(table["table"].values))
     if supported < theta[-1]:
@@ -106,8 +114,7 @@ def prediction_figure(data: Prediction, title: str) -> Figure:
 
     Loss angles are marked. data: result of `predicted`.
     """
-    with styled():
-        figure = Figure(figsize=(7.4, 4.4), layout="constrained")
+    with drawing(7.4, 4.4) as figure:
         axes = figure.subplots()
         draw_prediction(axes, data.dataset())
         axes.set_title(title, loc="left", fontsize=9.5)
@@ -143,8 +150,7 @@ def plane_figure(data: Prediction, title: str) -> Figure:
 
     data: result of `predicted`.
     """
-    with styled():
-        figure = Figure(figsize=(7.4, 4.6), layout="constrained")
+    with drawing(7.4, 4.6) as figure:
         axes = figure.subplots()
         axes.grid(False)
         theta, roughness, relative = np.degrees(data.theta), data.roughness, data.relative_response
@@ -167,8 +173,7 @@ def highlight_figure(data: xr.Dataset) -> Figure:
 
     These are Figures 3 and 4 of the paper. data: result of `paper.figure_3_4`.
     """
-    with styled():
-        figure = Figure(figsize=(10, 3.3), layout="constrained")
+    with drawing(10, 3.3) as figure:
         panels = figure.subplots(1, data.sizes["theta_o"], sharey=True)
         for axes, theta in zip(panels, data["theta_o"].values, strict=True):
             one = data.sel(theta_o=theta)
@@ -202,8 +207,7 @@ def loss_figure(data: xr.Dataset) -> Figure:
 
     This is Figure 5 of the paper, for narrow to wide lobes. data: result of `paper.figure_5`.
     """
-    with styled():
-        figure = Figure(figsize=(7.4, 4.4), layout="constrained")
+    with drawing(7.4, 4.4) as figure:
         axes = figure.subplots()
         theta = np.degrees(data["theta"].values)
         ratios = data["ratio"].values
@@ -247,14 +251,21 @@ def draw_corrected_lobe(axes: Axes, table: xr.Dataset, recorded: xr.DataArray, a
         axes.text(0.5, 0.5, "missing in this table", transform=axes.transAxes, ha="center", color=GREY)
         return
     axes.plot(theta_h[seen], before[seen], color=VERMILION, label="recorded")
-    axes.plot(theta_h[seen], after[seen], color=BLUE, label="corrected")
-    low = np.maximum(after - std, after * 1e-2)
-    axes.fill_between(theta_h[seen], low[seen], (after + std)[seen], color=BLUE, alpha=0.25, lw=0)
-    axes.plot(theta_h[good], after[good], ".", color=GREEN, ms=5, label="supported")
-    axes.set_xscale("log")
-    axes.set_yscale("log")
-    axes.minorticks_off()  # a hundred artists for each panel take two thirds of the time of a page
+    draw_lobe(axes, theta_h, after, std, seen, good, "corrected")
     top = np.nanmax(after[seen])
     axes.set_ylim(max(top * 1e-7, np.nanmin(before[seen]) / 2), top * 2)
-    axes.set_xlabel(r"half angle $\theta_h$ [degrees]")
-    axes.set_ylabel("BRDF [1/sr]")
+
+
+def draw_lobe(
+    axes: Axes, theta_h: np.ndarray, value: np.ndarray, std: np.ndarray, seen: Any, good: Any, label: str
+) -> None:
+    """Draw a BRDF over theta_h, degrees, on logarithmic axes.
+
+    seen: mask of the drawn angles. good: mask of the supported angles. label: label of the curve.
+    """
+    axes.plot(theta_h[seen], value[seen], color=BLUE, label=label)
+    low = np.maximum(value - std, value * 1e-2)
+    axes.fill_between(theta_h[seen], low[seen], (value + std)[seen], color=BLUE, alpha=0.25, lw=0)
+    axes.plot(theta_h[good], value[good], ".", color=GREEN, ms=5, label="supported")
+    axes.set(xscale="log", yscale="log", xlabel=r"half angle $\theta_h$ [degrees]", ylabel="BRDF [1/sr]")
+    axes.minorticks_off()  # a hundred artists for each panel take two thirds of the time of a page

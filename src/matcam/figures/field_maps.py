@@ -7,18 +7,15 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from matplotlib.axes import Axes
 
-from matcam.figures.style import BLACK, BLUE, GREEN, VERMILION
+from matcam.figures.style import BLACK, CHANNELS
 
 if TYPE_CHECKING:
     from matcam.calibration.camera.calibration import Calibration
     from matcam.calibration.camera.evidence import EdgeTable
     from matcam.calibration.camera.lateral_colour import LateralColour
 
-COLOURS = {"R": VERMILION, "G": GREEN, "B": BLUE, "Y": BLACK, "grey": BLACK}
-"""Colours in which channels are drawn."""
 _LONGER, _SHORTER = 8, 6  # parts along the sides of the image
 _FEWEST = 2  # smallest number of edges in a part, for robustness against one bad edge
-_ROUNDING = 0.02  # smallest range of the colour scale, relative to the width: less would show only noise
 
 
 class BlurMap(NamedTuple):
@@ -70,7 +67,8 @@ def draw_blur_map(axes: Axes, edges: EdgeTable, shape: tuple[int, int], channel:
         axes.text(0.5, 0.5, f"fewer than {_FEWEST} edges in every part", ha="center", transform=axes.transAxes)
         return
     low, high = np.nanmin(found.sigma), np.nanmax(found.sigma)
-    more = max(_ROUNDING * high - (high - low), 0.0) / 2
+    # smallest range of the colour scale, relative to the width: less would show only noise
+    more = max(0.02 * high - (high - low), 0.0) / 2
     drawn = axes.pcolormesh(
         found.x, found.y, np.ma.masked_invalid(found.sigma), cmap="cividis", vmin=low - more, vmax=high + more
     )
@@ -91,9 +89,9 @@ def draw_lateral_colour(axes: Axes, found: Calibration, shape: tuple[int, int]) 
     radius = np.linspace(0, corner, 101)
     for name, lateral in found.lateral_colour.items():
         shift = lateral_shift(lateral, radius, corner)
-        axes.plot(radius, shift, color=COLOURS[name], lw=1.3, label=f"{name}: {lateral.edges} edges")
+        axes.plot(radius, shift, color=CHANNELS[name], lw=1.3, label=f"{name}: {lateral.edges} edges")
         axes.errorbar(
-            corner, lateral.corner, 2 * lateral.corner_std, fmt="o", ms=4, lw=1, capsize=3, color=COLOURS[name]
+            corner, lateral.corner, 2 * lateral.corner_std, fmt="o", ms=4, lw=1, capsize=3, color=CHANNELS[name]
         )
     axes.axhline(0, color=BLACK, lw=0.6)
     axes.set(xlabel="distance from the centre of the image [px]", ylabel="radial displacement from G [px]")

@@ -6,7 +6,6 @@ of each material. Figures have fixed margins, because computing them would take 
 
 from __future__ import annotations
 
-import base64
 import math
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
@@ -28,14 +27,12 @@ from matcam.figures.spheres import (
     table_sphere,
     whole_sphere,
 )
-from matcam.figures.style import BLUE, GREY, VERMILION, degrees_axis, inline_png, styled, write_page
+from matcam.figures.style import BLUE, GREY, VERMILION, data_url, degrees_axis, drawing, inline_png, write_page
 from matcam.inverse.correction.correction import Correction
 from matcam.inverse.fresnel_term import NORMALISE, fresnel_of_peaks
 from matcam.inverse.operator.rig_axes import LAMP, LENS
 
-_SLICES = (5, 45, 65, 75)
 _SPHERE = 180  # px
-_CLOSER = 20.0  # magnification if an image cannot contain the highlight completely
 _READ_AS = {
     "hwhm_rad": "half width at half maximum, rad",
     "tail_exponent": "tail exponent",
@@ -91,8 +88,7 @@ def reflectance_figure(raw: xr.DataArray, done: Correction) -> Figure:
     masking = None if done.table.attrs["masking"] == "none" else done.table.attrs["masking"]
     used = (angle > low) & (angle < high)
     of_peaks = fresnel_of_peaks(raw, angle, done.fit.ndf, masking, response / response[0], used)
-    with styled():
-        figure = Figure(figsize=(7.5, 4.2))
+    with drawing(7.5, 4.2, layout=None) as figure:
         axes = figure.subplots(gridspec_kw={"left": 0.1, "right": 0.98, "bottom": 0.13, "top": 0.97})
         axes.plot(np.degrees(angle), of_peaks.raw[channel], color=VERMILION, label=RAW_LABEL)
         axes.errorbar(
@@ -112,11 +108,10 @@ def lobe_figure(raw: xr.DataArray, done: Correction) -> Figure:
     The azimuth phi_d is 90 degrees, and the channel is the middle one.
     """
     channel, grid = raw.sizes["channel"] // 2, merl_grid(sampling_of(raw))
-    with styled():
-        figure = Figure(figsize=(9.6, 6.4))
+    with drawing(9.6, 6.4, layout=None) as figure:
         margins = {"left": 0.08, "right": 0.985, "bottom": 0.085, "top": 0.955}
         panels = figure.subplots(2, 2, gridspec_kw={**margins, "wspace": 0.22, "hspace": 0.36})
-        for axes, theta_d in zip(panels.flat, np.radians(_SLICES), strict=True):
+        for axes, theta_d in zip(panels.flat, np.radians((5, 45, 65, 75)), strict=True):
             at = (*grid.index(theta_d=theta_d, phi_d=np.pi / 2), channel)
             draw_corrected_lobe(axes, done.table, raw, at)
             if axes.lines:
@@ -134,7 +129,8 @@ def sphere_figure(raw: xr.DataArray, done: Correction) -> Figure:
     Each row has one scale.
     """
     tables = raw.values, done.table["brdf"].values
-    zoom = highlight_zoom(*tables) or _CLOSER
+    # magnification if an image cannot contain the highlight completely
+    zoom = highlight_zoom(*tables) or 20.0
     before, after = (whole_sphere(values, _SPHERE) for values in tables)
     black, white = logarithmic_range(before, after)
     closer = [table_sphere(values, _SPHERE, zoom) for values in tables]
@@ -143,8 +139,7 @@ def sphere_figure(raw: xr.DataArray, done: Correction) -> Figure:
         ("whole sphere", [logarithmic(one, black, white) for one in (before, after)]),
         (f"highlight, {zoom:g} times larger", [encoded_for_screen(one, brightest) for one in closer]),
     )
-    with styled():
-        figure = Figure(figsize=(8.6, 8.6))
+    with drawing(8.6, 8.6, layout=None) as figure:
         margins = {"left": 0.01, "right": 0.99, "bottom": 0.035, "top": 0.965}
         panels = figure.subplots(2, 2, gridspec_kw={**margins, "wspace": 0.02, "hspace": 0.08})
         for row, (part, pictures) in zip(panels, rows, strict=True):
@@ -181,14 +176,6 @@ class _Cell(NamedTuple):
     details: tuple[str, ...] = ()
 
 
-class _Column(NamedTuple):
-    """Column of the index: lines of its header, "text" or "number", and a function from a record to its cell."""
-
-    head: tuple[str, ...]
-    kind: str
-    cell: Callable[[dict[str, Any]], _Cell]
-
-
 def write_run_index(
     path: str | Path,
     records: Iterable[tuple[str, dict[str, Any]]],
@@ -211,7 +198,7 @@ def write_run_index(
     """
     folder = Path(path).parent
     rows = [
-        (name, _thumbnail(folder, name, inline), [column.cell({**record, "name": name}) for column in _COLUMNS])
+        (name, _thumbnail(folder, name, inline), [cell({**record, "name": name}) for _, _, cell in _COLUMNS])
         for name, record in records
     ]
     content = {"columns": _COLUMNS, "rows": rows, "failures": failures, "summary": summary}
@@ -219,17 +206,15 @@ def write_run_index(
 
 
 def _thumbnail(folder: Path, name: str, inline: bool) -> str:
-    """Return the address of the thumbnail of a material; "" if it does not exist."""
     if not inline:
         return quote(f"{name}.png")
     try:
-        return "data:image/png;base64," + base64.b64encode((folder / f"{name}.png").read_bytes()).decode()
+        return data_url((folder / f"{name}.png").read_bytes())
     except OSError:
         return ""
 
 
 def _material(record: dict[str, Any]) -> _Cell:
-    """Return the name of the material, with a link to its page."""
     name = record["name"]
     listed = record.get("run", {}).get("files", {})
     return _Cell(name, name, f"{quote(name)}.html" if f"{name}.html" in listed else "")
@@ -243,7 +228,6 @@ def _verdict(record: dict[str, Any]) -> _Cell:
 
 
 def _number(value: Any, text: Callable[[float], str]) -> _Cell:
-    """Format a value that may be missing."""
     if not isinstance(value, int | float) or not math.isfinite(value):
         return _Cell("", "-")
     return _Cell(repr(float(value)), text(float(value)))
@@ -260,7 +244,6 @@ def _with_std(value: Any, std: Any, scale: float = 1.0) -> _Cell:
 
 
 def _lobe(record: dict[str, Any]) -> _Cell:
-    """Return the family of the lobe, marked if it is spline-modified."""
     words = (
         f"spline-modified {record['fit']['ndf']}" if record["fit"].get("spline_modified") else str(record["fit"]["ndf"])
     )
@@ -275,8 +258,6 @@ def _roughness(record: dict[str, Any]) -> _Cell:
 
 
 def _free_parameter(name: str, scale: float = 1.0) -> Callable[[dict[str, Any]], _Cell]:
-    """Build the column of a fitted parameter of the rig."""
-
     def cell(record: dict[str, Any]) -> _Cell:
         fit = (record.get("refits") or {}).get(name)
         return _with_std(fit["params"].get(name), fit["std"].get(name), scale) if fit else _Cell("", "-")
@@ -285,37 +266,35 @@ def _free_parameter(name: str, scale: float = 1.0) -> Callable[[dict[str, Any]],
 
 
 def _peak_loss(degrees: str) -> Callable[[dict[str, Any]], _Cell]:
-    """Build the column of the loss of the peak at an angle."""
     return lambda record: _number((record.get("peak_lost") or {}).get(degrees), lambda x: f"{x:.0%}")
 
 
-_COLUMNS = (
-    _Column(("material",), "text", _material),
-    _Column(("verdict",), "text", _verdict),
-    _Column(("lobe",), "text", _lobe),
-    _Column(("roughness", "(slope)"), "number", _roughness),
-    _Column(
+_COLUMNS: tuple[tuple[tuple[str, ...], str, Callable[[dict[str, Any]], _Cell]], ...] = (
+    (("material",), "text", _material),
+    (("verdict",), "text", _verdict),
+    (("lobe",), "text", _lobe),
+    (("roughness", "(slope)"), "number", _roughness),
+    (
         ("half width at half", "maximum (degrees)"),
         "number",
         lambda r: _with_std(r["fit"]["hwhm_rad"], r["fit"]["hwhm_std_rad"], 180 / math.pi),
     ),
-    _Column(("peak lost", "at 5°"), "number", _peak_loss("5")),
-    _Column(("at 45°",), "number", _peak_loss("45")),
-    _Column(("at 75°",), "number", _peak_loss("75")),
-    _Column(
-        ("std of correction", "at 75°"), "number", lambda r: _number(r.get("correction_std_75"), lambda x: f"{x:.0%}")
-    ),
-    _Column(
+    (("peak lost", "at 5°"), "number", _peak_loss("5")),
+    (("at 45°",), "number", _peak_loss("45")),
+    (("at 75°",), "number", _peak_loss("75")),
+    (("std of correction", "at 75°"), "number", lambda r: _number(r.get("correction_std_75"), lambda x: f"{x:.0%}")),
+    (
         ("supported, of entries", "that can be judged"),
         "number",
         lambda r: _number(r.get("supported_share"), lambda x: f"{x:.0%}"),
     ),
-    _Column(
+    (
         ("noise of", "a pixel"),
         "number",
         lambda r: _number((r["fit"].get("noise") or {}).get("relative"), lambda x: f"{x:.1%}"),
     ),
-    _Column(("free lens", "(px)"), "number", _free_parameter(LENS)),
-    _Column(("free lamp radius", "(degrees)"), "number", _free_parameter(LAMP, 180 / math.pi)),
-    _Column(("time", "(s)"), "number", lambda r: _number((r.get("run") or {}).get("seconds"), lambda x: f"{x:.1f}")),
+    (("free lens", "(px)"), "number", _free_parameter(LENS)),
+    (("free lamp radius", "(degrees)"), "number", _free_parameter(LAMP, 180 / math.pi)),
+    (("time", "(s)"), "number", lambda r: _number((r.get("run") or {}).get("seconds"), lambda x: f"{x:.1f}")),
 )
+"""Columns of the index: lines of the header, "text" or "number", and a function from a record to its cell."""

@@ -11,17 +11,27 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from matcam.acquisition.merged_picture import MergedPicture
+from matcam.core.arrays import evenly
 from matcam.core.grid import merl_grid
+from matcam.figures.curves import draw_lobe
 from matcam.figures.fitted_windows import fitted_windows, pinhole_slice
 from matcam.figures.strip_profiles import profile_figure
-from matcam.figures.style import BLUE, CYCLE, GREEN, GREY, VERMILION, degrees_axis, inline_png, styled, write_page
+from matcam.figures.style import (
+    BLUE,
+    GREY,
+    VERMILION,
+    channel_colour,
+    degrees_axis,
+    drawing,
+    inline_png,
+    write_page,
+)
 from matcam.reconstruction.picture_rule import WINDOW
 from matcam.reconstruction.stated.captured_scene import INCOMPLETE
 
 if TYPE_CHECKING:
     from matcam.reconstruction.reconstruction import Reconstruction
 
-_SHOWN = 18  # number of images whose highlights are drawn
 _BUDGET = (
     ("ratio", "F at grazing angles over F at 10 to 45°, %", 100.0),
     ("level", "F at 10 to 45°, absolute, %", 100.0),
@@ -108,8 +118,7 @@ def overview_figure(result: Reconstruction, picture: MergedPicture) -> Figure:
     low, high = np.percentile(values, [5, 99.5])
     floor = max(high * 1e-4, 1e-12)
     turn = np.linspace(0, 2 * np.pi, 361)
-    with styled():
-        figure = Figure(figsize=(6.8, 6.4), layout="constrained")
+    with drawing(6.8, 6.4) as figure:
         axes = figure.subplots()
         first_row, first_column = picture.origin
         height, width = values.shape
@@ -143,8 +152,7 @@ def overview_figure(result: Reconstruction, picture: MergedPicture) -> Figure:
 
 def reflectance_figure(result: Reconstruction) -> Figure:
     """Draw the strengths of all images and the fitted curve, by channel."""
-    with styled():
-        figure = Figure(figsize=(7.5, 4.2), layout="constrained")
+    with drawing(7.5, 4.2) as figure:
         draw_reflectance(figure.subplots(), result)
     return figure
 
@@ -157,7 +165,8 @@ def draw_reflectance(axes: Axes, result: Reconstruction) -> None:
     strengths = fit.strengths / units
     std = fit.strengths_std / units
     fine = np.linspace(theta.min(), theta.max(), 200)
-    for c, (channel, colour) in enumerate(zip(fit.channels, _colours(fit.channels), strict=True)):
+    for c, channel in enumerate(fit.channels):
+        colour = channel_colour(channel, c)
         axes.errorbar(
             np.degrees(theta), strengths[:, c], std[:, c], color=colour, fmt="o", ms=4, label=f"{channel}, ± 1 std"
         )
@@ -175,12 +184,11 @@ def lobe_figure(result: Reconstruction) -> Figure:
     """
     grid = merl_grid("centre")
     theta_d = np.sort(np.degrees(result.fit.solution.theta_d))  # the pinhole table has cells at these angles, too
-    slices = [float(theta_d[k]) for k in np.unique(np.linspace(0, len(theta_d) - 1, 4).round().astype(int))]
+    slices = [float(theta_d[k]) for k in evenly(len(theta_d), 4)]
     table = result.table
     channel = table["brdf"].sizes["channel"] // 2
     theta_h = np.degrees(grid.theta_h)
-    with styled():
-        figure = Figure(figsize=(9.6, 6.4), layout="constrained")
+    with drawing(9.6, 6.4) as figure:
         panels = figure.subplots(2, 2).flat
         for axes, degrees in zip(panels, [*slices, *[None] * (4 - len(slices))], strict=True):
             if degrees is None:
@@ -194,21 +202,8 @@ def lobe_figure(result: Reconstruction) -> Figure:
                 binned = pinhole_slice(result.pinhole, at[1], channel)
                 there = np.isfinite(binned)
                 axes.plot(theta_h[there], binned[there], ".-", color=VERMILION, lw=0.8, ms=3, label="pinhole binning")
-            axes.plot(theta_h[seen], value[seen], color=BLUE, label="reconstructed")
-            axes.fill_between(
-                theta_h[seen],
-                np.maximum(value - std, value * 1e-2)[seen],
-                (value + std)[seen],
-                color=BLUE,
-                alpha=0.25,
-                lw=0,
-            )
-            axes.plot(theta_h[good], value[good], ".", color=GREEN, ms=4, label="supported")
-            axes.set_xscale("log")
-            axes.set_yscale("log")
+            draw_lobe(axes, theta_h, value, std, seen, good, "reconstructed")
             axes.set_title(rf"$\theta_d$ = {np.degrees(grid.theta_d[at[1]]):.1f}°", loc="left")
-            axes.set_xlabel(r"half angle $\theta_h$ [degrees]")
-            axes.set_ylabel("BRDF [1/sr]")
         next(iter(figure.axes)).legend(loc="lower left")
     return figure
 
@@ -219,11 +214,10 @@ def highlight_figure(result: Reconstruction) -> Figure:
     The residual is in standard deviations.
     """
     solution, windows = result.fit.solution, fitted_windows(result)
-    shown = np.unique(np.linspace(0, len(result.fit.names) - 1, min(_SHOWN, len(result.fit.names))).round().astype(int))
+    shown = evenly(len(result.fit.names), 18)
     columns = 3
     rows = int(np.ceil(len(shown) / columns))
-    with styled():
-        figure = Figure(figsize=(10.5, 1.5 * rows + 0.7), layout="constrained")
+    with drawing(10.5, 1.5 * rows + 0.7) as figure:
         grid = figure.subplots(rows, 3 * columns, squeeze=False)
         for axes in grid.flat:
             axes.axis("off")
@@ -248,8 +242,3 @@ def highlight_figure(result: Reconstruction) -> Figure:
             color=GREY,
         )
     return figure
-
-
-def _colours(channels: Sequence[str]) -> Sequence[str]:
-    named = {"R": VERMILION, "G": GREEN, "B": BLUE}
-    return [named.get(channel, CYCLE[i % len(CYCLE)]) for i, channel in enumerate(channels)]

@@ -10,14 +10,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from matcam.core.remark import texts
-from matcam.figures.style import BLACK, BLUE, GREY, VERMILION, inline_png, styled, write_page
+from matcam.figures.style import BLACK, BLUE, GREY, VERMILION, drawing, inline_png, write_page
 
 if TYPE_CHECKING:
     from matcam.calibration.sensor.characteristics import SensorCharacteristics
-
-_LARGEST = 400  # largest side of a drawn map, px
-_SPREAD = 3.0
-"""Number of standard deviations that the grey levels of a map span on each side of the mean."""
 
 
 def sensor_figure(result: SensorCharacteristics, name: str) -> Figure:
@@ -27,8 +23,7 @@ def sensor_figure(result: SensorCharacteristics, name: str) -> Figure:
         result: result of `characterise_sensor`.
         name: title.
     """
-    with styled():
-        figure = Figure(figsize=(10.2, 6.4), layout="constrained")
+    with drawing(10.2, 6.4) as figure:
         axes = figure.subplot_mosaic([["transfer", "snr", "linearity"], ["response", "dark", "spread"]])
         draw_transfer(axes["transfer"], result)
         _draw_snr(axes["snr"], result)
@@ -99,10 +94,12 @@ def _draw_linearity(axes: Axes, result: SensorCharacteristics) -> None:
 
 
 def _draw_map(axes: Axes, values: np.ndarray, std: float, title: str) -> None:
-    step = max(1, -(-max(values.shape) // _LARGEST))
+    # largest side of a drawn map, px
+    step = max(1, -(-max(values.shape) // 400))
     height, width = (n - n % step for n in values.shape)
     coarse = values[:height, :width].reshape(height // step, step, width // step, step).mean((1, 3))
-    limit = _SPREAD * max(std, 1e-12)
+    # number of standard deviations that the grey levels of a map span on each side of the mean
+    limit = 3.0 * max(std, 1e-12)
     axes.grid(visible=False)
     drawn = axes.imshow(coarse, cmap="gray", vmin=-limit, vmax=limit, interpolation="nearest")
     axes.figure.colorbar(drawn, ax=axes, shrink=0.8)

@@ -12,11 +12,9 @@ from matplotlib.figure import Figure
 
 from matcam.core.grid import cosines, merl_grid
 from matcam.core.io import replacing
-from matcam.figures.style import GREY, styled
+from matcam.figures.style import GREY, drawing
 from matcam.files import tone_curve as srgb
 
-_INSIDE = 32
-"""Number of points along each side of a pixel for its average."""
 LAMP = np.radians(50.0)
 """Angle between lamp and camera, rad."""
 
@@ -63,7 +61,8 @@ def whole_sphere(values: np.ndarray, size: int) -> np.ndarray:
     """
     picture = table_sphere(values, size)
     row, column = size // 2, int((np.sin(LAMP / 2) + 1) / 2 * size)
-    picture[row, column] = table_sphere(values, _INSIDE, zoom=size).mean(axis=(0, 1))
+    # number of points along each side of a pixel for its average
+    picture[row, column] = table_sphere(values, 32, zoom=size).mean(axis=(0, 1))
     return picture
 
 
@@ -84,9 +83,6 @@ def body_white(corrected: np.ndarray) -> float:
     return float(np.quantile(lit, 0.99)) if lit.size else 0.0
 
 
-_MOST_DECADES, _FEWEST_DECADES = 8.0, 2.0
-_DIMMEST = 0.05
-"""Quantile of the lit pixels that is drawn black, within the limits of the number of decades."""
 _BODY = 0.12
 """Grey level of radiances below the scale, so that a sphere without diffuse light is visible."""
 _GROUND = 0.45
@@ -107,7 +103,8 @@ def logarithmic_range(*pictures: np.ndarray) -> tuple[float, float]:
     if not lit.size:
         return 1e-2, 1.0
     white = float(lit.max())
-    decades = np.clip(np.log10(white / np.quantile(lit, _DIMMEST)), _FEWEST_DECADES, _MOST_DECADES)
+    # quantile of the lit pixels that is drawn black, within the limits of the number of decades
+    decades = np.clip(np.log10(white / np.quantile(lit, 0.05)), 2.0, 8.0)
     return white * 10.0 ** -float(decades), white
 
 
@@ -136,10 +133,6 @@ SIZE = 64
 """Height of the image and width of each half, px."""
 _INSET = 26
 """Side of the magnified highlight in a thumbnail, px, which fits into the unlit side of the sphere."""
-_ZOOMS = (200.0, 60.0, 20.0, 6.0)
-"""Magnifications of a highlight, from the finest cells of a table, 2e-4 rad, to a lobe of about 10 degrees."""
-_WHOLE = 0.3
-"""Share of the peak to which a highlight must decrease at the border of an image that contains it completely."""
 
 
 def highlight_zoom(*tables: np.ndarray) -> float | None:
@@ -150,11 +143,13 @@ def highlight_zoom(*tables: np.ndarray) -> float | None:
     Args:
         tables: values (theta_h, theta_d, phi_d, channel), 1/sr.
     """
-    for zoom in _ZOOMS:
+    # magnifications of a highlight, from the finest cells of a table, 2e-4 rad, to a lobe of about 10 degrees
+    for zoom in (200.0, 60.0, 20.0, 6.0):
         pictures = [table_sphere(values, _INSET, zoom).max(axis=-1) for values in tables]
         border = np.ones((_INSET, _INSET), bool)
         border[1:-1, 1:-1] = False
-        if all(one[border].max() < _WHOLE * one.max() for one in pictures):
+        # share of the peak to which a highlight must decrease at the border of an image that contains it completely
+        if all(one[border].max() < 0.3 * one.max() for one in pictures):
             return zoom
     return None
 
@@ -191,8 +186,7 @@ def spheres_figure(pictures: Mapping[str, np.ndarray], light: str, exposure: flo
         light: light source, in words.
         exposure: factor before display: radiance 1 / exposure is white. Default: 1.
     """
-    with styled():
-        figure = Figure(figsize=(3.6 * len(pictures), 4.15), layout="constrained")
+    with drawing(3.6 * len(pictures), 4.15) as figure:
         for axes, (title, picture) in zip(
             figure.subplots(1, len(pictures), squeeze=False)[0], pictures.items(), strict=True
         ):
@@ -218,8 +212,7 @@ def picture_figure(data: xr.DataArray, title: str) -> Figure:
     white = np.percentile(lit, 99.5) if lit.size else 1.0
     display = np.clip(values / white, 0, 1) ** (1 / 2.2)
     x, y = data["x"].values, data["y"].values
-    with styled():
-        figure = Figure(figsize=(8.6, 4.0), layout="constrained")
+    with drawing(8.6, 4.0) as figure:
         left, right = figure.subplots(1, 2, width_ratios=(1, 1.15))
         left.grid(False)
         edges = (x[0] - 0.5, x[-1] + 0.5, y[-1] - 0.5, y[0] + 0.5)

@@ -7,12 +7,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.figure import Figure
 
-from matcam.figures.style import CYCLE, styled
+from matcam.core.arrays import evenly
+from matcam.figures.style import CYCLE, drawing
 
 if TYPE_CHECKING:
     from matcam.reconstruction.reconstruction import Reconstruction
-
-_SHOWN = 6
 
 
 def profile_figure(result: Reconstruction) -> Figure:
@@ -22,11 +21,9 @@ def profile_figure(result: Reconstruction) -> Figure:
     """
     fit, solution = result.fit, result.fit.solution
     problem = solution.problem
-    count = len(fit.names)
-    shown = np.unique(np.linspace(0, count - 1, min(_SHOWN, count)).round().astype(int))
+    shown = evenly(len(fit.names), 6)
     channel = len(fit.channels) // 2
-    with styled():
-        figure = Figure(figsize=(2.3 * len(shown) + 0.8, 5.2), layout="constrained")
+    with drawing(2.3 * len(shown) + 0.8, 5.2) as figure:
         grid = figure.subplots(2, len(shown), squeeze=False, height_ratios=(2, 1), sharex="col")
         for position, k in enumerate(shown):
             pixels = problem.pixels[k]

@@ -9,8 +9,8 @@ from __future__ import annotations
 import base64
 import io
 import textwrap
-from collections.abc import Mapping
-from contextlib import AbstractContextManager
+from collections.abc import Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -22,19 +22,24 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 from PIL import Image
 
-from matcam.core.io import check_picture, replacing
+from matcam.core.io import check_picture, replacing, write_text
 
 BLUE, VERMILION, GREEN, ORANGE, SKY, PURPLE, YELLOW, BLACK = (
     "#0072B2", "#D55E00", "#009E73", "#E69F00", "#56B4E9", "#CC79A7", "#F0E442", "#000000",
 )  # fmt: skip
+CHANNELS = {"R": VERMILION, "G": GREEN, "B": BLUE, "Y": BLACK, "grey": BLACK}
+"""Colours of channels."""
 CYCLE = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, BLACK)
 GREY = "#6E6E6E"
-_COLOUR_BAR = "<colorbar>"
-"""Label of the axes of a colour bar in Matplotlib. They lie beside the panel and below its title."""
+
+
+def channel_colour(name: str, index: int) -> str:
+    """Select the colour of a channel. Channels of other names than those of `CHANNELS` follow the cycle of colours."""
+    return CHANNELS.get(name[:1] if name[1:].isdigit() else name, CYCLE[index % len(CYCLE)])
+
+
 _GAP = 10.0
 """Distance between titles of neighbouring panels, and tolerance of the height of panels of one row, dots."""
-_SMALLEST = 7.0
-"""Smallest size of a title, points: the size of the smallest labels."""
 
 _RC: Any = {
     "font.size": 9.5,
@@ -56,6 +61,16 @@ _RC: Any = {
 def styled() -> AbstractContextManager[None]:
     """Return the style context in which every figure is drawn."""
     return matplotlib.rc_context(_RC)
+
+
+@contextmanager
+def drawing(width: float, height: float, layout: Any = "constrained", **options: Any) -> Iterator[Figure]:
+    """Create a figure, and draw it in the style of all figures.
+
+    width, height: size, inches. layout, options: see `Figure`.
+    """
+    with styled():
+        yield Figure(figsize=(width, height), layout=layout, **options)
 
 
 def save(figure: Figure, path: str | Path, *, force: bool = False, dpi: float = 144) -> None:
@@ -101,7 +116,8 @@ def fit_titles(figure: Figure) -> bool:
 def _end(figure: Figure, axes: Axes) -> float:
     """Compute the end of the space for the title of a panel, in dots: the next panel of its row, or the edge of the figure."""
     here = axes.get_window_extent()
-    panels = [one.get_window_extent() for one in figure.axes if one.get_label() != _COLOUR_BAR]
+    # Label of the axes of a colour bar in Matplotlib. They lie beside the panel and below its title.
+    panels = [one.get_window_extent() for one in figure.axes if one.get_label() != "<colorbar>"]
     right = [box.x0 - _GAP for box in panels if box.x0 >= here.x1 and box.y0 < here.y1 < box.y1 + _GAP]
     return min([*right, figure.bbox.width])
 
@@ -112,7 +128,8 @@ def _fit(title: Text, room: float) -> bool:
     if width <= room:
         return False
     size = float(title.get_fontsize())
-    smaller = max(size * 0.98 * room / width, min(size, _SMALLEST))
+    # smallest size of a title, points: the size of the smallest labels
+    smaller = max(size * 0.98 * room / width, min(size, 7.0))
     title.set_fontsize(smaller)
     if (needed := width * smaller / size) > room and title.get_text().count("$") < 2:  # a formula cannot be broken
         longest = max(map(len, title.get_text().splitlines()))
@@ -127,11 +144,18 @@ def degrees_axis(axes: Axes, label: str, end: float = 90) -> None:
     axes.set_xticks(range(0, int(end) + 1, 15))
 
 
-def nyquist_line(axes: Axes) -> None:
-    """Mark the Nyquist frequency, 0.5 cycles/px.
+def draw_with_std(axes: Axes, x: Any, value: Any, std: Any, colour: Any, **line: Any) -> None:
+    """Draw a curve, and a band of one standard deviation on each side."""
+    axes.fill_between(x, value - std, value + std, color=colour, alpha=0.25, lw=0)
+    axes.plot(x, value, color=colour, **line)
+
+
+def mtf_lines(axes: Axes) -> None:
+    """Mark an MTF of 0, and the Nyquist frequency, 0.5 cycles/px.
 
     The label is below the legend of an MTF.
     """
+    axes.axhline(0, color=BLACK, lw=0.6)
     axes.axvline(0.5, color=GREY, lw=0.8)
     axes.annotate("Nyquist", (0.5, 0.5), xytext=(3, -9), textcoords="offset points", fontsize=8, color=GREY)
 
@@ -146,7 +170,12 @@ def legend_above(axes: Axes, columns: int) -> None:
 
 def inline_png(figure: Figure) -> str:
     """Encode a figure as a data URL of a PNG image."""
-    return "data:image/png;base64," + base64.b64encode(_png(figure, 110)).decode()
+    return data_url(_png(figure, 110))
+
+
+def data_url(png: bytes) -> str:
+    """Encode a PNG image as a data URL."""
+    return "data:image/png;base64," + base64.b64encode(png).decode()
 
 
 def _png(figure: Figure, dpi: float) -> bytes:
@@ -178,5 +207,4 @@ def write_page(path: str | Path, template: str, content: Mapping[str, Any], *, f
         lstrip_blocks=True,
     )
     text = environment.get_template(template).render(content)
-    with replacing(path, force=force) as temporary:
-        temporary.write_text(text, encoding="utf-8", errors="xmlcharrefreplace")  # names of folders may be invalid text
+    write_text(path, text, force=force, errors="xmlcharrefreplace")  # names of folders may be invalid text

@@ -30,18 +30,11 @@ from matcam.files.samples import checked_samples, samples_from
 SCHEMA = "urn:bird-project:brdf_json_schema_v1.0"
 """Name of the schema, which the format requires in its documents."""
 _ANGLES = ("theta_i", "phi_i", "theta_r", "phi_r")
-_ANGLE_UNITS = {"rad": 1.0, "deg": math.pi / 180, "°": math.pi / 180}
-_VALUE_UNITS = ("1/sr", "sr^-1")
 _NANO = {"nm": 1.0, "μm": 1e3, "µm": 1e3, "um": 1e3}
 _MOST = 2_000_000
 """Largest number of readings that are written; each takes about 100 bytes."""
 _LONGEST_NAME = 60
 """Largest number of characters in the name of a channel, as in CSV. Each name takes as much memory as the longest."""
-_SPARSEST = 1000
-"""Largest number of cells of the resulting table per reading. The table grows with the square of the number of readings
-if each reading has its own pair of directions and its own channel. The 50,000 readings of the largest document then
-take 400 MB.
-"""
 _NOT_STATED = "not stated"
 _GRAZING = 1e-9
 """Smallest difference of written angles from 90 degrees, degrees. The schema excludes 90 degrees."""
@@ -77,8 +70,8 @@ def read_bird(path: str | Path) -> xr.DataArray:
     data = document.get("data") if isinstance(document, dict) else None
     if not isinstance(data, dict):
         raise FileFormatError(f'{path}: is not a BRDF in BiRD\'s format: it has no object "data"')
-    angles = [_column(path, data, name, _ANGLE_UNITS) for name in _ANGLES]
-    values = _column(path, data, "BRDF", dict.fromkeys(_VALUE_UNITS, 1.0))
+    angles = [_column(path, data, name, {"rad": 1.0, "deg": math.pi / 180, "°": math.pi / 180}) for name in _ANGLES]
+    values = _column(path, data, "BRDF", dict.fromkeys(("1/sr", "sr^-1"), 1.0))
     for name, angle in zip(_ANGLES, angles, strict=True):
         if len(angle) != len(values):
             raise FileFormatError(
@@ -93,7 +86,10 @@ def read_bird(path: str | Path) -> xr.DataArray:
     pairs = np.stack([np.mod(a, 2 * np.pi) for a in angles], axis=1).round(9)
     unique, first, position = np.unique(pairs, axis=0, return_index=True, return_inverse=True)
     order = np.argsort(np.argsort(first))  # pairs of directions in the order of the file
-    if len(unique) * len(names) > _SPARSEST * len(values):
+    # Largest number of cells of the resulting table per reading. The table grows with the square of the number of
+    # readings if each reading has its own pair of directions and its own channel. The 50,000 readings of the largest
+    # document then take 400 MB.
+    if len(unique) * len(names) > 1000 * len(values):
         raise FileFormatError(
             f"{path}: {len(values)} readings are too few for {len(unique)} pairs of directions in {len(names)} channels: "
             "store the channels in separate files"

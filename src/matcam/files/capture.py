@@ -24,11 +24,11 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
-from pydantic import ValidationError
 
 from matcam.core.errors import FileFormatError
 from matcam.core.readers.names import check_folder, check_within, is_file, is_folder, listed_file
-from matcam.core.readers.texts import checked_version, first_problem, read_lines, read_toml
+from matcam.core.readers.schemas import validated
+from matcam.core.readers.texts import checked_version, read_lines, read_toml
 from matcam.core.registry import CFAS
 from matcam.core.remark import Remark, some_of
 from matcam.files.capture_frames import INTENSITY, CaptureFrame, LampGuess, stated_intensity
@@ -41,7 +41,6 @@ KINDS = ("frames", "dark", "flat", "outline", "reference")
 COLUMNS = ("file", "lamp", "angle_deg", "azimuth_deg", "exposure", "time_s")
 _WHAT = "a capture"
 _MOST = 20_000  # lines of frames.csv
-_NAME = re.compile(r"[\w.+-]{1,60}")
 
 Region = tuple[int, int, int, int]
 """Region of a frame: first column, first row, width, height, px."""
@@ -88,13 +87,15 @@ class Capture:
     @property
     def profile(self) -> Path | None:
         """Return the file of the camera profile; None if it is not specified."""
-        name = self.settings["camera"]["profile"]
-        return None if name is None else self.folder / name
+        return self._file("camera", "profile")
 
     @property
     def mask(self) -> Path | None:
         """Return the file of the mask of the sphere; None if it is not specified."""
-        name = self.settings["outline"]["mask"]
+        return self._file("outline", "mask")
+
+    def _file(self, section: str, field: str) -> Path | None:
+        name = self.settings[section][field]
         return None if name is None else self.folder / name
 
     @property
@@ -112,7 +113,7 @@ class Capture:
     @property
     def radius_mm(self) -> Stated | None:
         """Return the radius of the sample, mm; None if it is not specified."""
-        return _as_stated(self.settings["sample"]["radius_mm"])
+        return self.stated("radius_mm")
 
     def stated(self, name: str) -> Stated | None:
         """Return a value of [sample] by the name of its field.
@@ -261,10 +262,7 @@ def read_settings(path: Path) -> dict[str, Any]:
     check_within(path, path.parent)
     document = read_toml(path, _WHAT)
     checked_version(document, path, _WHAT, FORMAT, (VERSION,))
-    try:
-        settings = CaptureSettings.model_validate(document).model_dump()
-    except ValidationError as error:
-        raise FileFormatError(f"{path}: {first_problem(error)}") from None
+    settings = validated(CaptureSettings, document, path).model_dump()
     radius = settings["sample"]["radius_mm"]
     for name, distance in settings["distances"].items():
         if radius is not None and distance is not None and not distance[0] > radius[0]:
@@ -364,7 +362,7 @@ def _frame(
         if math.isinf(values[column]) or (column == "time_s" and values[column] <= 0):
             raise FileFormatError(f"{path}: {column} must be finite and, if a time, above 0, got {row[column]:.20}")
     for column in ("lamp", "exposure"):
-        if row[column] and not _NAME.fullmatch(row[column]):
+        if row[column] and not re.fullmatch(r"[\w.+-]{1,60}", row[column]):
             raise FileFormatError(
                 f"{path}: {column} must consist of letters, digits and . + - _, got {row[column]!r:.20}"
             )

@@ -24,14 +24,9 @@ from matcam.core.remark import some_of
 from matcam.files.capture import KINDS
 from matcam.files.light_positions import LightPosition, are_unit_vectors, read_light_positions
 from matcam.files.photographs import PICTURES, open_photograph
-from matcam.files.picture_header import exposure_time
+from matcam.files.picture_header import read_exif
 
-_SAME_TIME = 1.1
-"""Ratio of two exposure times below which they belong to one exposure. Steps of a third of a stop have a ratio of 1.26."""
-_SAME_LAMP = math.radians(0.01)
-"""Angle between two directions of a light position file below which they belong to one lamp position, rad."""
 _SPLIT = re.compile(r"(?P<lamp>.+)[_-](?P<exposure>[^_-]+)")
-_MOST_EXPOSURES = 12
 
 
 @dataclass
@@ -102,7 +97,7 @@ def list_photographs(source: str | Path, light_positions: str | Path | None = No
     ]
     if others:
         listing.notes.append(f"{some_of(others)}: the format is not supported; convert to TIFF or PNG")
-    times = {path: exposure_time(path) for paths in found.values() for path in paths}
+    times = {path: read_exif(path).time for paths in found.values() for path in paths}
     names = _exposure_names([time for time in times.values() if time is not None])
     positions = _light_positions(source, light_positions)
     lamps = _lamp_names(found["frames"], times, positions)
@@ -149,13 +144,14 @@ def _exposure_names(times: Sequence[float]) -> list[tuple[float, str]]:
     """Compute the smallest time, s, and the name of each exposure, in ascending order."""
     least: list[float] = []
     for time in sorted(times):
-        if not least or time > _SAME_TIME * least[-1]:
+        # Ratio of two exposure times below which they belong to one exposure. Steps of a third of a stop have a ratio
+        # of 1.26.
+        if not least or time > 1.1 * least[-1]:
             least.append(time)
     return [(time, f"E{number}") for number, time in enumerate(least, 1)]
 
 
 def _exposure(time: float, names: Sequence[tuple[float, str]]) -> tuple[float, str]:
-    """Find the exposure of an image: its smallest time, s, and its name."""
     return [one for one in names if one[0] <= time][-1]
 
 
@@ -188,7 +184,8 @@ def _lamp_names(
         found = {}
         for path, one in stated.items():
             towards = one.position / np.linalg.norm(one.position)
-            same = [k for k, other in enumerate(seen) if np.linalg.norm(towards - other) < _SAME_LAMP]
+            # angle between two directions of a light position file below which they belong to one lamp position, rad
+            same = [k for k, other in enumerate(seen) if np.linalg.norm(towards - other) < math.radians(0.01)]
             if not same:
                 seen.append(towards)
             found[path] = (same or [len(seen) - 1])[0]
@@ -198,7 +195,7 @@ def _lamp_names(
         pairs = {path: (part["lamp"], part["exposure"]) for path, part in parts.items() if part}
         lamps, exposures = ({pair[k] for pair in pairs.values()} for k in (0, 1))
         whole = len(set(pairs.values())) == len(frames) == len(lamps) * len(exposures)
-        if whole and len(lamps) > 1 and 1 < len(exposures) <= _MOST_EXPOSURES:
+        if whole and len(lamps) > 1 and 1 < len(exposures) <= 12:
             return pairs
     number, used, at = -1, set[str](), {}
     names = _exposure_names([time for path in frames if (time := times[path]) is not None])

@@ -7,16 +7,14 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import (
     AfterValidator,
-    BaseModel,
     BeforeValidator,
-    ConfigDict,
     Field,
     FiniteFloat,
     WithJsonSchema,
     model_validator,
 )
 
-_TOO_LARGE = 1e12
+from matcam.core.readers.schemas import Strict
 
 
 class Stated(NamedTuple):
@@ -39,7 +37,7 @@ def _stated(low: float, high: float = math.inf) -> tuple[BeforeValidator, WithJs
         pair = value if isinstance(value, list) else [value, 0.0]
         if len(pair) != 2 or any(isinstance(v, bool) or not isinstance(v, int | float) for v in pair):
             raise ValueError("must be a value or [value, standard deviation]")
-        if not all(abs(v) < _TOO_LARGE for v in pair) or pair[1] < 0:  # whole numbers may be too large for a float
+        if not all(abs(v) < 1e12 for v in pair) or pair[1] < 0:  # whole numbers may be too large for a float
             raise ValueError("must be finite, with a standard deviation of at least 0")
         number, std = map(float, pair)
         if not low <= number <= high:
@@ -52,9 +50,7 @@ def _stated(low: float, high: float = math.inf) -> tuple[BeforeValidator, WithJs
 
 
 _Positive = Annotated[list[float], *_stated(1e-12)]
-_Share = Annotated[list[float], *_stated(0.0, 1.0)]
 _NotNegative = Annotated[list[float], *_stated(0.0)]
-_Either = Annotated[list[float], *_stated(-1e6)]
 
 
 def _with_pixels(box: list[int]) -> list[int]:
@@ -72,11 +68,7 @@ _ONLY = {
 """Fields of [sample] that apply to only one kind of sample."""
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True)
-
-
-class _Camera(_Strict):
+class _Camera(Strict):
     profile: str | None = None
     cfa: str | None = None
     tone: Literal["linear", "srgb"] = "linear"
@@ -84,7 +76,7 @@ class _Camera(_Strict):
     black_level_dn: FiniteFloat | None = None
 
 
-class _Sample(_Strict):
+class _Sample(Strict):
     kind: Literal["sphere", "cylinder", "flat"] = "sphere"
     radius_mm: _Positive | None = None
     region_px: _Box | None = None
@@ -117,30 +109,30 @@ class _Sample(_Strict):
         return self
 
 
-class _Distances(_Strict):
+class _Distances(Strict):
     camera_mm: _Positive | None = None
     lamp_mm: _Positive | None = None
 
 
-class _LampSection(_Strict):
-    radius_mm: _NotNegative = [0.0, 0.0]
+class _LampSection(Strict):
+    radius_mm: _NotNegative = Field(default=[0.0, 0.0])
     motion: Literal["arc", "free", "table"] = "free"
     intensity: Literal["reference", "constant", "table"] = "constant"
     gain_std: Annotated[FiniteFloat, Field(ge=0, lt=1)] = 0.005
     direction_std_deg: Annotated[FiniteFloat, Field(ge=0, le=180)] = 1.0
 
 
-class _Reference(_Strict):
+class _Reference(Strict):
     kind: Literal["diffuse", "monitor"]
-    reflectance: _Share | None = None
-    depth_mm: _Either | None = None
+    reflectance: Annotated[list[float], *_stated(0.0, 1.0)] | None = None
+    depth_mm: Annotated[list[float], *_stated(-1e6)] | None = None
     tilt_std_deg: Annotated[FiniteFloat, Field(ge=0, le=45)] = 1.0
     region_px: _Box | None = None
     apart: bool = False
     between_std: Annotated[FiniteFloat, Field(ge=0, lt=1)] | None = None
 
 
-class _Outline(_Strict):
+class _Outline(Strict):
     field_beyond_deg: Annotated[FiniteFloat, Field(ge=0, le=90)] = 3.0
     centre_px: Annotated[list[FiniteFloat], Field(min_length=2, max_length=2)] | None = None
     radius_px: _Positive | None = None
@@ -154,7 +146,7 @@ class _Outline(_Strict):
         return self
 
 
-class CaptureSettings(_Strict):
+class CaptureSettings(Strict):
     """Tables of capture.toml; docs/capture.md describes the fields."""
 
     format: Literal["matcam capture"]

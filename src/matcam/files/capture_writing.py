@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from matcam.core.io import all_or_nothing, check_output_folder, make_folder, replacing
+from matcam.core.io import all_or_nothing, check_output_folder, make_folder, replacing, write_text
 from matcam.files.capture import COLUMNS, KINDS, LIST, SETTINGS
 
 TEMPLATE = """\
@@ -86,8 +86,7 @@ def write_template(folder: str | Path, rows: Iterable[Mapping[str, Any]] = (), *
         for kind in KINDS:
             make_folder(folder / kind)
         for name, text in texts.items():
-            with replacing(folder / name, force=force) as temporary:
-                temporary.write_text(text, encoding="utf-8")
+            write_text(folder / name, text, force=force)
     return [folder / name for name in texts]
 
 
@@ -102,9 +101,8 @@ def write_description(
         rows: lines of frames.csv, each with its values by column; missing cells are empty.
         force: replace existing files (no unit). Default: False.
     """
-    for name, content in ((SETTINGS, as_toml(settings)), (LIST, _table(rows))):
-        with replacing(folder / name, force=force) as temporary:
-            temporary.write_text(content, encoding="utf-8")
+    write_text(folder / SETTINGS, as_toml(settings), force=force)
+    write_text(folder / LIST, _table(rows), force=force)
 
 
 def _table(rows: Iterable[Mapping[str, Any]]) -> str:

@@ -157,7 +157,10 @@ def write_zarr(path: str | Path, data: xr.Dataset, *, force: bool = False) -> No
     """
     _check_dataset(data)
     members: dict[str, Any] = {}
-    store = _storage().MemoryStore(members)
+    checks.extra("Zarr", "scale", "zarr")
+    from zarr import storage
+
+    store = storage.MemoryStore(members)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # text has no final specification in Zarr 3: other readers may not support it
         # not compressed, so that the size of the file bounds the required memory
@@ -216,12 +219,3 @@ def _check_dataset(data: object) -> None:
         raise ArgumentError(
             f"data must be an xarray.Dataset, got {type(data).__name__}; convert a DataArray by to_dataset()"
         )
-
-
-def _storage() -> Any:
-    """Import zarr; an ArgumentError is raised if it is not installed."""
-    try:
-        from zarr import storage
-    except ImportError:
-        raise ArgumentError("Zarr needs an extra: pip install 'matcam[scale]'") from None
-    return storage

@@ -18,12 +18,11 @@ from typing import Any
 
 import numpy as np
 
-from matcam.core.errors import ArgumentError, FileFormatError
+from matcam.core import checks
+from matcam.core.errors import FileFormatError
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 _MOST_TIMES, _MOST_VARIABLES, _SPARE = 16, 256, 1 << 16
-_BYTES_A_TEXT = 64
-"""Memory of a string of variable length, bytes, for a Python object and the pointers to it."""
 _FILTERS = {1: "deflate", 2: "shuffle", 3: "fletcher32", 4: "szip", 5: "nbit", 6: "scaleoffset"}
 """Built-in filters of HDF5 by number. All others are plugins, which are not loaded."""
 _CODECS = {"bytes", "crc32c", "gzip", "zstd", "blosc", "transpose", "vlen-utf8"}
@@ -34,11 +33,8 @@ _NUMBERS = {
     "float32",
     "float64",
 }
-_TEXTS = {"string", "fixed_length_utf32"}
 DESCRIPTION = "zarr.json"
 _DESCRIPTION_BYTES = 1 << 20
-_LONGEST_END = 22 + (1 << 16)  # bytes: end of a zip, with its comment
-_LOCAL_HEADER = 30  # bytes, without its name and extra field
 
 
 def check_stored_sizes(path: Path, size: int, variables: Mapping[str, tuple[tuple[int, ...], Any]]) -> None:
@@ -55,7 +51,8 @@ def check_stored_sizes(path: Path, size: int, variables: Mapping[str, tuple[tupl
     for name, (shape, kind) in variables.items():
         check_lengths(path, name, shape)
         # text of variable length has no given size
-        each = kind.itemsize if isinstance(kind, np.dtype) and kind.kind != "O" else _BYTES_A_TEXT
+        # memory of a string of variable length, bytes, for a Python object and the pointers to it
+        each = kind.itemsize if isinstance(kind, np.dtype) and kind.kind != "O" else 64
         total += math.prod(shape) * max(each, 1)
         if total > _MOST_TIMES * size + _SPARE:
             raise FileFormatError(
@@ -159,11 +156,10 @@ def _check_hdf5(path: Path, file: Any) -> None:
 
 def decode_zarr(path: Path) -> dict[str, Any]:
     """Read variables and attributes of a zipped Zarr as plain arrays."""
-    try:
-        import zarr
-        from zarr import storage
-    except ImportError:
-        raise ArgumentError("Zarr needs an extra: pip install 'matcam[scale]'") from None
+    checks.extra("Zarr", "scale", "zarr")
+    import zarr
+    from zarr import storage
+
     _check_zarr(path)
     with storage.ZipStore(path, mode="r") as store, warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -248,7 +244,7 @@ def check_codecs(path: Path, name: str, document: dict[str, Any]) -> None:
     """
     kind = document["data_type"]
     kind = kind["name"] if isinstance(kind, dict) else kind
-    if kind not in _NUMBERS | _TEXTS:
+    if kind not in _NUMBERS | {"string", "fixed_length_utf32"}:
         raise FileFormatError(
             f"{path}: {name!r:.60} has values of type {kind!r:.40}, but only numbers and text are supported"
         )
@@ -285,7 +281,8 @@ def _check_members(path: Path, size: int, members: list[zipfile.ZipInfo]) -> Non
     for member in sorted(members, key=lambda m: m.header_offset):
         if member.header_offset < end:
             raise FileFormatError(f"{path}: damaged: member {member.filename!r:.60} overlaps the previous member")
-        end = member.header_offset + _LOCAL_HEADER + len(member.filename.encode()) + member.compress_size
+        # bytes, without its name and extra field
+        end = member.header_offset + 30 + len(member.filename.encode()) + member.compress_size
     if end > size:
         raise FileFormatError(f"{path}: damaged: its members end at byte {end} of {size}")
     names = [member.filename for member in members]
@@ -296,7 +293,8 @@ def _check_members(path: Path, size: int, members: list[zipfile.ZipInfo]) -> Non
 def _check_directory(path: Path, size: int) -> None:
     """Check the position of the directory of the zip, because its claimed size is allocated."""
     with path.open("rb") as file:
-        file.seek(max(0, size - _LONGEST_END))
+        # bytes: end of a zip, with its comment
+        file.seek(max(0, size - (22 + (1 << 16))))
         end = file.read()
     at = end.rfind(b"PK\5\6")
     if at < 0 or len(end) < at + 22:

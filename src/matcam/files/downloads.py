@@ -33,8 +33,6 @@ _SIZE = 34_992_012  # bytes of every MERL file
 _TIMEOUT = 60  # longest time without data, s
 _DEADLINE = 1800.0  # longest time for one file, s
 _BLOCK = 1 << 16  # bytes
-_TAIL = 1 << 17  # bytes at the end of an archive that contain its directory
-_MOST_AT_ONCE = 16 << 20  # largest size of a directory, bytes
 
 
 @cache
@@ -137,7 +135,6 @@ def _limited(pieces: Iterable[bytes], source: str) -> Iterator[bytes]:
 
 
 def _member(web: _Web, source: str, name: str) -> Iterator[bytes]:
-    """Yield one member of an archive."""
     remote = _RemoteFile(web, source)
     with zipfile.ZipFile(remote) as archive:
         member = next((m for m in archive.infolist() if m.filename.rsplit("/", 1)[-1] == name), None)
@@ -216,7 +213,8 @@ class _RemoteFile(io.RawIOBase):
         self.end, self._at, self._stream_at = self.size, 0, -1
         self._stream: Iterator[bytes] = iter(())
         self._waiting = b""
-        self._tail_at = max(0, self.size - _TAIL)
+        # bytes at the end of an archive that contain its directory
+        self._tail_at = max(0, self.size - (1 << 17))
         self._tail = b"".join(web.stream(address, (self._tail_at, self.size - 1))) if self.size else b""
 
     def seekable(self) -> bool:
@@ -234,7 +232,8 @@ class _RemoteFile(io.RawIOBase):
 
     def read(self, size: int = -1) -> bytes:
         size = max(0, self.size - self._at) if size < 0 else size
-        if size > _MOST_AT_ONCE:
+        # largest size of a directory, bytes
+        if size > (16 << 20):
             raise DownloadError(f"{self.address}: the list of members has {size} bytes: the archive is damaged")
         position = self._at - self._tail_at
         found = self._tail[position:][:size] if position >= 0 else self._streamed(size)

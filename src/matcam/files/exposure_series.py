@@ -25,7 +25,7 @@ from matcam.core.io import reading
 from matcam.core.readers.names import check_within, is_file, is_folder, listed_file
 from matcam.core.readers.texts import read_lines
 from matcam.files.photographs import PICTURES
-from matcam.files.picture_header import exposure_time
+from matcam.files.picture_header import read_exif
 
 _NANO = 1e-9
 _UNITS = {"ns": 1e-9, "us": 1e-6, "ms": 1e-3, "s": 1.0}
@@ -34,9 +34,6 @@ _KINDS = {"dark": False, "bias": False, "flat": True, "bright": True}
 """True for lit frames and False for dark frames, by the beginning of the name of a file or of its folder."""
 _MOST_LINES = 20_000
 """Largest number of lines of a descriptor. Most lines name a file, whose path takes 40 us to check."""
-_DEEPEST = 32  # bits of a code
-_DIGITS = 6
-"""Number of significant digits to which exposure times of one set agree."""
 
 
 class ExposureSet(NamedTuple):
@@ -141,7 +138,8 @@ def _described(path: Path) -> ExposureSeries:
         try:
             if key == "n" and len(cells) == 3:
                 bits = int(cells[0])
-                if not 0 < bits <= _DEEPEST:
+                # bits of a code
+                if not 0 < bits <= 32:
                     raise ValueError
             elif key == "b" and len(cells) == 2:
                 sets.append(ExposureSet(True, _number(cells[0]) * _NANO, _number(cells[1]), ()))
@@ -181,12 +179,13 @@ def _listed(folder: Path) -> ExposureSeries:
             continue
         check_within(file, folder)
         stated = _TIME.findall(re.sub(r"[_-]", " ", str(inside)))
-        time = float(stated[-1][0]) * _UNITS[stated[-1][1]] if stated else exposure_time(file)
+        time = float(stated[-1][0]) * _UNITS[stated[-1][1]] if stated else read_exif(file).time
         if time is None:
             raise FileFormatError(
                 f"{file}: the image has no exposure time in its metadata or its name: rename it as in flat_20ms_1.tif"
             )
-        key = (lit, f"{time:.{_DIGITS}g}")
+        # exposure times of one set agree to 6 significant digits
+        key = (lit, f"{time:.6g}")
         one = found.setdefault(key, ExposureSet(lit, time, math.nan if lit else 0.0, ()))
         found[key] = one._replace(files=(*one.files, file))
     if not found:

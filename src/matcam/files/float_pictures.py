@@ -23,7 +23,6 @@ from __future__ import annotations
 import struct
 from collections.abc import Mapping
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -38,7 +37,6 @@ _DECODERS = "matcam.files.picture_decoders"
 _MAGIC, _FLOAT, _MOST_CHANNELS = 20000630, 2, 4096
 _LINES_PER_CHUNK = {0: 1, 1: 1, 2: 1, 3: 16, 4: 32}
 """Number of scan lines per chunk by compression: none, RLE, ZIPS, ZIP, PIZ. Other compressions lose digits of floats."""
-_LONGEST_HEADER = 1 << 20  # bytes
 
 
 def as_float32(picture: ArrayLike) -> np.ndarray:
@@ -126,12 +124,6 @@ def read_float_tiff(path: str | Path) -> np.ndarray:
     return read_apart(f"{_DECODERS}:decode_float_tiff", path, "an image", libraries=libraries, there=picture_memory())
 
 
-class _Skeleton(NamedTuple):
-    channels: tuple[str, ...]
-    height: int
-    width: int
-
-
 def write_exr(path: str | Path, picture: ArrayLike, *, force: bool = False) -> None:
     """Write an image as an OpenEXR file of 32-bit floats.
 
@@ -152,10 +144,7 @@ def write_exr(path: str | Path, picture: ArrayLike, *, force: bool = False) -> N
         ...     matcam.io.read_exr(Path(folder) / "a.exr").shape
         (2, 3, 3)
     """
-    stored = as_float32(picture)
-    planes = stored[..., None] if stored.ndim == 2 else stored
-    names = _names(None if stored.ndim == 2 else stored.shape[2])
-    _write_channels(path, {name: planes[..., i] for i, name in enumerate(names)}, force)
+    _write_channels(path, _planes(picture), force)
 
 
 def write_exr_layers(path: str | Path, layers: Mapping[str, ArrayLike], *, force: bool = False) -> None:
@@ -170,11 +159,14 @@ def write_exr_layers(path: str | Path, layers: Mapping[str, ArrayLike], *, force
     """
     channels: dict[str, np.ndarray] = {}
     for layer, picture in layers.items():
-        stored = as_float32(picture)
-        planes = stored[..., None] if stored.ndim == 2 else stored
-        names = _names(None if stored.ndim == 2 else stored.shape[2])
-        channels |= {f"{layer}.{name}": planes[..., i] for i, name in enumerate(names)}
+        channels |= {f"{layer}.{name}": plane for name, plane in _planes(picture).items()}
     _write_channels(path, channels, force)
+
+
+def _planes(picture: ArrayLike) -> dict[str, np.ndarray]:
+    stored = as_float32(picture)
+    names = _names(None if stored.ndim == 2 else stored.shape[2])
+    return dict(zip(names, np.moveaxis(np.atleast_3d(stored), -1, 0), strict=True))
 
 
 def _write_channels(path: str | Path, planes: Mapping[str, np.ndarray], force: bool) -> None:
@@ -211,27 +203,27 @@ def read_exr(path: str | Path) -> np.ndarray:
         array([0.25, 0.25, 0.25], dtype=float32)
     """
     path = Path(path)
-    skeleton = _checked_skeleton(path)
-    check_memory(path, skeleton.height, skeleton.width, len(skeleton.channels), 4, picture_memory())
-    stored = read_apart(f"{_DECODERS}:decode_exr", path, "an image", libraries=("OpenEXR",), channels=skeleton.channels)
-    planes = [stored[name] for name in skeleton.channels]
-    if any(p.shape != (skeleton.height, skeleton.width) or p.dtype != np.float32 for p in planes):
+    channels, height, width = _checked_header(path)
+    check_memory(path, height, width, len(channels), 4, picture_memory())
+    stored = read_apart(f"{_DECODERS}:decode_exr", path, "an image", libraries=("OpenEXR",), channels=channels)
+    planes = [stored[name] for name in channels]
+    if any(p.shape != (height, width) or p.dtype != np.float32 for p in planes):
         raise FileFormatError(f"{path}: damaged OpenEXR file: its channels differ from its header")
-    return planes[0] if skeleton.channels == ("Y",) else np.stack(planes, axis=-1)
+    return planes[0] if channels == ("Y",) else np.stack(planes, axis=-1)
 
 
 def _names(channels: int | None) -> tuple[str, ...]:
-    """Generate the names of the channels of an image."""
     if channels is None:
         return ("Y",)
     return ("R", "G", "B") if channels == 3 else tuple(f"C{i:04}" for i in range(channels))
 
 
-def _checked_skeleton(path: Path) -> _Skeleton:
+def _checked_header(path: Path) -> tuple[tuple[str, ...], int, int]:
+    """Check the structure of a file, and read its channels, height and width."""
     try:
         with reading(path, "an image"), path.open("rb") as file:
             size = path.stat().st_size
-            head = file.read(min(size, _LONGEST_HEADER))
+            head = file.read(min(size, 1 << 20))
             if len(head) < 8 or struct.unpack_from("<i", head)[0] != _MAGIC:
                 raise FileFormatError(f"{path}: not an OpenEXR file")
             version = struct.unpack_from("<i", head, 4)[0]
@@ -264,7 +256,7 @@ def _checked_skeleton(path: Path) -> _Skeleton:
                     )
     except (struct.error, IndexError, KeyError, UnicodeDecodeError):
         raise FileFormatError(f"{path}: damaged OpenEXR header") from None
-    return _Skeleton(channels, height, width)
+    return channels, height, width
 
 
 def _attributes(head: bytes) -> tuple[dict[str, bytes], int]:

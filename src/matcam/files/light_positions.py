@@ -16,13 +16,8 @@ import numpy as np
 
 from matcam.core import checks
 from matcam.core.errors import ArgumentError, FileFormatError
-from matcam.core.io import replacing
+from matcam.core.io import write_text
 from matcam.core.readers.texts import read_lines
-
-_UNIT = 0.02
-"""Deviation of lengths from 1 below which vectors are treated as unit vectors, in the unit of the file. Files are
-rounded to two or more digits.
-"""
 
 
 class LightPosition(NamedTuple):
@@ -114,8 +109,7 @@ def write_light_positions(path: str | Path, positions: Sequence[LightPosition], 
                 f"file of a light position must be one line without blanks at its ends, got {one.file!r}"
             )
     lines = [f"{one.file} {' '.join(repr(float(axis)) for axis in one.position)}" for one in positions]
-    with replacing(path, force=force) as temporary:
-        temporary.write_text("\n".join([str(len(lines)), *lines]) + "\n", encoding="utf-8")
+    write_text(path, "\n".join([str(len(lines)), *lines]) + "\n", force=force)
 
 
 def are_unit_vectors(positions: list[LightPosition]) -> bool:
@@ -123,7 +117,9 @@ def are_unit_vectors(positions: list[LightPosition]) -> bool:
 
     They are then directions without distances.
     """
-    return all(abs(float(np.linalg.norm(one.position)) - 1) < _UNIT for one in positions)
+    # Deviation of lengths from 1 below which vectors are treated as unit vectors, in the unit of the file. Files are
+    # rounded to two or more digits.
+    return all(abs(float(np.linalg.norm(one.position)) - 1) < 0.02 for one in positions)
 
 
 def _position(path: Path, number: int, line: str) -> LightPosition:

@@ -29,7 +29,6 @@ _HEADER = np.dtype("<i4")
 _VALUE = np.dtype("<f8")
 _HEADER_BYTES = 3 * _HEADER.itemsize
 FILE_BYTES = _HEADER_BYTES + len(CHANNELS) * int(np.prod(GRID_SHAPE)) * _VALUE.itemsize
-_MISSING = -1.0
 
 
 def read_merl(path: str | Path, sampling: Sampling = "centre") -> xr.DataArray:
@@ -117,7 +116,7 @@ def write_merl(path: str | Path, brdf: xr.DataArray, *, force: bool = False) -> 
         stored /= SCALE[:, None, None, None]
     if np.isinf(stored).any():
         raise ArgumentError(f"a MERL file cannot hold {highest:g} 1/sr: its stored value would overflow")
-    stored[np.isnan(stored)] = _MISSING
+    stored[np.isnan(stored)] = -1.0
     with replacing(path, force=force) as temporary, temporary.open("wb") as file:
         np.array(GRID_SHAPE, dtype=_HEADER).tofile(file)
         stored.astype(_VALUE, copy=False).tofile(file)

@@ -32,35 +32,6 @@ PICTURES = (".tif", ".tiff", ".png", ".jpg", ".jpeg", ".exr", *SUFFIXES)
 """Suffixes of files that are listed as photographs."""
 
 
-class Mosaic(NamedTuple):
-    """Linear mosaic of a camera raw file.
-
-    Attributes:
-        values: counts above the black level, float32 (height, width).
-        cfa: colours of the first 2 x 2 px, row by row ("RGGB").
-        saturation: counts of a saturated pixel.
-    """
-
-    values: np.ndarray
-    cfa: str
-    saturation: float
-
-
-def read_raw(path: str | Path, region: tuple[int, int, int, int] | None = None) -> Mosaic:
-    """Read the mosaic of a camera raw file, or a region.
-
-    region: first column, first row (both even), width, height, px; None: the whole image. A FileFormatError is raised
-    if LibRaw does not support the file, the file is damaged, its colours are not a Bayer mosaic, or rawpy is not
-    installed.
-    """
-    path = Path(path)
-    there = _memory_for(path)
-    if importlib.util.find_spec("rawpy") is None:
-        raise FileFormatError(f"{path}: camera raw needs rawpy: python -m pip install 'matcam[raw]'")
-    found = read_apart(f"{_DECODERS}:decode_raw", path, "an image", libraries=("rawpy",), there=there, region=region)
-    return Mosaic(found["values"], found["cfa"], found["saturation"])
-
-
 class Photograph(NamedTuple):
     """Image as stored in its file, with metadata.
 
@@ -91,8 +62,11 @@ def open_photograph(path: str | Path, region: tuple[int, int, int, int] | None =
         start = file.read(len(_EXR))
         exif = read_exif(path)
     if exif.dng or (path.suffix.lower() in SUFFIXES and is_file(path)):
-        mosaic = read_raw(path, region)
-        return Photograph(mosaic.values, mosaic.cfa, mosaic.saturation, True, exif)
+        there = _memory_for(path)
+        if importlib.util.find_spec("rawpy") is None:
+            raise FileFormatError(f"{path}: camera raw needs rawpy: python -m pip install 'matcam[raw]'")
+        raw = read_apart(f"{_DECODERS}:decode_raw", path, "an image", libraries=("rawpy",), there=there, region=region)
+        return Photograph(raw["values"], raw["cfa"], raw["saturation"], True, exif)
     values = cut(_read_exr(path), region, path) if start == _EXR else read_photograph(path, region)
     whole = values.dtype.kind in "ui"
     return Photograph(values, None, float(np.iinfo(values.dtype).max) if whole else np.inf, not whole, exif)

@@ -17,10 +17,6 @@ import numpy as np
 from matcam.core.errors import FileFormatError
 from matcam.files.picture_header import DEFLATE_LIMIT, check_memory, check_promised, cut, jpeg_size, png_size
 
-_TIFF, _PNG, _JPEG = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"), b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff"
-_START = 26  # bytes of a PNG up to the end of its size
-_PREVIEW, _CANON = 1, b"CR"  # a bit of NewSubfileType (TIFF 6.0), and the bytes after the TIFF header of a CR2
-
 
 def decode_photograph(path: Path, *, there: int, region: Sequence[int] | None = None) -> np.ndarray:
     """Decode a TIFF, PNG or JPEG, or a region of it.
@@ -28,7 +24,8 @@ def decode_photograph(path: Path, *, there: int, region: Sequence[int] | None = 
     The result has shape (height, width) or (height, width, 3). An alpha channel is omitted.
     """
     with path.open("rb") as file:
-        start = file.read(_START)
+        # bytes of a PNG up to the end of its size
+        start = file.read(26)
     picture = _decoded(path, start, there, in_part=region is not None)
     if picture.ndim == 3 and picture.shape[2] in (2, 4):
         picture = picture[..., : picture.shape[2] - 1]
@@ -47,12 +44,12 @@ def decode_photograph(path: Path, *, there: int, region: Sequence[int] | None = 
 
 
 def _decoded(path: Path, start: bytes, there: int, *, in_part: bool = False) -> np.ndarray:
-    if start[:4] in _TIFF:
+    if start[:4] in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"):
         import tifffile
 
         with tifffile.TiffFile(path) as file:
             page = file.pages[0].aspage()
-            if page.subfiletype & _PREVIEW or start[8:10] == _CANON:
+            if page.subfiletype & 1 or start[8:10] == b"CR":  # NewSubfileType (TIFF 6.0), or header of a CR2
                 raise FileFormatError(
                     f"{path}: the file starts with a preview of {page.imagewidth} x {page.imagelength} px, as camera raw does: "
                     "rename the file with the suffix of its raw format (.dng, .nef, .cr2, ...)"
@@ -72,10 +69,10 @@ def _decoded(path: Path, start: bytes, there: int, *, in_part: bool = False) -> 
         return np.moveaxis(picture, 0, -1) if planar else picture
     import imagecodecs
 
-    if start[:8] == _PNG:
+    if start[:8] == b"\x89PNG\r\n\x1a\n":
         check_memory(path, *png_size(start), there)
         return np.asarray(imagecodecs.png_decode(path.read_bytes()))
-    if start[:3] == _JPEG:
+    if start[:3] == b"\xff\xd8\xff":
         check_memory(path, *jpeg_size(path), there)
         return np.asarray(imagecodecs.jpeg8_decode(path.read_bytes()))
     raise FileFormatError(
@@ -93,7 +90,8 @@ def _tiff_size(shape: tuple[int, ...]) -> tuple[int, int, int]:
 def decode_raw(path: Path, *, there: int, region: Sequence[int] | None = None) -> dict[str, Any]:
     """Decode the mosaic of a camera raw file, or a region.
 
-    The result has `values`, counts above the black level, `cfa` and `saturation` (see `Mosaic`).
+    The result has `values`, float32 counts above the black level, `cfa`, the colours of the first 2 x 2 px row by row
+    ("RGGB"), and `saturation`, the counts of a saturated pixel.
     """
     import rawpy
 

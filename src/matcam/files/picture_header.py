@@ -2,10 +2,10 @@
 
 The size is read from the first bytes, before memory is allocated for the image.
 
-Maker, model and f-number are in the TIFF or Exif directory. Exif is a TIFF directory at the start of a TIFF and of most
-camera raw files, in the APP1 segment of a JPEG, or in the eXIf chunk of a PNG (CIPA DC-008-2023, 4.6). A directory has a
-uint16 count and entries of 12 bytes: uint16 tag, uint16 type, uint32 count, and the value or its offset. A damaged
-directory is treated as absent.
+Maker, model, f-number and exposure time are in the TIFF or Exif directory. Exif is a TIFF directory at the start of a
+TIFF and of most camera raw files, in the APP1 segment of a JPEG, or in the eXIf chunk of a PNG (CIPA DC-008-2023, 4.6).
+A directory has a uint16 count and entries of 12 bytes: uint16 tag, uint16 type, uint32 count, and the value or its
+offset. A damaged directory is treated as absent.
 """
 
 from __future__ import annotations
@@ -21,22 +21,14 @@ from matcam.core.errors import FileFormatError
 from matcam.core.memory import available_memory
 from matcam.core.readers.apart import files_are_trusted
 
-_SHARE = 0.5  # share of the available memory for one image
-_WORKING = 24  # bytes per pixel: a plane of float64, its mask, and two temporary copies
 _UNASKED, _MOST_TIMES = 1 << 30, 100  # bytes that any image may take; a larger one: multiple of its file size
 _MOST_SEGMENTS = 200
 LARGEST = 1 << 29
 """Largest number of values in an image of floats (2 GiB). A header with a larger number is treated as damaged."""
 DEFLATE_LIMIT = 1032
 """Largest ratio of the sizes after and before decompression by deflate: 258 bytes for every 2 bits."""
-_FRAMES = {0xC0, 0xC1, 0xC2, 0xC3, 0xC5, 0xC6, 0xC7, 0xC9, 0xCA, 0xCB, 0xCD, 0xCE, 0xCF}
-_CHANNELS = {0: 1, 2: 3, 3: 3, 4: 2, 6: 4}
-"""Number of channels by colour type of PNG."""
-_MAKE, _MODEL, _EXIF, _F_NUMBER, _DNG = 0x010F, 0x0110, 0x8769, 0x829D, 0xC612
-_EXPOSURE_TIME = 0x829A
+_MAKE, _MODEL, _EXIF, _DNG = 0x010F, 0x0110, 0x8769, 0xC612
 _WIDTH, _HEIGHT, _LONG = 0x0100, 0x0101, 4
-_ASCII, _LONGEST_TEXT = 2, 200
-_MOST_ENTRIES = 500
 _TIFF = {b"II*\0": "<", b"MM\0*": ">", b"IIRO": "<", b"IIU\0": "<"}
 """Byte order by the first four bytes of a file. The last two entries are those of Olympus and Panasonic."""
 
@@ -46,7 +38,8 @@ def picture_memory() -> int:
 
     This is half of the available memory.
     """
-    return int(_SHARE * available_memory())
+    # share of the available memory for one image
+    return int(0.5 * available_memory())
 
 
 def check_memory(path: Path, height: int, width: int, channels: int, depth: int, there: int) -> None:
@@ -56,7 +49,8 @@ def check_memory(path: Path, height: int, width: int, channels: int, depth: int,
     large image of more than 100 times the size of its file is also rejected, because no camera writes such a file.
     """
     decoded = height * width * channels * depth
-    needed = decoded + height * width * _WORKING
+    # bytes per pixel: a plane of float64, its mask, and two temporary copies
+    needed = decoded + height * width * 24
     if needed > there:
         raise FileFormatError(
             f"{path}: an image of {width} x {height} px needs {needed / 2**30:.1f} GiB, but only "
@@ -106,7 +100,8 @@ def png_size(start: bytes) -> tuple[int, int, int, int]:
     start: the first 26 bytes of the file.
     """
     width, height, bits, colours = struct.unpack_from(">IIBB", start, 16)
-    return height, width, _CHANNELS.get(colours, 4), max(bits // 8, 1)
+    # number of channels by colour type of PNG
+    return height, width, {0: 1, 2: 3, 3: 3, 4: 2, 6: 4}.get(colours, 4), max(bits // 8, 1)
 
 
 def jpeg_size(path: Path) -> tuple[int, int, int, int]:
@@ -121,7 +116,7 @@ def jpeg_size(path: Path) -> tuple[int, int, int, int]:
             head = file.read(10)
             if len(head) < 10 or head[0] != 0xFF:
                 break
-            if head[1] in _FRAMES:
+            if head[1] in {0xC0, 0xC1, 0xC2, 0xC3, 0xC5, 0xC6, 0xC7, 0xC9, 0xCA, 0xCB, 0xCD, 0xCE, 0xCF}:
                 bits, height, width, channels = struct.unpack(">BHHB", head[4:])
                 return height, width, channels, max(bits // 8, 1)
             at += 2 + struct.unpack(">H", head[2:4])[0]
@@ -136,12 +131,14 @@ class Exif(NamedTuple):
         f_number: f-number of the image; None: unknown.
         dng: True if the file is a digital negative (camera raw in a TIFF container).
         size: width and height in the first directory of a TIFF, px; None: unknown.
+        time: exposure time, s (CIPA DC-008-2023, 4.6.5); None: unknown.
     """
 
     camera: str = ""
     f_number: float | None = None
     dng: bool = False
     size: tuple[int, int] | None = None
+    time: float | None = None
 
 
 def read_exif(path: str | Path) -> Exif:
@@ -152,31 +149,6 @@ def read_exif(path: str | Path) -> Exif:
             return Exif() if base is None else _directory(file, base)
     except (OSError, struct.error, ValueError, KeyError, OverflowError):
         return Exif()
-
-
-def exposure_time(path: str | Path) -> float | None:
-    """Read the exposure time of an image from its Exif directory, s.
-
-    None if it is missing. The tag is defined in CIPA DC-008-2023, 4.6.5.
-    """
-    try:
-        with Path(path).open("rb") as file:
-            base = _start(file)
-            if base is None:
-                return None
-            file.seek(base)
-            head = file.read(8)
-            order = _TIFF[head[:4]]
-            found = _entries(file, base, struct.unpack(order + "I", head[4:])[0], order)
-            if _EXIF in found:
-                found |= _entries(file, base, struct.unpack(order + "I", found[_EXIF][2])[0], order)
-            if _EXPOSURE_TIME not in found:
-                return None
-            file.seek(base + struct.unpack(order + "I", found[_EXPOSURE_TIME][2])[0])
-            over, under = struct.unpack(order + "II", file.read(8))
-    except (OSError, struct.error, ValueError, KeyError, OverflowError):
-        return None
-    return over / under if over and under else None
 
 
 def _start(file: BinaryIO) -> int | None:
@@ -214,14 +186,20 @@ def _directory(file: BinaryIO, base: int) -> Exif:
     found = dict(first)
     if _EXIF in first:
         found |= _entries(file, base, struct.unpack(order + "I", first[_EXIF][2])[0], order)
-    f_number = None
-    if _F_NUMBER in found:
-        file.seek(base + struct.unpack(order + "I", found[_F_NUMBER][2])[0])
-        over, under = struct.unpack(order + "II", file.read(8))
-        f_number = over / under if over and under else None
+    f_number, time = (_ratio(file, base, found.get(tag), order) for tag in (0x829D, 0x829A))  # FNumber, ExposureTime
     # the names of many models begin with the name of their maker
     named = model if model.lower().startswith(make.lower()) else f"{make} {model}"
-    return Exif(named.strip(), f_number, _DNG in first, _size(first, order))
+    return Exif(named.strip(), f_number, _DNG in first, _size(first, order), time)
+
+
+def _ratio(file: BinaryIO, base: int, entry: tuple[int, int, bytes] | None, order: str) -> float | None:
+    """Read a positive rational number; None if it is missing or damaged."""
+    if entry is None:
+        return None
+    file.seek(base + struct.unpack(order + "I", entry[2])[0])
+    pair = file.read(8)
+    over, under = struct.unpack(order + "II", pair) if len(pair) == 8 else (0, 0)
+    return over / under if over and under else None
 
 
 def _size(entries: dict[int, tuple[int, int, bytes]], order: str) -> tuple[int, int] | None:
@@ -238,7 +216,7 @@ def _entries(file: BinaryIO, base: int, offset: int, order: str) -> dict[int, tu
     """Read the entries of a directory: tag -> (type, count, value or offset)."""
     file.seek(base + offset)
     count = struct.unpack(order + "H", file.read(2))[0]
-    if count > _MOST_ENTRIES:
+    if count > 500:
         raise ValueError
     entries = file.read(12 * count)
     return {tag: (kind, size, value) for tag, kind, size, value in struct.iter_unpack(order + "HHI4s", entries)}
@@ -246,7 +224,7 @@ def _entries(file: BinaryIO, base: int, offset: int, order: str) -> dict[int, tu
 
 def _text(file: BinaryIO, base: int, entry: tuple[int, int, bytes], order: str) -> str:
     kind, size, value = entry
-    if kind != _ASCII or size > _LONGEST_TEXT:
+    if kind != 2 or size > 200:  # ASCII
         return ""
     if size > 4:
         file.seek(base + struct.unpack(order + "I", value)[0])

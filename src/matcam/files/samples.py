@@ -111,7 +111,6 @@ def checked_samples(samples: xr.DataArray) -> xr.DataArray:
 
 
 def _nearest(axis: np.ndarray, angle: np.ndarray) -> np.ndarray:
-    """Find the indices of the nearest points of an axis."""
     above = np.clip(np.searchsorted(axis, angle), 1, axis.size - 1)
     return np.where(angle - axis[above - 1] < axis[above] - angle, above - 1, above)
 

@@ -28,10 +28,11 @@ from importlib import metadata
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, FiniteFloat, ValidationError, model_validator
+from pydantic import AfterValidator, Field, FiniteFloat, ValidationError, model_validator
 
-from matcam.core.errors import ArgumentError, FileFormatError
+from matcam.core.errors import ArgumentError
 from matcam.core.io import write_json
+from matcam.core.readers.schemas import Strict, validated
 from matcam.core.readers.texts import checked_version, first_problem, read_json
 
 FORMAT = "matcam picture sidecar"
@@ -42,17 +43,13 @@ _Positive = Annotated[FiniteFloat, Field(gt=0)]
 _NotNegative = Annotated[FiniteFloat, Field(ge=0)]
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True)
-
-
 def _not_a_folder(name: str) -> str:
     if name in (".", ".."):
         raise ValueError("is a folder: give the name of an image file, which must be beside its sidecar")
     return name
 
 
-class _Picture(_Strict):
+class _Picture(Strict):
     file: Annotated[
         str, Field(min_length=1, max_length=255, pattern=r"^[^/\\\x00-\x1f]+$"), AfterValidator(_not_a_folder)
     ]
@@ -63,19 +60,19 @@ class _Picture(_Strict):
     axis_row_px: FiniteFloat
 
 
-class _Round(_Strict):
+class _Round(Strict):
     kind: Literal["sphere", "cylinder"]
     radius_px: _Positive
     distance_radii: Annotated[FiniteFloat, Field(gt=1)] | None
 
 
-class _Flat(_Strict):
+class _Flat(Strict):
     kind: Literal["flat"]
     theta_o_rad: _NotNegative
     texture_pitch_px: _Positive | None
 
 
-class _Lamp(_Strict):
+class _Lamp(Strict):
     angles_rad: Annotated[list[FiniteFloat], Field(min_length=1)]
     azimuths_rad: list[Annotated[FiniteFloat, Field(ge=-2 * math.pi, le=2 * math.pi)]] | None = None
     radius_rad: _NotNegative
@@ -88,19 +85,19 @@ class _Lamp(_Strict):
         return self
 
 
-class _Blur(_Strict):
+class _Blur(Strict):
     jitter_px: _NotNegative
     aperture: _NotNegative
     focus_rad: _NotNegative
 
 
-class _Exposure(_Strict):
+class _Exposure(Strict):
     electrons_per_radiance: Annotated[list[_Positive], Field(min_length=1)]
     times_s: list[_NotNegative]
     seed: Annotated[int, Field(ge=0)]
 
 
-class _Sidecar(_Strict):
+class _Sidecar(Strict):
     format: Literal["matcam picture sidecar"]
     version: Literal[1]
     software: str
@@ -230,10 +227,7 @@ def read_sidecar(path: str | Path) -> dict[str, Any]:
     path = Path(path)
     document = read_json(path, _WHAT)
     checked_version(document, path, _WHAT, FORMAT, (VERSION,))
-    try:
-        return _Sidecar.model_validate(document).model_dump()
-    except ValidationError as error:
-        raise FileFormatError(f"{path}: {first_problem(error)}") from None
+    return validated(_Sidecar, document, path).model_dump()
 
 
 def json_schema() -> dict[str, Any]:

@@ -22,7 +22,6 @@ _UNITS = {"rad": 1.0, "deg": np.pi / 180}
 _LONGEST_HEAD, _LINES_AT_ONCE = 4096, 1 << 16
 _LONGEST_LINE = 16 << 10
 """Largest length of a line of a CSV file, bytes: enough for 450 columns of 25 characters."""
-_BLOCK = 1 << 16  # bytes
 
 RGL_MAGIC, RGL_VERSION = b"tensor_file\0", b"\1\0"
 RGL_TYPES = dict(enumerate(("u1", "i1", "<u2", "<i2", "<u4", "<i4", "<u8", "<i8", "<f2", "<f4", "<f8"), 1))
@@ -46,7 +45,7 @@ def _check_lines(path: Path) -> None:
     """Reject a long line, because the parser needs much more time and memory for it than for many short lines."""
     before, number = 0, 1
     with path.open("rb") as file:
-        while block := file.read(_BLOCK):
+        while block := file.read(1 << 16):
             lengths = [len(line) for line in block.split(b"\n")]
             lengths[0] += before
             if max(lengths) > _LONGEST_LINE:

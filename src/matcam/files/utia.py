@@ -15,8 +15,6 @@ from matcam.core.readers.apart import read_apart
 from matcam.core.results.labelled import named
 from matcam.files.table_decoders import UTIA_SHAPE
 
-_STEP = np.radians(15.0)
-
 
 def read_utia(path: str | Path) -> xr.Dataset:
     """Read an anisotropic BRDF of the UTIA database.
@@ -44,7 +42,7 @@ def read_utia(path: str | Path) -> xr.Dataset:
     """
     path = Path(path)
     values = read_apart("matcam.files.table_decoders:decode_utia", path, "a BRDF of UTIA")
-    polar, azimuth = np.arange(UTIA_SHAPE[1]) * _STEP, np.arange(UTIA_SHAPE[2]) * 2 * np.pi / UTIA_SHAPE[2]
+    polar, azimuth = np.arange(UTIA_SHAPE[1]) * np.radians(15.0), np.arange(UTIA_SHAPE[2]) * 2 * np.pi / UTIA_SHAPE[2]
     dims = ("theta_i", "phi_i", "theta_o", "phi_o", "channel")
     angles = {name: (name, polar if "theta" in name else azimuth, {"units": "rad"}) for name in dims[:4]}
     brdf = (dims, np.moveaxis(values, 0, -1), {"units": "1/sr"})

@@ -17,8 +17,6 @@ _LARGEST = 256 << 20
 """Largest size of a file, bytes: a thousand times that of a measurement at one wavelength."""
 AXES = ("SampleRotation", "AngleOfIncidence", "ScatterAzimuth", "ScatterRadial")
 _CHANNELS = {"Monochrome": "Y", "TristimulusX": "X", "TristimulusY": "Y", "TristimulusZ": "Z"}
-_MOST = 100_000
-"""Largest number of angles along one axis; more indicate damage."""
 
 
 def decode_zemax(path: Path) -> dict[str, Any]:
@@ -67,7 +65,8 @@ def _head(path: Path, words: list[str]) -> tuple[dict[str, str], dict[str, np.nd
                 axes[key] = np.array([float(word) for word in words[at + 2 : at + 2 + count]])
             except ValueError:
                 count = -1
-            if not 0 < count <= _MOST or len(axes.get(key, ())) != count or not np.isfinite(axes[key]).all():
+            # largest number of angles along one axis; more indicate damage
+            if not 0 < count <= 100_000 or len(axes.get(key, ())) != count or not np.isfinite(axes[key]).all():
                 raise FileFormatError(f"{path}: {key} must have a count, followed by as many angles in degrees")
             at += 2 + count
         elif key in ("Source", "Symmetry", "SpectralContent", "ScatterType"):

@@ -24,9 +24,6 @@ Masking = str | None
 MASKINGS: tuple[Masking, ...] = (*MASKING_MODELS, None)
 """Names of all masking models."""
 
-JointMasking = Callable[["jax.Array", "jax.Array", "jax.Array"], "jax.Array"]
-"""G2 from the Lambdas of light and view and the azimuth between them."""
-
 SlopeDensity = Callable[["jax.Array"], "jax.Array"]
 """P22 of an isotropic surface as a function of the SQUARED slope."""
 

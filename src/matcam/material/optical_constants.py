@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from functools import cache
 from importlib import resources
 from typing import NamedTuple
@@ -26,13 +25,6 @@ class MetalIndex(NamedTuple):
     n: np.ndarray
     k: np.ndarray
     source: str
-
-
-class _Table(NamedTuple):
-    wavelength: np.ndarray  # m
-    n: np.ndarray
-    k: np.ndarray
-    citation: str
 
 
 def metals(name: str | None = None) -> dict[str, tuple[str, ...]]:
@@ -98,9 +90,9 @@ def metal(name: str, wavelength: ArrayLike, source: str | None = None) -> MetalI
     source = sources[0] if source is None else source
     if not isinstance(source, str) or source not in sources:
         raise unknown_name(f"source for {name}", source, sources)
-    table = _table(name, source)
+    tabulated, table = _table(name, source)
     wavelength = np.asarray(checks.numbers("wavelength", wavelength))
-    low, high = table.wavelength[[0, -1]]
+    low, high = tabulated[[0, -1]]
     outside = ~((wavelength >= low) & (wavelength <= high))
     if outside.any():
         raise ArgumentError(
@@ -108,9 +100,7 @@ def metal(name: str, wavelength: ArrayLike, source: str | None = None) -> MetalI
             f"{wavelength[outside].flat[0] * 1e9:g} nm (wavelengths are in m: 550 nm is 550e-9)"
         )
     return MetalIndex(
-        np.interp(wavelength, table.wavelength, table.n),
-        np.interp(wavelength, table.wavelength, table.k),
-        table.citation,
+        np.interp(wavelength, tabulated, table.n), np.interp(wavelength, tabulated, table.k), table.source
     )
 
 
@@ -122,10 +112,9 @@ def _files() -> list[tuple[str, str]]:
 
 
 @cache
-def _table(name: str, source: str) -> _Table:
+def _table(name: str, source: str) -> tuple[np.ndarray, MetalIndex]:
     text = resources.files("matcam").joinpath(f"data/metals/{name}.{source}.csv").read_text(encoding="utf-8")
-    lines = text.splitlines()
-    comments = [line[2:] for line in lines if line.startswith("#")]
-    rows = list(csv.DictReader(line for line in lines if not line.startswith("#")))
-    wavelength, n, k = (np.array([float(row[key]) for row in rows]) for key in ("wavelength_um", "n", "k"))
-    return _Table(wavelength * 1e-6, n, k, comments[0])
+    citation, *lines = text.splitlines()
+    _, *rows = [line for line in lines if not line.startswith("#")]  # wavelength_um,n,k
+    wavelength, n, k = np.loadtxt(rows, delimiter=",", unpack=True)
+    return wavelength * 1e-6, MetalIndex(n, k, citation.removeprefix("# "))

@@ -13,7 +13,7 @@ from bokeh.layouts import column, row
 from bokeh.models import ColumnDataSource
 from bokeh.models.widgets import Button, Div, RadioButtonGroup, Select
 
-from matcam.app.controls import WIDTH, ConductorControl, NumberControl, Setting
+from matcam.app.controls import ConductorControl, NumberControl, Setting, watch
 from matcam.app.exploring.explored import (
     SIDE,
     as_bsdf,
@@ -29,10 +29,11 @@ from matcam.app.exploring.explored import (
 from matcam.app.exploring.fitted_pictures import opened_captures
 from matcam.app.exploring.opened import Openable, OpenedTable, entries_of
 from matcam.app.exploring.photographs_panel import PhotographsPanel
-from matcam.app.plots import BLUE, GREY, ORANGE, VERMILION, curve_figure, hover, on_black, picture_figure
+from matcam.app.plots import WIDTH, curve_figure, empty_source, hover, on_black, picture_figure
 from matcam.app.transfers import Downloads, Upload
 from matcam.app.worker import DRAINED, Newest
 from matcam.core.errors import ArgumentError, MatcamError
+from matcam.figures.style import BLUE, GREY, ORANGE, VERMILION
 from matcam.files.capture import Capture
 
 SETTINGS = (
@@ -43,7 +44,6 @@ SETTINGS = (
 )
 _Listed = tuple[list[Openable], list[Capture], list[str], list[str]]
 _NONE = "(none)"
-_KEPT = 8  # number of tables that stay in memory
 
 
 class ExploreView:
@@ -65,20 +65,20 @@ class ExploreView:
         self._before = ["", _NONE]  # selection when tables were last shown
         self._controls = {one.name: NumberControl(one, self.refresh, lambda: None) for one in SETTINGS}
         self._chosen = [
-            Select(title=title, value="", options=[], width=WIDTH - 16, margin=(2, 8, 2, 8), name=name)
+            Select(title=title, value="", options=[], name=name)
             for title, name in (("material", "material"), ("second material", "beside"))
         ]
         for select in self._chosen:
-            select.on_change("value", lambda attr, old, new: self._look())
+            watch(select, self._look)
         self._which = RadioButtonGroup(labels=["recorded", "corrected"], active=1, name="which", width=WIDTH - 16)
         self._channel = RadioButtonGroup(labels=["R", "G", "B"], active=1, name="channel", width=WIDTH - 16)
         self._metal = ConductorControl("metal, n and k", self.refresh, self._indices)
-        self._which.on_change("active", lambda attr, old, new: self.refresh())
-        self._channel.on_change("active", lambda attr, old, new: self._other_channel())
+        watch(self._which, self.refresh, "active")
+        watch(self._channel, self._other_channel, "active")
         self._looked_at = RadioButtonGroup(
             labels=["table", "photographs"], active=0, name="looked-at", visible=False, width=200
         )
-        self._looked_at.on_change("active", lambda attr, old, new: self._turn())
+        watch(self._looked_at, self._turn, "active")
         self._photographs = PhotographsPanel(self._shots, complain)
         self._upload = Upload("to open a table, drop it here", self._dropped, complain)
         self._status = Div(text="", name="explore-status", height=18, sizing_mode="stretch_width")
@@ -118,7 +118,7 @@ class ExploreView:
     def _knobs(self) -> Any:
         exports = []
         for name, words in (("csv", "CSV"), ("exr", "EXR"), ("bsdf", "Mitsuba"), ("pbrt", "pbrt")):
-            button = Button(label=words, width=64, height=30, margin=(2, 4, 2, 4), name=f"save-{name}")
+            button = Button(label=words, width=64, margin=(2, 4, 2, 4), name=f"save-{name}")
             button.on_click(lambda name=name: self._save(name))
             exports.append(button)
         return column(
@@ -133,8 +133,8 @@ class ExploreView:
             x_axis_type="log", y_axis_type="log", y_range=(1e-3, 1e3),
         )  # fmt: skip
         names = ("theta_h", "recorded", "corrected", "low", "high", "supported", "unsupported")
-        self._curves = ColumnDataSource({name: [] for name in names}, name="slice")
-        self._besides = ColumnDataSource({name: [] for name in names}, name="slice-beside")
+        self._curves = empty_source("slice", *names)
+        self._besides = empty_source("slice-beside", *names)
         self._slice.varea(
             "theta_h", "low", "high", fill_color=BLUE, fill_alpha=0.25, source=self._curves, legend_label="± 1 std"
         )
@@ -169,9 +169,7 @@ class ExploreView:
             "Peak × cos²θ_d, and F of a metal", "difference angle θ_d [degrees]", "over the mean at 10 to 45° [-]",
             height=292, x_range=(0, 90), y_range=(0, 2),
         )  # fmt: skip
-        self._terms = ColumnDataSource(
-            {name: [] for name in ("theta_d", "recorded", "corrected", "low", "high", "metal")}, name="fresnel"
-        )
+        self._terms = empty_source("fresnel", "theta_d", "recorded", "corrected", "low", "high", "metal")
         self._fresnel.varea("theta_d", "low", "high", fill_color=BLUE, fill_alpha=0.25, source=self._terms)
         for name, colour, dash in (
             ("recorded", VERMILION, "solid"),
@@ -182,10 +180,7 @@ class ExploreView:
                 "theta_d", name, color=colour, line_width=2, line_dash=dash, source=self._terms, legend_label=name
             )
         for plot in (self._slice, self._fresnel):
-            plot.legend.label_text_font_size = "10px"
             plot.legend.location = "bottom_left"
-            plot.legend.padding = plot.legend.spacing = 2
-            plot.legend.background_fill_alpha = 0.7
         self._spheres = [_SpherePlot(name) for name in ("material", "beside it")]
         self._table = column(
             self._slice,
@@ -200,7 +195,6 @@ class ExploreView:
         return column(head, self._table, self._photographs.layout, sizing_mode="stretch_width")
 
     def _turn(self) -> None:
-        """Show the table, or its photographs."""
         pictures = self._looked_at.visible and self._looked_at.active == 1
         self._table.visible, self._photographs.layout.visible = not pictures, pictures
         table = self._read.get(self._index(self._chosen[0]))
@@ -264,7 +258,6 @@ class ExploreView:
         return int(select.value) if select.value.isdigit() else -1
 
     def _look(self) -> None:
-        """Read the selected materials if necessary, and show them."""
         wanted = [index for index in (self._index(select) for select in self._chosen) if index >= 0]
         missing = [index for index in wanted if index not in self._read]
         if not missing:
@@ -297,7 +290,8 @@ class ExploreView:
                     middle = table.pictures[len(table.pictures) // 2]
                     self._controls["theta_d"].set(float(f"{np.degrees(middle.theta_d):.3g}"))
         shown = {self._index(select) for select in self._chosen}
-        for index in [one for one in self._read if one not in shown][: max(0, len(self._read) - _KEPT)]:
+        # number of tables that stay in memory
+        for index in [one for one in self._read if one not in shown][: max(0, len(self._read) - 8)]:
             del self._read[index]
         self.refresh()
 
@@ -364,8 +358,6 @@ class ExploreView:
 
 
 class _SpherePlot:
-    """Plot of a sphere on the screen."""
-
     def __init__(self, title: str):
         self._title = title
         self._source = ColumnDataSource({"image": [np.zeros((2, 2), np.uint32)]}, name=f"sphere {title}")
@@ -390,7 +382,6 @@ def _chosen_table(table: OpenedTable, which: int) -> Any:
 def _shown(
     tables: list[Any], angles: dict[str, float], channel: int, which: int, metal: tuple[str, tuple[float, float] | None]
 ) -> dict[str, Any]:
-    """Compute the displayed data."""
     from matcam.inverse.peak_curve import conductor_curve, metal_curve
 
     table, beside = tables

@@ -155,10 +155,11 @@ def as_bsdf(data: xr.DataArray) -> bytes:
     from matcam.exchange.conversion import convert
     from matcam.files.merl import write_merl
 
-    with tempfile.TemporaryDirectory(prefix="matcam-app-") as folder:
-        write_merl(Path(folder) / "a.binary", data)
-        convert(Path(folder) / "a.binary", Path(folder) / "a.bsdf")
-        return (Path(folder) / "a.bsdf").read_bytes()
+    def write(path: Path) -> None:
+        write_merl(path.with_suffix(".binary"), data)
+        convert(path.with_suffix(".binary"), path)
+
+    return _written(write, ".bsdf")
 
 
 def as_pbrt(table: OpenedTable) -> bytes:

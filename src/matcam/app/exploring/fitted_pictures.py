@@ -24,9 +24,6 @@ _PLACES = (
     "window_left", "window_top", "outline_column", "outline_row", "outline_radius", "highlight_column", "highlight_row",
     "picture_theta_d",
 )  # fmt: skip
-_ABOUT = 1.12
-"""Half the side of the displayed area about the outline, in radii of the outline, which lies inside the area."""
-_MOST = 10_000  # largest number of images
 
 
 @dataclass(frozen=True)
@@ -64,12 +61,13 @@ def fitted_pictures(name: str, data: xr.Dataset) -> list[FittedPicture]:
         return []
     try:
         names = [str(one) for one in data["picture_name"].values.tolist()]
-        positions = {key: np.asarray(data[key].values, dtype=float) for key in _PLACES}
+        places = np.stack([np.asarray(data[key].values, dtype=float) for key in _PLACES], axis=-1)
         windows = {key: np.asarray(data[key].values, dtype=np.float32) for key in WINDOWS}
         count, rows, columns = windows[WINDOWS[0]].shape
+        # largest number of images
         if not (
-            1 <= count <= _MOST and rows > 1 and columns > 1 and len(names) == count
-            and all(one.shape == (count,) and np.isfinite(one).all() for one in positions.values())
+            1 <= count <= 10_000 and rows > 1 and columns > 1 and len(names) == count
+            and places.shape == (count, len(_PLACES)) and np.isfinite(places).all()
             and all(one.shape == (count, rows, columns) for one in windows.values())
         ):  # fmt: skip
             raise ValueError("each image must have one outline, one highlight and one window")
@@ -77,18 +75,11 @@ def fitted_pictures(name: str, data: xr.Dataset) -> list[FittedPicture]:
         raise FileFormatError(f"{name}: damaged: {error}") from None
     return [
         FittedPicture(
-            names[k],
-            float(positions["picture_theta_d"][k]),
-            (
-                float(positions["outline_column"][k]),
-                float(positions["outline_row"][k]),
-                float(positions["outline_radius"][k]),
-            ),
-            (float(positions["highlight_column"][k]), float(positions["highlight_row"][k])),
-            (float(positions["window_left"][k]), float(positions["window_top"][k])),
-            {key: one[k] for key, one in windows.items()},
+            name, theta_d, (column, row, radius), (x, y), (left, top), {key: one[k] for key, one in windows.items()}
         )
-        for k in range(count)
+        for k, (name, (left, top, column, row, radius, x, y, theta_d)) in enumerate(
+            zip(names, places.tolist(), strict=True)
+        )
     ]
 
 
@@ -133,7 +124,8 @@ class Shot:
         values = self.capture.read(self.frame).values
         height, width = values.shape[:2]
         column, row, radius = outline
-        reach = _ABOUT * radius
+        # half the side of the displayed area about the outline, in radii of the outline, which lies inside the area
+        reach = 1.12 * radius
         left, right = (int(np.clip(edge, 0, width)) // 2 * 2 for edge in (column - reach, column + reach + 2))
         top, bottom = (int(np.clip(edge, 0, height)) // 2 * 2 for edge in (row - reach, row + reach + 2))
         if right - left < 2 or bottom - top < 2:

@@ -20,10 +20,6 @@ from matcam.core.errors import ArgumentError, FileFormatError
 from matcam.core.readers.names import check_within, is_file, is_folder
 from matcam.core.readers.texts import read_json
 
-_WIDTHS = ("alpha", "beta", "width", "hwhm_rad")
-_LARGEST_RECORD = 4 << 20
-"""Largest record of a material that is read, bytes."""
-
 
 @dataclass(frozen=True)
 class OpenedTable:
@@ -113,14 +109,15 @@ def read_opened(path: Path, record: dict[str, Any] | None = None) -> OpenedTable
 
     contents = read_contents(path)
     name = path.name
-    if contents.table is not None:
-        return OpenedTable(name, recorded=contents.table)
-    if contents.fields is not None:
+    result = contents.data
+    if contents.content == "table":
+        return OpenedTable(name, recorded=result)
+    if contents.content == "fields":
         return OpenedTable(name, recorded=true_table(material_of(contents), "centre"))
-    result = contents.result
-    if result is not None and "brdf" in result and result["brdf"].ndim == 4:
+    of_result = contents.content == "result"
+    if of_result and "brdf" in result and result["brdf"].ndim == 4:
         return _of_correction(name, result, record or {})
-    if result is not None and {"raw", "corrected", "theta_d"} <= set(result.variables):
+    if of_result and {"raw", "corrected", "theta_d"} <= set(result.variables):
         return OpenedTable(name, curve=result)
     raise ArgumentError(
         f"{name}: the file contains {contents.kind}, which cannot be shown: open a table, a correction, an RGL "
@@ -157,16 +154,14 @@ def _of_run(table: Path, record: Path) -> Openable:
 
 
 def _record(path: Path) -> dict[str, Any]:
-    if path.stat().st_size > _LARGEST_RECORD:
+    # largest record of a material that is read, bytes
+    if path.stat().st_size > (4 << 20):
         return {}
     try:
         document = read_json(path, "a material's record")
     except FileFormatError:
         return {}
     return document if isinstance(document, dict) else {}
-
-
-_LARGEST = 1e300
 
 
 def _label(name: str, record: dict[str, Any]) -> str:
@@ -180,9 +175,11 @@ def _label(name: str, record: dict[str, Any]) -> str:
         if isinstance(params, dict)
         else {}
     )
-    widths = {key: numbers[key] for key in _WIDTHS if isinstance(numbers.get(key), int | float)}
+    widths = {
+        key: numbers[key] for key in ("alpha", "beta", "width", "hwhm_rad") if isinstance(numbers.get(key), int | float)
+    }
     # an integer may be larger than any float
-    width = next((f"{key} {value:.3g}" for key, value in widths.items() if abs(value) < _LARGEST), "")
+    width = next((f"{key} {value:.3g}" for key, value in widths.items() if abs(value) < 1e300), "")
     share = record.get("supported_share")
     supported = f"{share:.0%} of its values supported" if isinstance(share, float) and np.isfinite(share) else ""
     return " · ".join(part for part in (name, width, supported) if part)

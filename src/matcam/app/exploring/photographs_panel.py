@@ -8,21 +8,20 @@ from typing import Any
 
 import numpy as np
 from bokeh.layouts import column, row
-from bokeh.models import ColorBar, ColumnDataSource, LinearColorMapper, LogColorMapper, Range1d
-from bokeh.models.widgets import Div, Select
+from bokeh.models import ColorBar, LinearColorMapper, LogColorMapper, Range1d
+from bokeh.models.widgets import Select
 from bokeh.palettes import Greys256, RdBu11
 
+from matcam.app.controls import note, watch
 from matcam.app.exploring.fitted_pictures import WINDOWS, FittedPicture, Shot, shots_of
-from matcam.app.plots import ORANGE, SKY, VERMILION, hover, picture_figure
+from matcam.app.plots import empty_source, hover, picture_figure
 from matcam.app.worker import Newest
 from matcam.core.errors import MatcamError
+from matcam.figures.style import ORANGE, SKY, VERMILION
 from matcam.files.capture import Capture
 
-_SIDE = 400  # px of the screen
-_WINDOW_SIDE = 150
 _DECADES = 1e-3  # share of the peak of a window: the smallest radiance that differs from black
 _RESIDUAL = 5.0  # limit of the colour scale of the residual, standard deviations
-_TITLES = ("recorded", "fitted", "recorded - fitted [std]")
 
 
 class PhotographsPanel:
@@ -40,9 +39,9 @@ class PhotographsPanel:
         self._shots: list[Shot] = []
         self._picture = Select(title="lamp position", value="", options=[], width=220, name="fitted-picture")
         self._shot = Select(title="photograph", value="", options=[], width=260, name="shot")
-        self._picture.on_change("value", lambda attr, old, new: self._choose())
-        self._shot.on_change("value", lambda attr, old, new: self._look())
-        self._about = Div(text="", name="fitted-about", sizing_mode="stretch_width", styles={"font-size": "12px"})
+        watch(self._picture, self._choose)
+        watch(self._shot, self._look)
+        self._about = note("fitted-about")
         self.layout = column(
             row(self._picture, self._shot), self._about, row(self._photograph(), column(*self._windows())),
             sizing_mode="stretch_width", name="photographs", visible=False,
@@ -64,12 +63,12 @@ class PhotographsPanel:
             self._choose()
 
     def _photograph(self) -> Any:
-        self._image = ColumnDataSource({name: [] for name in ("image", "x", "y", "dw", "dh")}, name="shot-image")
-        self._outline = ColumnDataSource({"x": [], "y": [], "radius": []}, name="fitted-outline")
-        self._highlight = ColumnDataSource({"x": [], "y": []}, name="fitted-highlight")
-        self._box = ColumnDataSource({"x": [], "y": [], "width": [], "height": []}, name="fitted-window")
+        self._image = empty_source("shot-image", "image", "x", "y", "dw", "dh")
+        self._outline = empty_source("fitted-outline", "x", "y", "radius")
+        self._highlight = empty_source("fitted-highlight", "x", "y")
+        self._box = empty_source("fitted-window", "x", "y", "width", "height")
         self._plot = picture_figure(
-            "photograph", _SIDE, "column [px]", "row [px]", tools="pan,wheel_zoom,box_zoom,reset", active_scroll="wheel_zoom",
+            "photograph", 400, "column [px]", "row [px]", tools="pan,wheel_zoom,box_zoom,reset", active_scroll="wheel_zoom",
             toolbar_location="above", x_range=Range1d(0, 1), y_range=Range1d(1, 0),
         )  # fmt: skip
         self._plot.image(
@@ -88,22 +87,20 @@ class PhotographsPanel:
             "x", "y", width="width", height="height", source=self._box, fill_alpha=0, line_color=ORANGE,
             line_dash="dashed", legend_label="window",
         )  # fmt: skip
-        self._plot.legend.label_text_font_size = "10px"
         self._plot.legend.location = "bottom_left"
-        self._plot.legend.background_fill_alpha = 0.8
         hover(self._plot, [cross], [("highlight", "column @x, row @y px")])
         return self._plot
 
     def _windows(self) -> list[Any]:
         self._light = LogColorMapper(palette=Greys256, low=_DECADES, high=1, nan_color=SKY, low_color="#000000")
         left = LinearColorMapper(palette=RdBu11[::-1], low=-_RESIDUAL, high=_RESIDUAL, nan_color="#BBBBBB")
-        self._values = ColumnDataSource({name: [] for name in (*WINDOWS, "x", "y", "dw", "dh")}, name="fitted-windows")
+        self._values = empty_source("fitted-windows", *WINDOWS, "x", "y", "dw", "dh")
         plots: list[Any] = []
         self._ranges = {"x_range": Range1d(0, 1), "y_range": Range1d(1, 0)}
-        for name, title in zip(WINDOWS, _TITLES, strict=True):
+        for name, title in zip(WINDOWS, ("recorded", "fitted", "recorded - fitted [std]"), strict=True):
             mapper = left if name == WINDOWS[2] else self._light
             plot = picture_figure(
-                title, _WINDOW_SIDE, "column [px]", "row [px]", tools="", toolbar_location=None, **self._ranges
+                title, 150, "column [px]", "row [px]", tools="", toolbar_location=None, **self._ranges
             )  # fmt: skip
             drawn = plot.image(name, x="x", y="y", dw="dw", dh="dh", source=self._values, color_mapper=mapper)
             unit = "standard deviations" if name == WINDOWS[2] else "in the unit of the merged images"
@@ -119,7 +116,6 @@ class PhotographsPanel:
         return self._pictures[int(chosen)] if chosen.isdigit() and int(chosen) < len(self._pictures) else None
 
     def _choose(self) -> None:
-        """Show the window of an image, and list its photographs."""
         one = self._current
         if one is None:
             return
@@ -158,7 +154,6 @@ class PhotographsPanel:
             self._shot.value = "0"
 
     def _look(self) -> None:
-        """Show the selected photograph."""
         one, chosen = self._current, self._shot.value
         if one is None or not chosen.isdigit() or int(chosen) >= len(self._shots):
             return

@@ -26,19 +26,16 @@ from typing import Any
 
 from matcam.batch.executors import Executor, one_core_environment
 from matcam.batch.folder import SETTINGS
-from matcam.batch.job import Job, Outcome, attempt
+from matcam.batch.job import Job, Outcome, attempt, failed
 from matcam.core import checks
 from matcam.core.arrays.dask import show_dask
-from matcam.core.errors import ArgumentError, MatcamError
+from matcam.core.errors import ArgumentError, MatcamError, described
 from matcam.core.jax import use_compilation_cache
 from matcam.core.memory import free_for_the_next
 from matcam.core.readers.names import is_file
 from matcam.core.workspace import Workspace
 
-_COMPARED = ("matcam", "jax", "jaxlib", "numpy", "scipy", "xarray", "distributed")
-"""Packages whose versions affect results, or the serialisation of jobs."""
 _PATIENCE = 10.0  # seconds for a scheduler to answer
-_AHEAD = 3  # number of submitted tasks per worker: enough that none is idle, and few to store
 _OPEN = "MATCAM_OPEN_NETWORK"
 _LOCAL = re.compile(r"local:([1-9][0-9]{0,3})")
 
@@ -106,7 +103,8 @@ class ClusterExecutor(Executor):
                 job_of[future] = job
                 return future
 
-            first = [submit_next() for _ in range(min(len(jobs), _AHEAD * count))]
+            # number of submitted tasks per worker: enough that none is idle, and few to store
+            first = [submit_next() for _ in range(min(len(jobs), 3 * count))]
             coming = as_completed([future for future in first if future is not None])
             for future in coming:
                 job = job_of.pop(future)
@@ -160,28 +158,24 @@ def _is_loopback(host: str) -> bool:
 def versions() -> dict[str, str]:
     """Return the versions that must be the same on all machines, by name."""
     found = {"python": platform.python_version().rpartition(".")[0]}
-    for name in _COMPARED:
+    # packages whose versions affect results, or the serialisation of jobs
+    for name in ("matcam", "jax", "jaxlib", "numpy", "scipy", "xarray", "distributed"):
         found[name] = metadata.version(name)
     return found
 
 
 def _task_outcome(future: Any, job: Job) -> Outcome:
-    """Return the outcome of a finished or failed task."""
     from distributed import KilledWorker
 
     try:
         return future.result()._replace(source=job.source)
     except KilledWorker as error:
-        return Outcome(
-            job.source, 0.0, f"{job.source}: {error.allowed_failures + 1} workers died while they ran this job"
-        )
+        return failed(job.source, f"{error.allowed_failures + 1} workers died while they ran this job")
     except CancelledError:
-        return Outcome(
-            job.source, 0.0, f"{job.source}: the scheduler was lost, or cancelled the task: start the run again"
-        )
+        return failed(job.source, "the scheduler was lost, or cancelled the task: start the run again")
     except Exception as error:  # a worker may even fail to read a task
-        reason = " ".join(f"{type(error).__name__}: {error}".split())
-        return Outcome(job.source, 0.0, f"{job.source}: the cluster failed: {reason}")
+        reason = described(error)
+        return failed(job.source, f"the cluster failed: {reason}")
 
 
 def _check_workers(client: Any, folder: Path) -> int:
@@ -194,7 +188,7 @@ def _check_workers(client: Any, folder: Path) -> int:
     try:
         reports = client.run(_worker_report, str((folder / SETTINGS).absolute()))
     except Exception as error:  # a worker may even fail to import the function
-        reason = " ".join(f"{type(error).__name__}: {error}".split())
+        reason = described(error)
         raise ClusterError(f"the cluster's workers cannot run matcam (install matcam there): {reason:.120}") from None
     for address, report in reports.items():
         for name, version in ours.items():
@@ -216,7 +210,6 @@ def _check_workers(client: Any, folder: Path) -> int:
 
 
 def _worker_report(path: str) -> dict[str, Any]:
-    """Report the versions of a worker, and its access to a file."""
     return {"versions": versions(), "sees": is_file(Path(path))}
 
 

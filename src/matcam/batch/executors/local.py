@@ -20,8 +20,8 @@ from multiprocessing import connection
 from typing import Any
 
 from matcam.batch.executors import Executor, one_core_environment
-from matcam.batch.job import Job, Outcome, attempt
-from matcam.core.errors import MatcamError
+from matcam.batch.job import Job, Outcome, attempt, failed
+from matcam.core.errors import MatcamError, described
 from matcam.core.memory import free_for_the_next
 
 # not fork: JAX has threads, and a fork would copy the locks without the threads
@@ -78,7 +78,7 @@ class ProcessExecutor(Executor):
                     if waiting:
                         workers.append(_Worker())
                     if job is not None:
-                        yield Outcome(job.source, 0.0, f"{job.source}: the worker died ({worker.death()})")
+                        yield failed(job.source, f"the worker died ({worker.death()})")
         finally:
             for worker in workers:
                 worker.end()
@@ -102,8 +102,6 @@ class ProcessExecutor(Executor):
 
 
 class _Worker:
-    """Worker process, with its pipe and its current job."""
-
     def __init__(self) -> None:
         self.pipe, theirs = _SPAWN.Pipe()
         self.process = _SPAWN.Process(target=_serve, args=(theirs,), daemon=True)
@@ -184,7 +182,7 @@ def _serve(pipe: connection.Connection) -> None:
         workspace = Workspace.user()
         jnp.zeros(())  # a missing device should fail at the start, not in each job
     except Exception as error:
-        pipe.send(" ".join(f"{type(error).__name__}: {error}".split()))
+        pipe.send(described(error))
         return
     pipe.send(_READY)
     while True:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, ClassVar
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
 
 from matcam.camera.optics.optics import Optics
 from matcam.camera.optics.varying import VaryingOptics
 from matcam.core import checks
-from matcam.core.arrays import is_concrete
 from matcam.core.errors import ArgumentError
 
 if TYPE_CHECKING:
@@ -51,14 +50,16 @@ class ColourOptics(VaryingOptics):
     green_shift: jax.Array
     blue_shift: jax.Array
 
-    profile_fields: ClassVar[Mapping[str, str]] = {
-        "red": "red",
-        "green": "green",
-        "blue": "blue",
-        "red_shift_px": "red_shift",
-        "green_shift_px": "green_shift",
-        "blue_shift_px": "blue_shift",
-    }
+    profile_fields = MappingProxyType(
+        {
+            "red": "red",
+            "green": "green",
+            "blue": "blue",
+            "red_shift_px": "red_shift",
+            "green_shift_px": "green_shift",
+            "blue_shift_px": "blue_shift",
+        }
+    )
 
     def __init__(
         self,
@@ -108,14 +109,6 @@ class ColourOptics(VaryingOptics):
     def instead(self) -> str:
         """Describe an alternative, for a message."""
         return "use Camera(optics.red, pixel), or optics.green or optics.blue"
-
-    def __repr__(self) -> str:
-        names = ("red_shift", "green_shift", "blue_shift")
-        shifts = "".join(
-            f", {name}={shift.tolist() if is_concrete(shift) else shift!s}"
-            for name, shift in zip(names, self.shifts, strict=True)
-        )
-        return f"ColourOptics({self.red!r}, {self.green!r}, {self.blue!r}{shifts})"
 
 
 def _shift(name: str, value: Any) -> jax.Array:

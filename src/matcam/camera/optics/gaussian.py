@@ -9,8 +9,9 @@ f/2.8 / 8 / 16 (tests/camera/test_gaussian_sum.py finds that limit by linear pro
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, ClassVar
+from collections.abc import Callable
+from types import MappingProxyType
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -68,7 +69,7 @@ class GaussianOptics(Optics):
 
     sigma: jax.Array
 
-    profile_fields: ClassVar[Mapping[str, str]] = {"sigma_px": "sigma"}
+    profile_fields = MappingProxyType({"sigma_px": "sigma"})
 
     def __init__(self, sigma: ArrayLike):
         self.sigma = checks.scalar("sigma", checks.positive("sigma", sigma, "px"))
@@ -94,10 +95,6 @@ class GaussianOptics(Optics):
         unit = piecewise_rule(borders)
         band = _BAND_TIMES_SIGMA / self.sigma
         return Rule(unit.frequency * band, unit.weight * band)
-
-    def components(self) -> tuple[tuple[jax.Array, Optics], ...]:
-        """Return this lens, with weight 1."""
-        return ((xp.ones(()), self),)
 
 
 class GaussianSum(Module):

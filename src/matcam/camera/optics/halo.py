@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, ClassVar
+from types import MappingProxyType
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from jax.typing import ArrayLike
 
     from matcam.core.jax import jax
-
-_TRACED_OCTAVES = 18  # number for traced parameters: resolves the spike of a halo of 1000 px in a band of 40 cycles/px
 
 
 class HaloOptics(Optics):
@@ -52,7 +50,7 @@ class HaloOptics(Optics):
     fraction: jax.Array
     halo: GaussianOptics
 
-    profile_fields: ClassVar[Mapping[str, str]] = {"core": "core", "fraction": "fraction", "radius_px": "halo.sigma"}
+    profile_fields = MappingProxyType({"core": "core", "fraction": "fraction", "radius_px": "halo.sigma"})
 
     def __init__(self, core: Optics, fraction: ArrayLike, radius: ArrayLike):
         if not isinstance(core, Optics):
@@ -116,7 +114,8 @@ class HaloOptics(Optics):
         The widths of the panels halve towards 0, so that they resolve the spike of the halo.
         """
         known = all(map(is_concrete, leaves_of(self)))
-        octaves = 2 + max(0, int(np.log2(self.core.band() / self.halo.band()))) if known else _TRACED_OCTAVES
+        # number for traced parameters: resolves the spike of a halo of 1000 px in a band of 40 cycles/px
+        octaves = 2 + max(0, int(np.log2(self.core.band() / self.halo.band()))) if known else 18
         rule = self.core.rule_on(np.union1d(borders, 2.0 ** -np.arange(octaves + 2)))
         if known and self.halo.band() <= self.core.band():
             return rule
@@ -133,6 +132,3 @@ class HaloOptics(Optics):
         """Return the components of the core and the halo, with their weights."""
         core = tuple(((1 - self.fraction) * weight, part) for weight, part in self.core.components())
         return (*core, (self.fraction, self.halo))
-
-    def __repr__(self) -> str:
-        return f"HaloOptics({self.core!r}, fraction={self.fraction!s}, radius={self.radius!s})"

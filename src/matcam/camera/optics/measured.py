@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, ClassVar
+from types import MappingProxyType
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from matcam.camera.optics.optics import Optics, Rule, lsf_by_quadrature, psf_by_quadrature, split_rule
+from matcam.camera.optics.optics import Optics, Rule, split_rule
 from matcam.core import checks
 from matcam.core.arrays import compiled_by_jax, has_jax, is_concrete, xp
 from matcam.core.arrays.module import static_field
@@ -17,10 +17,6 @@ if TYPE_CHECKING:
     from jax.typing import ArrayLike
 
     from matcam.core.jax import jax
-
-_ZERO = 1e-9  # largest modulus of the last sample, no unit, at which a curve ends at 0 to rounding
-_RESOLVED = 1e-4
-"""MTF, no unit, below which a frequency does not affect the scale of the PSF: no measurement determines smaller values."""
 
 
 class MeasuredOptics(Optics):
@@ -54,7 +50,7 @@ class MeasuredOptics(Optics):
     ends_at_zero: bool = static_field()
     resolved: float = static_field()
 
-    profile_fields: ClassVar[Mapping[str, str]] = {"frequency_cycles_per_px": "frequency", "mtf": "values"}
+    profile_fields = MappingProxyType({"frequency_cycles_per_px": "frequency", "mtf": "values"})
 
     def __init__(self, frequency: ArrayLike, mtf: ArrayLike):
         f = np.asarray(checks.number("frequency", frequency))
@@ -77,8 +73,11 @@ class MeasuredOptics(Optics):
                 raise ArgumentError(
                     f"mtf must not exceed 1 (1.05 with noise), got {largest:g}: use an image without sharpening"
                 )
-            ends_at_zero = bool(abs(samples[-1]) <= _ZERO)
-            resolved = min(int(np.flatnonzero(np.abs(samples) > _RESOLVED)[-1]) + 1, resolved)
+            # largest modulus of the last sample, no unit, at which a curve ends at 0 to rounding
+            ends_at_zero = bool(abs(samples[-1]) <= 1e-9)
+            # MTF, no unit, below which a frequency does not affect the scale of the PSF: no measurement determines
+            # smaller values
+            resolved = min(int(np.flatnonzero(np.abs(samples) > 1e-4)[-1]) + 1, resolved)
         self.frequency = tuple(f.tolist())
         self.values = values
         self.ends_at_zero = ends_at_zero
@@ -98,14 +97,6 @@ class MeasuredOptics(Optics):
                 f"{float(xp.max(at)):g}: append samples up to the frequency where it reaches 0"
             )
         return xp.where(at > last, 0.0, _spline(xp.asarray(self.frequency), self.values, at))
-
-    def lsf(self, x: ArrayLike) -> jax.Array:
-        """Return the line spread function, 1/px, by quadrature, without the pixel."""
-        return lsf_by_quadrature(self, x)
-
-    def psf(self, x: ArrayLike, y: ArrayLike) -> jax.Array:
-        """Return the point spread function, 1/px^2, by quadrature, without the pixel."""
-        return psf_by_quadrature(self, x, y)
 
     def band(self) -> float:
         """Return the frequency of the last sample, cycles/px.
@@ -130,10 +121,6 @@ class MeasuredOptics(Optics):
         The third derivative of the MTF is discontinuous at a sample.
         """
         return split_rule(self.band() * borders, np.asarray(self.frequency))
-
-    def components(self) -> tuple[tuple[jax.Array, Optics], ...]:
-        """Return this lens, with weight 1."""
-        return ((xp.ones(()), self),)
 
     def __repr__(self) -> str:
         return f"MeasuredOptics(frequency={list(self.frequency)}, mtf={self.values.tolist()})"

@@ -7,6 +7,7 @@ even, and cosines suffice. With 16 nodes for at most one period, the error is be
 
 from __future__ import annotations
 
+import inspect
 from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -14,9 +15,10 @@ from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 import numpy as np
 
+from matcam.camera.parameters import fields_of
 from matcam.core import checks
 from matcam.core.arrays import compiled_by_jax, first_axis_map, is_concrete, xp
-from matcam.core.arrays.module import Module
+from matcam.core.arrays.module import Module, constructor_call
 from matcam.core.errors import ArgumentError
 from matcam.numerics.approximation import nodes_between, nodes_in_panels
 from matcam.numerics.elementary import plane_length
@@ -28,9 +30,6 @@ if TYPE_CHECKING:
 
 ORDER = 16
 """Number of nodes per panel: for at most one period per panel the error is below 1e-12 of the peak of the kernel."""
-
-_DEFAULT_REACH = 64.0  # assumed largest distance of traced positions, px
-_POINTS_AT_ONCE = 64  # number of positions that are evaluated at once, which limits memory
 
 
 Transfer = Callable[["jax.Array", "jax.Array"], "jax.Array"]
@@ -82,7 +81,8 @@ def reach_of(*positions: jax.Array) -> float:
     Traced positions have a default distance.
     """
     if not all(is_concrete(p) for p in positions):
-        return _DEFAULT_REACH
+        # assumed largest distance of traced positions, px
+        return 64.0
     return float(max((np.max(np.abs(p)) for p in positions if p.size), default=0.0))
 
 
@@ -196,7 +196,8 @@ def _directed_plane_sum(fx: jax.Array, fy: jax.Array, amplitude: jax.Array, x: j
 def _at_each(function: Callable[..., jax.Array], *positions: jax.Array) -> jax.Array:
     """Apply a function of positions (n,) to positions of any shape."""
     flat = tuple(p.ravel() for p in positions)
-    return first_axis_map(function, flat, _POINTS_AT_ONCE).reshape(positions[0].shape)
+    # number of positions that are evaluated at once, which limits memory
+    return first_axis_map(function, flat, 64).reshape(positions[0].shape)
 
 
 class Optics(Module):
@@ -216,12 +217,11 @@ class Optics(Module):
 
     profile_fields: ClassVar[Mapping[str, str]]
 
-    @abstractmethod
     def psf(self, x: ArrayLike, y: ArrayLike) -> jax.Array:
         """Return the optical point spread function, 1/px^2, without the pixel.
 
         It is the irradiance on the sensor of a point source of unit flux, and integrates to 1. `Camera.psf` includes
-        the pixel.
+        the pixel. It is computed by quadrature, unless the lens has a closed form.
 
         Args:
             x: distance from the image of the point along the rows, px; broadcasts with y.
@@ -230,12 +230,16 @@ class Optics(Module):
         Raises:
             ArgumentError: a position is not finite.
         """
+        x, y = checks.broadcastable(x=x, y=y)
+        reach, band = reach_of(xp.hypot(x, y)), self.band()
+        rule = self.frequency_rule(panels_for(reach, band))
+        return plane_kernel(rule, lambda f, _: self.mtf(f), x, y, turns_for(reach, band))
 
-    @abstractmethod
     def lsf(self, x: ArrayLike) -> jax.Array:
         """Return the optical line spread function, 1/px, without the pixel.
 
-        It is the integral of the point spread function along a line, and integrates to 1.
+        It is the integral of the point spread function along a line, and integrates to 1. It is computed by quadrature,
+        unless the lens has a closed form.
 
         Args:
             x: distance from the image of the line, px, any shape.
@@ -243,6 +247,9 @@ class Optics(Module):
         Raises:
             ArgumentError: x is not finite.
         """
+        x = checks.number("x", x)
+        rule = self.frequency_rule(panels_for(reach_of(x), self.band()))
+        return line_kernel(rule, lambda f, _: self.mtf(f), x, xp.zeros(()))
 
     @abstractmethod
     def mtf(self, f: ArrayLike) -> jax.Array:
@@ -296,12 +303,12 @@ class Optics(Module):
                 than these.
         """
 
-    @abstractmethod
     def components(self) -> tuple[tuple[jax.Array, Optics], ...]:
         """Return the weights and lenses of the components of this lens.
 
         A lens with one component returns itself, with weight 1.
         """
+        return ((xp.ones(()), self),)
 
     def frequency_rule(self, panels: int, grade: int = 1) -> Rule:
         """Return a quadrature over [0, band] on evenly graded panels.
@@ -311,6 +318,14 @@ class Optics(Module):
             grade: exponent of the panel limits; above 1 the panels are narrower towards 0. Default: 1, equal widths.
         """
         return self.rule_on(np.linspace(0, 1, panels + 1) ** grade)
+
+    def __repr__(self) -> str:
+        """Format a call of the constructor, without arguments that are equal to their defaults."""
+        arguments = zip(inspect.signature(type(self)).parameters.values(), fields_of(self).values(), strict=True)
+        return constructor_call(
+            self,
+            {p.name: v for p, v in arguments if not is_concrete(v) or not np.array_equal(v, p.default)},
+        )
 
 
 def checked_isotropic(optics: Optics, what: str) -> Optics:
@@ -330,18 +345,3 @@ def checked_isotropic(optics: Optics, what: str) -> Optics:
         "approximate this lens by an isotropic one, such as DefocusOptics, or MeasuredOptics with the mean MTF; only "
         "`picture` and tables of a sphere support other lenses"
     )
-
-
-def lsf_by_quadrature(optics: Optics, x: ArrayLike) -> jax.Array:
-    """Compute the line spread function of a lens, 1/px, by quadrature."""
-    x = checks.number("x", x)
-    rule = optics.frequency_rule(panels_for(reach_of(x), optics.band()))
-    return line_kernel(rule, lambda f, _: optics.mtf(f), x, xp.zeros(()))
-
-
-def psf_by_quadrature(optics: Optics, x: ArrayLike, y: ArrayLike) -> jax.Array:
-    """Compute the point spread function of a lens, 1/px^2, by quadrature."""
-    x, y = checks.broadcastable(x=x, y=y)
-    reach, band = reach_of(xp.hypot(x, y)), optics.band()
-    rule = optics.frequency_rule(panels_for(reach, band))
-    return plane_kernel(rule, lambda f, _: optics.mtf(f), x, y, turns_for(reach, band))

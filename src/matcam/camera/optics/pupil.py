@@ -5,12 +5,12 @@ In focus the lens is diffraction-limited. Out of focus the pupil has a quadratic
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, ClassVar
+from types import MappingProxyType
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from matcam.camera.optics.optics import Optics, Rule, lsf_by_quadrature, piecewise_rule, psf_by_quadrature, reach_of
+from matcam.camera.optics.optics import Optics, Rule, piecewise_rule, reach_of
 from matcam.core import checks
 from matcam.core.arrays import compiled_by_jax, first_axis_map, is_concrete, xp
 from matcam.numerics.elementary import plane_length
@@ -21,10 +21,7 @@ if TYPE_CHECKING:
 
     from matcam.core.jax import jax
 
-_TRACED_BAND = 8.0  # assumed cutoff of a traced lens, cycles/px
-_WIDEST = 1000.0  # largest circle of confusion, px
 _TRACED_CIRCLE = 256.0  # largest blur_diameter * cutoff that is resolved for traced parameters
-_FREQUENCIES_AT_ONCE = 1024  # number of frequencies that are evaluated at once, which limits memory
 
 
 class DiffractionOptics(Optics):
@@ -53,11 +50,13 @@ class DiffractionOptics(Optics):
     wavelength: jax.Array
     pixel_pitch: jax.Array
 
-    profile_fields: ClassVar[Mapping[str, str]] = {
-        "f_number": "f_number",
-        "wavelength_m": "wavelength",
-        "pixel_pitch_m": "pixel_pitch",
-    }
+    profile_fields = MappingProxyType(
+        {
+            "f_number": "f_number",
+            "wavelength_m": "wavelength",
+            "pixel_pitch_m": "pixel_pitch",
+        }
+    )
 
     def __init__(self, f_number: ArrayLike, wavelength: ArrayLike, pixel_pitch: ArrayLike):
         self.f_number = checks.scalar("f_number", checks.positive("f_number", f_number))
@@ -81,13 +80,6 @@ class DiffractionOptics(Optics):
         r = plane_length(*checks.broadcastable(x=x, y=y))
         return xp.pi / 4 * self.cutoff**2 * jinc(xp.pi * self.cutoff * r, np.pi * reach_of(r) * self.band()) ** 2
 
-    def lsf(self, x: ArrayLike) -> jax.Array:
-        """Return the line spread function, 1/px, by quadrature, without the pixel.
-
-        It decreases as 1/x^2 at large distances.
-        """
-        return lsf_by_quadrature(self, x)
-
     def mtf(self, f: ArrayLike) -> jax.Array:
         """Return the transfer function, without the pixel.
 
@@ -100,7 +92,8 @@ class DiffractionOptics(Optics):
 
     def band(self) -> float:
         """Return the cutoff, cycles/px."""
-        return float(self.cutoff) if is_concrete(self.cutoff) else _TRACED_BAND
+        # assumed cutoff of a traced lens, cycles/px
+        return float(self.cutoff) if is_concrete(self.cutoff) else 8.0
 
     def rule_on(self, borders: np.ndarray) -> Rule:
         """Return a quadrature on panels in t.
@@ -110,16 +103,6 @@ class DiffractionOptics(Optics):
         unit = piecewise_rule(1 - np.sqrt(1 - borders))
         t = unit.frequency
         return Rule(self.cutoff * t * (2 - t), self.cutoff * unit.weight * 2 * (1 - t))
-
-    def components(self) -> tuple[tuple[jax.Array, Optics], ...]:
-        """Return this lens, with weight 1."""
-        return ((xp.ones(()), self),)
-
-    def __repr__(self) -> str:
-        return (
-            f"DiffractionOptics(f_number={self.f_number!s}, wavelength={self.wavelength!s}, "
-            f"pixel_pitch={self.pixel_pitch!s})"
-        )
 
 
 class DefocusOptics(Optics):
@@ -154,26 +137,21 @@ class DefocusOptics(Optics):
     focused: DiffractionOptics
     blur_diameter: jax.Array
 
-    profile_fields: ClassVar[Mapping[str, str]] = {
-        "f_number": "focused.f_number",
-        "wavelength_m": "focused.wavelength",
-        "pixel_pitch_m": "focused.pixel_pitch",
-        "blur_diameter_px": "blur_diameter",
-    }
+    profile_fields = MappingProxyType(
+        {
+            "f_number": "focused.f_number",
+            "wavelength_m": "focused.wavelength",
+            "pixel_pitch_m": "focused.pixel_pitch",
+            "blur_diameter_px": "blur_diameter",
+        }
+    )
 
     def __init__(self, f_number: ArrayLike, wavelength: ArrayLike, pixel_pitch: ArrayLike, blur_diameter: ArrayLike):
         self.focused = DiffractionOptics(f_number, wavelength, pixel_pitch)
+        # largest circle of confusion, px
         self.blur_diameter = checks.scalar(
-            "blur_diameter", checks.within("blur_diameter", blur_diameter, 0, _WIDEST, "px")
+            "blur_diameter", checks.within("blur_diameter", blur_diameter, 0, 1000.0, "px")
         )
-
-    def psf(self, x: ArrayLike, y: ArrayLike) -> jax.Array:
-        """Return the point spread function, 1/px^2, by quadrature, without the pixel."""
-        return psf_by_quadrature(self, x, y)
-
-    def lsf(self, x: ArrayLike) -> jax.Array:
-        """Return the line spread function, 1/px, by quadrature, without the pixel."""
-        return lsf_by_quadrature(self, x)
 
     def mtf(self, f: ArrayLike) -> jax.Array:
         """Return the signed transfer function, without the pixel.
@@ -207,17 +185,6 @@ class DefocusOptics(Optics):
         circle = float(self.blur_diameter) * self.band() if known else _TRACED_CIRCLE
         return self.focused.rule_on(np.union1d(borders, np.linspace(0, 1, 2 + int(np.ceil(circle / 2)))))
 
-    def components(self) -> tuple[tuple[jax.Array, Optics], ...]:
-        """Return this lens, with weight 1."""
-        return ((xp.ones(()), self),)
-
-    def __repr__(self) -> str:
-        lens = self.focused
-        return (
-            f"DefocusOptics(f_number={lens.f_number!s}, wavelength={lens.wavelength!s}, "
-            f"pixel_pitch={lens.pixel_pitch!s}, blur_diameter={self.blur_diameter!s})"
-        )
-
 
 @compiled_by_jax
 def _overlap(
@@ -232,4 +199,5 @@ def _overlap(
         wave = xp.cos(xp.pi * blur_diameter * frequency[:, None] * (xp.cos(t) - nu[:, None]))
         return xp.where(inside, 4 / xp.pi * end * ((wave * xp.sin(t) ** 2) @ weight), 0.0)
 
-    return first_axis_map(at, (f.ravel(),), _FREQUENCIES_AT_ONCE).reshape(f.shape)
+    # number of frequencies that are evaluated at once, which limits memory
+    return first_axis_map(at, (f.ravel(),), 1024).reshape(f.shape)

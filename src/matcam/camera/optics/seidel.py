@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, ClassVar
+from types import MappingProxyType
+from typing import TYPE_CHECKING
 
 from matcam.camera.optics.optics import Optics
 from matcam.camera.optics.pupil import DiffractionOptics
@@ -58,17 +58,19 @@ class SeidelOptics(VaryingOptics):
     coma: jax.Array
     curvature: jax.Array
 
-    profile_fields: ClassVar[Mapping[str, str]] = {
-        "f_number": "axial.focused.f_number",
-        "wavelength_m": "axial.focused.wavelength",
-        "pixel_pitch_m": "axial.focused.pixel_pitch",
-        "unit_px": "unit",
-        "defocus_waves": "axial.defocus",
-        "astigmatism_waves": "astigmatism",
-        "coma_waves": "coma",
-        "curvature_waves": "curvature",
-        "spherical_waves": "axial.spherical",
-    }
+    profile_fields = MappingProxyType(
+        {
+            "f_number": "axial.focused.f_number",
+            "wavelength_m": "axial.focused.wavelength",
+            "pixel_pitch_m": "axial.focused.pixel_pitch",
+            "unit_px": "unit",
+            "defocus_waves": "axial.defocus",
+            "astigmatism_waves": "astigmatism",
+            "coma_waves": "coma",
+            "curvature_waves": "curvature",
+            "spherical_waves": "axial.spherical",
+        }
+    )
 
     def __init__(
         self,
@@ -141,18 +143,3 @@ class SeidelOptics(VaryingOptics):
     def instead(self) -> str:
         """Describe an alternative, for a message."""
         return "use Camera(optics.at(x, y), pixel)"
-
-    def __repr__(self) -> str:
-        lens = self.axial.focused
-        parts = {
-            "f_number": lens.f_number,
-            "wavelength": lens.wavelength,
-            "pixel_pitch": lens.pixel_pitch,
-            "unit": self.unit,
-            "defocus": self.axial.defocus,
-            "astigmatism": self.astigmatism,
-            "coma": self.coma,
-            "curvature": self.curvature,
-            "spherical": self.axial.spherical,
-        }
-        return f"SeidelOptics({', '.join(f'{name}={value!s}' for name, value in parts.items())})"

@@ -26,8 +26,6 @@ if TYPE_CHECKING:
 
 _LEAST, _PER_PHASE = 20, 1.3
 """Number of Gauss-Legendre nodes along an overlap: a minimum, and additional nodes per radian of phase."""
-_AT_ONCE = 128  # number of frequencies that are evaluated at once, which limits memory
-_NODES_AT_ONCE = 1 << 20  # number of positions times nodes that are evaluated at once, which limits memory
 _PHASES = (0, 1, 2, 4, 6, 8, 12, 16)  # bounds of the wavefront error for which quadratures are compiled, rad
 LARGEST_PHASE = _PHASES[-1]
 """Largest wavefront error for which the quadratures are accurate, rad."""
@@ -84,7 +82,8 @@ def amplitude(terms: jax.Array, x: jax.Array, y: jax.Array, sizes: tuple[int, in
     def at(x: jax.Array, y: jax.Array) -> jax.Array:
         return xp.exp(2j * np.pi * (error + x[:, None] * at_x + y[:, None] * at_y)) @ share
 
-    return first_axis_map(at, (x, y), max(1, _NODES_AT_ONCE // error.size))
+    # number of positions times nodes that are evaluated at once, which limits memory
+    return first_axis_map(at, (x, y), max(1, (1 << 20) // error.size))
 
 
 def pupil_sizes(phase: int, reach: float) -> tuple[int, int]:
@@ -127,7 +126,8 @@ def overlap(terms: AnyArray, end: AnyArray, angle: AnyArray, order: int) -> jax.
         wave = xp.exp(2j * np.pi * (pupil(nu) - pupil(-nu))) @ weight
         return ends / np.pi * xp.sum(weight * (xp.cos(stop * s) * half)[..., 0] * wave, axis=-1)
 
-    return first_axis_map(at, (end, angle), _AT_ONCE)
+    # number of frequencies that are evaluated at once, which limits memory
+    return first_axis_map(at, (end, angle), 128)
 
 
 @partial(compiled_by_jax, static=(1,))

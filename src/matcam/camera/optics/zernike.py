@@ -5,8 +5,8 @@ The axes are those of images: x to the right, y upwards. The transfer function i
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, ClassVar
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -34,8 +34,6 @@ if TYPE_CHECKING:
 
 _MOST_DIRECTLY = 4096
 """Largest number of frequencies that have a quadrature each; a larger number is interpolated in a table."""
-_TRACED_PHASE = LARGEST_PHASE  # assumed wavefront error of traced coefficients, rad
-_LEAST = 1e-5  # waves rms; smaller aberrations are invisible, and the value is probably in metres
 _MOST = 5.0  # largest plausible coefficient, waves rms
 _FARTHEST = 200.0  # largest distance at which the PSF is integrated, half periods of the cutoff
 
@@ -82,16 +80,18 @@ class ZernikeOptics(Optics):
     trefoil: jax.Array
     spherical: jax.Array
 
-    profile_fields: ClassVar[Mapping[str, str]] = {
-        "f_number": "focused.f_number",
-        "wavelength_m": "focused.wavelength",
-        "pixel_pitch_m": "focused.pixel_pitch",
-        "defocus_waves": "defocus",
-        "astigmatism_waves": "astigmatism",
-        "coma_waves": "coma",
-        "trefoil_waves": "trefoil",
-        "spherical_waves": "spherical",
-    }
+    profile_fields = MappingProxyType(
+        {
+            "f_number": "focused.f_number",
+            "wavelength_m": "focused.wavelength",
+            "pixel_pitch_m": "focused.pixel_pitch",
+            "defocus_waves": "defocus",
+            "astigmatism_waves": "astigmatism",
+            "coma_waves": "coma",
+            "trefoil_waves": "trefoil",
+            "spherical_waves": "spherical",
+        }
+    )
 
     def __init__(
         self,
@@ -215,30 +215,13 @@ class ZernikeOptics(Optics):
         """
         return self.focused.rule_on(np.union1d(borders, np.linspace(0, 1, 2 + self._phase() // 3)))
 
-    def components(self) -> tuple[tuple[jax.Array, Optics], ...]:
-        """Return this lens, with weight 1."""
-        return ((xp.ones(()), self),)
-
     def _along(self, f: jax.Array, angle: jax.Array) -> jax.Array:
         return self.otf(f * xp.cos(angle), f * xp.sin(angle))
 
     def _phase(self) -> int:
         terms = constant(self.terms)
-        return phase_of(np.asarray(terms)) if is_concrete(terms) else _TRACED_PHASE
-
-    def __repr__(self) -> str:
-        lens = self.focused
-        names = ("defocus", "astigmatism", "coma", "trefoil", "spherical")
-        shown = {name: getattr(self, name) for name in names}
-        more = "".join(
-            f", {name}={value.tolist() if is_concrete(value) else value!s}"
-            for name, value in shown.items()
-            if not is_concrete(value) or np.any(value)
-        )
-        return (
-            f"ZernikeOptics(f_number={lens.f_number!s}, wavelength={lens.wavelength!s}, "
-            f"pixel_pitch={lens.pixel_pitch!s}{more})"
-        )
+        # assumed wavefront error of traced coefficients, rad
+        return phase_of(np.asarray(terms)) if is_concrete(terms) else LARGEST_PHASE
 
 
 def _waves(name: str, value: Any) -> jax.Array:
@@ -258,7 +241,8 @@ def _refuse_metres(terms: jax.Array, wavelength: jax.Array) -> None:
     if not is_concrete(terms):
         return
     largest = float(np.max(np.abs(terms)))
-    if 0 < largest < _LEAST:
+    # waves rms; smaller aberrations are invisible, and the value is probably in metres
+    if 0 < largest < 1e-5:
         waves = f": {largest:g} m are {largest / float(wavelength):.3g} waves" if is_concrete(wavelength) else ""
         raise ArgumentError(
             f"coefficients must be waves rms, not metres, but the largest is {largest:g}{waves}; give 0 for no aberration"

@@ -88,6 +88,11 @@ def changed(array: Any, where: Any, value: Any) -> Any:
     return copy
 
 
+def evenly(count: int, most: int) -> np.ndarray:
+    """Select at most `most` of `count` indices, evenly spaced, with both ends."""
+    return np.unique(np.linspace(0, count - 1, min(most, count)).round().astype(int))
+
+
 def as_index(number: Any) -> Any:
     """Convert the elements of an array to indices; NaN becomes 0."""
     return xp.nan_to_num(number).astype(int)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 from abc import ABC
+from collections.abc import Mapping
 from typing import Any, TypeVar, dataclass_transform
 
 import numpy as np
@@ -58,24 +59,21 @@ class Module(ABC):  # noqa: B024  # subclasses have abstract methods
         return constructor_call(self)
 
 
-def constructor_call(thing: Any) -> str:
+def constructor_call(thing: Any, arguments: Mapping[str, Any] | None = None) -> str:
     """Format an object as a call of its constructor.
 
     Args:
         thing: instance of a dataclass, such as a module.
+        arguments: arguments of the call. Default: None, the fields of the dataclass.
 
     Example:
         >>> constructor_call(matcam.Conductor([0.2, 0.3], [3.5, 4.0]))
         'Conductor(n=[0.2, 0.3], k=[3.5, 4.0])'
     """
-    fields = ", ".join(f"{field.name}={_in_words(getattr(thing, field.name))}" for field in dataclasses.fields(thing))
-    return f"{type(thing).__name__}({fields})"
-
-
-_MOST_SHOWN = 16
-"""Largest number of entries of an array that a `repr` contains: four rows of four. A larger array is described by its
-shape and range.
-"""
+    if arguments is None:
+        arguments = {field.name: getattr(thing, field.name) for field in dataclasses.fields(thing)}
+    shown = ", ".join(f"{name}={_in_words(value)}" for name, value in arguments.items())
+    return f"{type(thing).__name__}({shown})"
 
 
 def _in_words(value: Any) -> str:
@@ -85,7 +83,9 @@ def _in_words(value: Any) -> str:
     if not is_concrete(value):
         return str(value)
     array = np.asarray(value)
-    if array.size <= _MOST_SHOWN or array.dtype.kind not in "biuf":
+    # Largest number of entries of an array that a `repr` contains: four rows of four. A larger array is described by
+    # its shape and range.
+    if array.size <= 16 or array.dtype.kind not in "biuf":
         return repr(array.tolist())
     shape, finite = " x ".join(map(str, array.shape)), array[np.isfinite(array)]
     span = f" from {finite.min():.6g} to {finite.max():.6g}" if finite.size else ""
@@ -125,14 +125,12 @@ def _equal(a: Any, b: Any) -> bool:
 
 
 def _names(cls: type) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the names of the array fields and of the static fields of a class."""
     fields = dataclasses.fields(cls)
     static = tuple(field.name for field in fields if field.metadata.get("static"))
     return tuple(field.name for field in fields if field.name not in static), static
 
 
 def _register(jax: Any, cls: type) -> None:
-    """Make a class a pytree of JAX."""
     dynamic, static = _names(cls)
     keys = tuple(map(jax.tree_util.GetAttrKey, dynamic))
     of_dynamic, of_static = map(_getter, (dynamic, static))

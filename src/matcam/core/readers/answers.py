@@ -19,7 +19,6 @@ from matcam.core.errors import FileFormatError
 
 _KINDS = "biufcSU"
 """Kinds of NumPy data types that an answer may contain: numbers and strings."""
-_LONGEST_ANSWER = 64 << 20  # bytes of JSON
 
 
 def packed(value: Any, arrays: list[np.ndarray]) -> Any:
@@ -68,7 +67,8 @@ def read_answer(take: Callable[[int], bytearray], path: Path, memory: int) -> An
     take: function that returns the given number of further bytes. memory: largest size of the arrays, bytes.
     """
     (length,) = struct.unpack("<Q", take(8))
-    if length > _LONGEST_ANSWER:
+    # bytes of JSON
+    if length > (64 << 20):
         raise FileFormatError(f"{path}: the file is damaged: its metadata take {length} bytes")
     message = json.loads(bytes(take(length)))
     if "error" in message:

@@ -41,13 +41,7 @@ from matcam.core.readers.answers import read_answer
 from matcam.core.readers.serving import called, decoded
 from matcam.core.threads import ONE_BLAS_THREAD
 
-_SECONDS, _BYTES_A_SECOND = 2.0, 5e6
-"""Processor time for a file: 2 s, and 1 s for every 5 MB. The slowest decoder (PNG) reads 30 MB in 1 s."""
-_SPARE_MEMORY, _TIMES_THE_FILE = 512 << 20, 32
-"""Memory for a file: 512 MiB, and 32 times its size. Parsers of text need up to 25 times, deflated images 10."""
 _SERVING = "matcam.core.readers.serving"
-_PATIENCE = 30.0
-"""Largest allowed ratio of wall-clock time to processor time. The machine may be busy, or the disk slow."""
 
 
 class Limits(NamedTuple):
@@ -129,10 +123,13 @@ def read_apart(
         size = path.stat().st_size if size is None else size
         if small and size <= small:
             return called(module, name, path, options)
-    seconds = _SECONDS + size / _BYTES_A_SECOND if limits.seconds is None else limits.seconds
-    wall = _PATIENCE * seconds if limits.wall is None else limits.wall
-    # at most half, because this process also requires memory for the answer
-    allowed = min(_SPARE_MEMORY + _TIMES_THE_FILE * size, available_memory() // 2)
+    # the slowest decoder (PNG) reads 30 MB in 1 s
+    seconds = 2.0 + size / 5e6 if limits.seconds is None else limits.seconds
+    # Largest allowed ratio of wall-clock time to processor time. The machine may be busy, or the disk slow.
+    wall = 30.0 * seconds if limits.wall is None else limits.wall
+    # parsers of text need up to 25 times the size, deflated images 10; at most half of the memory, because this process
+    # also requires memory for the answer
+    allowed = min((512 << 20) + 32 * size, available_memory() // 2)
     memory = allowed if limits.memory is None else limits.memory
     folder = path.anchor or str(Path.cwd())
     request = {"module": module, "name": name, "path": str(path), "folder": folder, "options": options, "what": what,
@@ -263,8 +260,6 @@ def _is_running(process: subprocess.Popen[bytes]) -> bool:
 
 
 class _Nursery:
-    """Fork server, and the socket to it."""
-
     def __init__(self) -> None:
         self.forget()
 

@@ -11,9 +11,6 @@ from pathlib import Path, PurePosixPath
 
 from matcam.core.errors import FileFormatError
 
-_LONGEST = 200
-"""Largest number of characters of a name in a document: file systems allow 255 bytes for each part of a path."""
-
 
 def is_there(path: Path) -> bool:
     """Check whether a file or folder exists.
@@ -101,7 +98,8 @@ def listed_file(folder: Path, name: str, what: str) -> Path:
     """
     pure = PurePosixPath(name)
     path = folder / name
-    if not pure.parts or not name.isprintable() or len(name) > _LONGEST:
+    # largest number of characters of a name in a document: file systems allow 255 bytes for each part of a path
+    if not pure.parts or not name.isprintable() or len(name) > 200:
         raise FileFormatError(f"{folder}: file {name[:40]!r} has a name that is not plain text: rename it")
     if pure.is_absolute() or ".." in pure.parts or "\\" in name or re.match(r"[A-Za-z]:", name):
         raise FileFormatError(f"{path}: the path leads out of {what}: give a file inside that folder")

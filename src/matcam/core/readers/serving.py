@@ -22,11 +22,6 @@ from matcam.core.errors import FileFormatError, one_line
 from matcam.core.io import reading
 from matcam.core.readers.answers import packed, write_answer
 
-_THREAD_STACK, _FREE_THREADS = 8 << 20, 16
-"""Address space of a thread, bytes, and number of threads for which the memory of a file suffices. Libraries start one
-thread per processor.
-"""
-
 
 def called(module: str, name: str, path: Path, options: dict[str, Any]) -> Any:
     """Call a decoder on a file."""
@@ -84,7 +79,8 @@ def _limit(seconds: float, wall: float, memory: int) -> None:
     resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))  # a decoder writes no files
     if sys.platform == "linux":
         now = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0]) * os.sysconf("SC_PAGE_SIZE")
-        most = now + memory + _THREAD_STACK * max((os.cpu_count() or 1) - _FREE_THREADS, 0)
+        # libraries start one thread per processor; the memory of a file suffices for 16, and each other takes 8 MiB
+        most = now + memory + (8 << 20) * max((os.cpu_count() or 1) - 16, 0)
         resource.setrlimit(resource.RLIMIT_AS, (most, most))
 
 

@@ -27,13 +27,11 @@ SMALL_TEXT = 64 << 10
 
 The values of such a file, at most one for every two bytes, take 20 ms and 4 MiB.
 """
-_LARGEST_JSON = 16 << 20  # bytes; a measured curve of 100,000 samples takes 4 MiB
 _MOST_VALUES = 250_000
 """Largest number of values in a JSON document: a measured curve of 100,000 samples has 200,000.
 
 A schema may take 5 us to check each value.
 """
-_LARGEST_LINES = 4 << 20  # bytes; 65,536 lines of three numbers take 3 MiB
 _MOST_LINES = 100_000
 """Largest number of lines of a text file: more than the 65,536 codes of a tone curve of 16 bits."""
 _LONGEST_LINE = 1000
@@ -85,7 +83,8 @@ def decode_json(path: Path, *, title: str) -> np.ndarray:
     def refuse(constant: str) -> None:
         raise ValueError(f"{constant} is not a number")
 
-    content = _bytes_of(path, title, _LARGEST_JSON)
+    # bytes; a measured curve of 100,000 samples takes 4 MiB
+    content = _bytes_of(path, title, 16 << 20)
     values = content.count(b",") + content.count(b"[") + content.count(b"{")
     if values > _MOST_VALUES:
         raise FileFormatError(
@@ -100,7 +99,8 @@ def decode_json(path: Path, *, title: str) -> np.ndarray:
 
 def decode_lines(path: Path, *, title: str) -> np.ndarray:
     """Read the bytes of a text file, and check the limits of lines."""
-    return np.frombuffer(_checked_text(path, title, _LARGEST_LINES), np.uint8)
+    # bytes; 65,536 lines of three numbers take 3 MiB
+    return np.frombuffer(_checked_text(path, title, 4 << 20), np.uint8)
 
 
 def _bytes_of(path: Path, what: str, largest: int) -> bytes:

@@ -7,7 +7,7 @@ results. Importing this module registers the accessor with xarray.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, TypeVar
 
 import xarray as xr
 
@@ -59,19 +59,13 @@ def named(data: D, texts: Mapping[str, str] | None = None) -> D:
     return data
 
 
-class _Kind(NamedTuple):
-    """Kind of Dataset, identified by variables that no other kind has."""
-
-    name: str
-    variables: frozenset[str]
-
-
-_KINDS = (
-    _Kind("Fresnel term", frozenset({"raw", "corrected", "supported_angle"})),
-    _Kind("corrected table", frozenset({"brdf", "correction_std", "supported"})),
-    _Kind("bounds", frozenset({"width_std", "lens_std_free", "fresnel_std"})),
-    _Kind("prediction", frozenset({"response", "relative_response", "loss_angle"})),
-)
+_KINDS = {
+    "Fresnel term": {"raw", "corrected", "supported_angle"},
+    "corrected table": {"brdf", "correction_std", "supported"},
+    "bounds": {"width_std", "lens_std_free", "fresnel_std"},
+    "prediction": {"response", "relative_response", "loss_angle"},
+}
+"""Variables by which each kind of Dataset is identified; no other kind has all of them."""
 _SUMMARIES: Registry[Any] = Registry(
     {
         "Fresnel term": "matcam.inverse.dataset_summaries:fresnel_summary",
@@ -101,7 +95,7 @@ class DatasetAccessor(Summarised):
         An ArgumentError is raised for any other Dataset.
         """
         names = set(map(str, self._data.variables))
-        found = [kind.name for kind in _KINDS if kind.variables <= names]
+        found = [kind for kind, variables in _KINDS.items() if variables <= names]
         if not found:
             raise ArgumentError(
                 "a summary needs a result of fresnel, correct, limits or predict, but this Dataset is of another kind"

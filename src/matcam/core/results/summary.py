@@ -24,8 +24,6 @@ _MOST_ROWS = 12
 """Largest number of quantities of a section that are shown. A measured MTF has hundreds of parameters, which are too
 many to read.
 """
-_LEAST_CORRELATION = 0.1
-"""Smallest correlation that is listed, as in lmfit: a smaller one changes a standard deviation by less than 1 %."""
 _WIDTH = 100
 """Number of characters of a line of text, as in the reports of lmfit and statsmodels."""
 
@@ -170,7 +168,8 @@ def correlations(names: Iterable[str], covariance: np.ndarray) -> list[Quantity]
     names = list(names)
     scale = np.sqrt(np.diag(covariance))
     correlation = covariance / np.maximum(np.outer(scale, scale), 1e-300)
-    pairs = [(i, j) for i in range(len(names)) for j in range(i) if abs(correlation[i, j]) >= _LEAST_CORRELATION]
+    # smallest correlation that is listed, as in lmfit: a smaller one changes a standard deviation by less than 1 %
+    pairs = [(i, j) for i in range(len(names)) for j in range(i) if abs(correlation[i, j]) >= 0.1]
     pairs.sort(key=lambda pair: -abs(correlation[pair]))
     return [Quantity(f"C({names[j]}, {names[i]})", f"{correlation[i, j]:+.3f}") for i, j in pairs]
 
@@ -179,7 +178,6 @@ class Summarised:
     """Base of results that have a summary and a figure."""
 
     def _summary(self) -> Summary:
-        """Gather the content of the summary."""
         raise NotImplementedError
 
     def summary(self) -> str:
