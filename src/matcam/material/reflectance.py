@@ -10,6 +10,7 @@ import numpy.typing as npt
 from jax.typing import ArrayLike
 
 from matcam.core import checks
+from matcam.core.arrays import has_jax, xp
 from matcam.core.arrays.module import constructor_call
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import CHANNEL_WAVELENGTHS
@@ -45,17 +46,19 @@ def fresnel_conductor(theta: ArrayLike, n: ArrayLike, k: ArrayLike) -> jax.Array
     theta = checks.within("theta", theta, 0, np.pi / 2, "rad")
     n, k = checks.within("n", n, 0, _LARGEST_INDEX, open_low=True), checks.within("k", k, 0, _LARGEST_INDEX)
     checks.broadcast_shape(theta=theta, n=n, k=k)
-    return _mean_of_polarisations(theta, n, k)
+    return (_compiled if has_jax(theta, n, k) else _mean_of_polarisations)(theta, n, k)
 
 
-@jax.jit
 def _mean_of_polarisations(theta: jax.Array, n: jax.Array, k: jax.Array) -> jax.Array:
     index = n + 1j * k
-    cos_i, sin2 = jnp.cos(theta), jnp.sin(theta) ** 2
-    inside = jnp.sqrt(index**2 - sin2)  # index times the cosine of the refracted ray
+    cos_i, sin2 = xp.cos(theta), xp.sin(theta) ** 2
+    inside = xp.sqrt(index**2 - sin2)  # index times the cosine of the refracted ray
     r_s = (cos_i - inside) / (cos_i + inside)
     r_p = (index**2 * cos_i - inside) / (index**2 * cos_i + inside)
     return (_modulus2(r_s) + _modulus2(r_p)) / 2
+
+
+_compiled = jax.jit(_mean_of_polarisations)
 
 
 def _modulus2(z: jax.Array) -> jax.Array:
