@@ -102,6 +102,8 @@ class PhasedRows(NamedTuple):
 class EdgeCells(NamedTuple):
     """Means over the pixels of n bins.
 
+    The bins near the edge come first, ordered by phase and column.
+
     Attributes:
         pixels: (n,) number of pixels; 0 if the bin is empty (its means are then meaningless).
         value: (n,) mean value.
@@ -126,7 +128,7 @@ def edge_position(curve: jax.Array, y: AnyArray) -> jax.Array:
 
 def edge_slope(curve: jax.Array, y: AnyArray) -> jax.Array:
     """Evaluate dx0/dy at y."""
-    return edge_position(curve[1:] * xp.arange(1, CURVE), y)
+    return edge_position(curve[1:] * np.arange(1, CURVE), y)
 
 
 def edge_distance(curve: jax.Array, x: AnyArray, y: AnyArray) -> jax.Array:
@@ -137,10 +139,10 @@ def edge_distance(curve: jax.Array, x: AnyArray, y: AnyArray) -> jax.Array:
     straight edge. The second term corrects for curvature.
     """
     slope = edge_slope(curve, y)
-    curvature = edge_position(curve[2:] * xp.array([k * (k - 1) for k in range(2, CURVE)]), y)
+    curvature = edge_position(curve[2:] * np.array([k * (k - 1) for k in range(2, CURVE)]), y)
     c = 1 / xp.sqrt(1 + slope**2)
-    along = x - edge_position(curve, y)
-    return xp.asarray(along * c - curvature / 2 * (along * slope) ** 2 * c**5)
+    normal = (x - edge_position(curve, y)) * c
+    return xp.asarray(normal - curvature / 2 * slope**2 * c**3 * normal * normal)
 
 
 def half_length(rows: Rows) -> jax.Array:
@@ -157,8 +159,11 @@ def to_mean_slope(length: jax.Array) -> jax.Array:
 
 
 def legendre(t: AnyArray, terms: int) -> jax.Array:
-    """Evaluate the Legendre polynomials (terms, n) of t (n,), which lies in [-1, 1]."""
-    return xp.asarray(LEGENDRE[:terms, :terms] @ xp.asarray(t) ** np.arange(terms)[:, None])
+    """Evaluate the Legendre polynomials (terms, n) of t (n,), which lies in [-1, 1], by Bonnet's recursion."""
+    found = [xp.ones_like(t), t]
+    for k in range(2, terms):
+        found.append((2 - 1 / k) * t * found[-1] - (1 - 1 / k) * found[-2])
+    return xp.stack(found[:terms])
 
 
 def aligned_rows(rows: Rows, curve: jax.Array) -> AlignedRows:
@@ -190,40 +195,47 @@ def edge_cells(phased: PhasedRows) -> EdgeCells:
 
     Far from the edge, the upper and the lower half of a column are one bin each.
     """
-    aligned = phased.rows
-    near = aligned.near
+    aligned, near = phased.rows, phased.rows.near
+    count, columns = aligned.valid.shape
+    length, v = aligned.length, aligned.y / aligned.length
+    # All means follow from sums over rows of a quantity times a function of the row, which are matrix products.
+    of_row = xp.stack([xp.ones_like(v), v, v * v, aligned.x[:, 0], 1 / aligned.light])
+    quantities = [aligned.value, aligned.valid]
+    for _ in range(3):
+        quantities.append(quantities[-1] * phased.distance)
 
-    def channels(part: slice) -> list[jax.Array]:
-        valid, apart, x = aligned.valid[:, part], phased.distance[:, part], aligned.x[:, part]
-        y, dim = aligned.y[:, None], 1 / aligned.light[:, None]
-        quantities = [apart, apart**2, dim, *light_terms(x, y, apart, aligned.length)]
-        return [valid, aligned.value[:, part], *(valid * q for q in quantities)]
+    def summed(groups: AnyArray, part: slice) -> list[jax.Array]:
+        """Sum each quantity times each function of the row over groups of rows: arrays (functions, groups * columns)."""
+        weights = (of_row[:, None] * groups).reshape(-1, count)
+        return [(weights @ quantity[:, part]).reshape(len(of_row), -1) for quantity in quantities]
 
-    # One matrix product for all channels is three times as fast as many small ones.
-    width = near.stop - near.start
-    inside = channels(near)
-    summed = (phased.member @ xp.concatenate(inside, 1)).reshape(-1, len(inside), width).swapaxes(0, 1)
     # Far from the edge, a column has one bin for the upper and one for the lower rows, to resolve changes of the light.
-    half = aligned.y.size // 2
-    far = zip(channels(slice(None, near.start)), channels(slice(near.stop, None)), strict=True)
-    outside = [[part.sum(0) for side in both for part in (side[:half], side[half:])] for both in far]
-    sums = (xp.concatenate([i.ravel(), *o]) for i, o in zip(summed, outside, strict=True))
-    count = next(sums)
+    upper = np.arange(count) < count // 2
+    halves = np.stack([upper, ~upper]).astype(float)
+    parts = [(phased.member, near), (halves, slice(near.start)), (halves, slice(near.stop, None))]
+    sums = [xp.concatenate(some, 1) for some in zip(*(summed(*part) for part in parts), strict=True)]
+    pixels = sums[1][0]
     # An empty bin has weight 0, and is placed at distance 0, where every model is finite.
-    value, mean, square, dim, *terms = (total / xp.where(count > 0, count, 1.0) for total in sums)
-    dim = xp.where(count > 0, dim, 1.0)
-    return EdgeCells(count, value, mean, xp.maximum(square - mean**2, 0.0), dim, xp.stack(terms))
+    value, *moments = (total / xp.where(pixels > 0, pixels, 1.0) for total in sums)
+    column = np.concatenate([np.tile(np.arange(columns)[part], len(groups)) for groups, part in parts])
+    x, mean = moments[0][3] + aligned.step * column, moments[1][0]
+    terms = [x, moments[0][1] * length, *(moments[i][j] / length**i for i, j in _ORDERS)]
+    spread = xp.maximum(moments[2][0] - mean**2, 0.0)
+    return EdgeCells(pixels, value[0], mean, spread, xp.where(pixels > 0, moments[0][4], 1.0), xp.stack(terms))
 
 
-def light_terms(x: AnyArray, y: AnyArray, distance: AnyArray, length: AnyArray) -> list[jax.Array]:
-    """Compute the polynomial terms of the light in a region: TERMS arrays.
+def light_terms(x: AnyArray, y: AnyArray, distance: AnyArray, length: AnyArray) -> jax.Array:
+    """Compute the polynomial terms of the light in a region, (TERMS, ...).
 
     They are x and y (px), then products of the distance d from the edge and y, each in units of `length`, up to third
     order. Higher orders of y alone have been divided out of the rows, or are negligible.
     """
     d, v = distance / length, y / length
-    return [xp.broadcast_to(t, distance.shape) for t in (x, y, d * d, d * v, d * d * d, d * d * v, d * v * v)]
+    powers = ((1.0, d, d * d, d * d * d), (1.0, v, v * v))
+    return xp.stack([xp.broadcast_to(t, d.shape) for t in (x, y, *(powers[0][i] * powers[1][j] for i, j in _ORDERS))])
 
 
-TERMS = 7
+_ORDERS = ((2, 0), (1, 1), (3, 0), (2, 1), (1, 2))
+"""Orders of the light terms in the distance from the edge and in y, after the terms x and y."""
+TERMS = 2 + len(_ORDERS)
 """Number of polynomial terms of the light: all up to third order that are not functions of y alone, and y itself."""

@@ -112,8 +112,9 @@ class Light(NamedTuple):
 
 def light_of(linear: jax.Array, terms: jax.Array) -> Light:
     """Evaluate the light from its polynomial terms (TERMS, ...) and the parameters `State.linear`."""
-    factor = 1 + xp.tensordot(linear[2 : 2 + TERMS], terms, 1)
-    return Light(factor, xp.tensordot(linear[2 + TERMS : SHIFT], terms[:ADDED], 1))
+    flat, shape = terms.reshape(TERMS, -1), terms.shape[1:]
+    factor, addend = linear[2 : 2 + TERMS] @ flat, linear[2 + TERMS : SHIFT] @ flat[:ADDED]
+    return Light(1 + factor.reshape(shape), addend.reshape(shape))
 
 
 def edge_model(cells: EdgeCells, state: State, profile: Profile) -> EdgeModel:
@@ -186,8 +187,7 @@ def curve_step(phased: PhasedRows, cells: EdgeCells, at: EdgeModel, noise: Noise
     size = shape[0] * shape[1]
     of_row = lambda a: a[:size].reshape(shape)[phased.phase]  # noqa: E731
     y, distance = aligned.y[:, None], phased.distance[:, near]
-    terms = xp.stack(light_terms(aligned.x[:, near], y, distance, aligned.length))
-    light = light_of(state.linear, terms)
+    light = light_of(state.linear, light_terms(aligned.x[:, near], y, distance, aligned.length))
     of_cell = light_of(state.linear, cells.terms)
     slope = of_row(at.design[SHIFT] / at.light) * light.factor
     scene = of_row((at.value - of_cell.addend) / at.light)
@@ -201,12 +201,12 @@ def curve_step(phased: PhasedRows, cells: EdgeCells, at: EdgeModel, noise: Noise
     score = (weight * by_row * residual).sum(1)
     powers = legendre(aligned.y / length, CURVE)
     normal = (powers * information) @ powers.T
-    stiff = xp.where(xp.arange(CURVE) < _BOWS, 0.0, _STIFF**-2)
+    stiff = np.where(np.arange(CURVE) < _BOWS, 0.0, _STIFF**-2)
     normal = normal + xp.diag(stiff + 1e-9 * xp.trace(normal) + 1e-300)
     covariance, change, orders = _of_seen_orders(normal, powers @ score, to_strengths(curve, length))
     change = xp.clip(change, -1.0, 1.0)
     rms = xp.sqrt((residual**2).sum() / xp.maximum(aligned.valid[:, near].sum(), 1.0))
-    by = xp.stack([to_coefficients(unit, length) for unit in xp.eye(CURVE)])
+    by = to_coefficients(np.eye(CURVE), length)
     # Position of the edge in each row relative to the new curve.
     shift = score / xp.where(information > 0, information, 1.0) - powers.T @ change
     count = xp.maximum((information > 0).sum() - orders, 1.0)
@@ -230,7 +230,7 @@ def _of_seen_orders(
     beyond = (strengths + change)[_BOWS:]
     seen = beyond @ linalg.solve(free[_BOWS:, _BOWS:], beyond) > _HIGHER_ORDERS
     # Change of the coefficients that sets the higher orders to 0.
-    without = xp.where(xp.arange(CURVE) < _BOWS, 0.0, -strengths)
+    without = xp.where(np.arange(CURVE) < _BOWS, 0.0, -strengths)
     bow = xp.pad(linalg.inv(normal[:_BOWS, :_BOWS]), (0, CURVE - _BOWS))
     bowed = without + bow @ (score - normal @ without)
     return xp.where(seen, free, bow), xp.where(seen, change, bowed), xp.where(seen, CURVE, _BOWS)

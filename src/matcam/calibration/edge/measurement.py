@@ -151,9 +151,10 @@ def edge_fits(
     first_curve, crossing = find_curve(rows)
     bare = geometry.aligned_rows(rows, first_curve)
     known = ~(xp.isnan(noise.gain) | xp.isnan(noise.read))
-    noise = estimated_noise(noise, bare, geometry.edge_distance(first_curve, bare.x, bare.y[:, None]))
+    phased = geometry.phased_rows(bare, first_curve)
+    noise = estimated_noise(noise, phased)
     even_rows = in_even_rows(bare, length)
-    aligned = without_outliers(even_rows, first_curve, noise)
+    aligned = without_outliers(phased._replace(rows=even_rows), noise)
 
     def turn(
         at: tuple[jax.Array, State], used: jax.Array

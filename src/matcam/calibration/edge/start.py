@@ -110,14 +110,14 @@ def in_even_rows(aligned: AlignedRows, length: jax.Array) -> AlignedRows:
     weight = ((dark > 0) & (bright > 0)).astype(float)
     level = xp.where(weight > 0, (low + high) / 2, 0.0)
     powers = legendre(aligned.y / length, _LIGHT + 1)
-    normal = (powers * weight) @ powers.T + 1e-9 * xp.eye(_LIGHT + 1)
+    normal = (powers * weight) @ powers.T + 1e-9 * np.eye(_LIGHT + 1)
     root = linalg.cholesky(normal)
     # Component of each order that is orthogonal to the lower orders.
     own = scipy_linalg.solve_triangular(root, powers, lower=True, check_finite=False)
     share = own @ (weight * level)
     count = xp.maximum(weight.sum(), 2.0)
     left = xp.maximum((weight * level**2).sum() - xp.cumsum(share**2), 1e-12 * (weight * level**2).sum() + 1e-300)
-    order = xp.arange(_LIGHT + 1)
+    order = np.arange(_LIGHT + 1)
     cost = xp.where((order >= 1) & (order <= count / 6), count * xp.log(left / count) + order * xp.log(count), xp.inf)
     best = xp.maximum(xp.argmin(cost), 1)
     line = share[:2] @ own[:2]
@@ -178,16 +178,21 @@ def _largest_steps(rows: Rows) -> tuple[jax.Array, jax.Array]:
 def _polynomial(y: AnyArray, x: AnyArray, weight: jax.Array, terms: int, length: jax.Array) -> jax.Array:
     """Fit a polynomial x(y) by weighted least squares. Its coefficients (CURVE,) beyond `terms` are 0."""
     powers = legendre(y / length, terms)
-    stiff = xp.where(xp.arange(terms) < 3, 1e-9, _STIFF)
-    found = linalg.solve((powers * weight) @ powers.T + xp.diag(stiff), (powers * weight) @ x)
+    weighted = powers * weight
+    stiff = np.where(np.arange(terms) < 3, 1e-9, _STIFF)
+    found = linalg.solve(weighted @ powers.T + np.diag(stiff), weighted @ x)
     return to_coefficients(found, length)
 
 
 def to_coefficients(strengths: jax.Array, length: jax.Array) -> jax.Array:
-    """Convert coefficients of Legendre polynomials of y / length to those (CURVE,) of powers of y."""
-    return strengths @ LEGENDRE[: strengths.size, :CURVE] / length ** xp.arange(CURVE)
+    """Convert coefficients (..., k) of Legendre polynomials of y / length to those (..., CURVE) of powers of y."""
+    return strengths @ LEGENDRE[: strengths.shape[-1], :CURVE] / length ** np.arange(CURVE)
+
+
+_TO_STRENGTHS = np.linalg.inv(LEGENDRE[:CURVE, :CURVE])
+"""Coefficients of the Legendre polynomials in the powers of t of orders 0 to 5."""
 
 
 def to_strengths(curve: jax.Array, length: jax.Array) -> jax.Array:
     """Convert coefficients of powers of y to those (CURVE,) of Legendre polynomials: the inverse of `to_coefficients`."""
-    return (curve * length ** xp.arange(CURVE)) @ np.linalg.inv(LEGENDRE[:CURVE, :CURVE])
+    return (curve * length ** np.arange(CURVE)) @ _TO_STRENGTHS

@@ -14,18 +14,16 @@ import numpy as np
 
 from matcam.calibration.edge.free_curve import FreeCurve, SampledCurve, edge_basis
 from matcam.calibration.edge.free_fit import LinearFit
-from matcam.calibration.edge.geometry import AlignedRows, phased_rows
+from matcam.calibration.edge.geometry import AlignedRows, PhasedRows
 from matcam.calibration.edge.maximum_likelihood import Noise, light_of
 from matcam.calibration.edge.start import side_levels
-from matcam.core.arrays import repeated, xp
+from matcam.core.arrays import either, xp
 
 if TYPE_CHECKING:
     from matcam.core.jax import jax
 
 _FAR = 6.0
 """Deviation above which a pixel is an outlier, in standard deviations. Noise exceeds it in one of 5e8 pixels."""
-_ROUNDS = 2
-"""Number of iterations of the search for outliers. A large outlier may hide others in its group."""
 _LEVEL_DISTANCE = 6.0
 """Distance from the edge beyond which pixels are used to estimate the noise, px."""
 _LEAST_NOISE = 1e-4
@@ -38,10 +36,9 @@ _OTHERS = 3
 """Number of pixels that a group must exceed for the outlier test."""
 
 
-def without_outliers(aligned: AlignedRows, curve: jax.Array, noise: Noise) -> AlignedRows:
+def without_outliers(phased: PhasedRows, noise: Noise) -> AlignedRows:
     """Mark outlying pixels as missing."""
-    phased = phased_rows(aligned, curve)
-    member, columns = phased.member, aligned.value.shape[1]
+    aligned, member = phased.rows, phased.member
     dark, bright = side_levels(aligned)
     level = (dark + bright) / 2
     level = xp.where(level > 0, level / xp.maximum(level.mean(), 1e-300), 1.0)[:, None]
@@ -49,39 +46,39 @@ def without_outliers(aligned: AlignedRows, curve: jax.Array, noise: Noise) -> Al
     variance = noise.variance(aligned.value, 1 / aligned.light[:, None]) / level**2
 
     def again(valid: jax.Array) -> jax.Array:
-        def summed(*quantities: jax.Array) -> tuple[jax.Array, ...]:
-            sums = member @ xp.concatenate([valid * q for q in quantities], 1)
-            return tuple(sums[:, i * columns : (i + 1) * columns] for i in range(len(quantities)))
-
-        count, total, apart = summed(xp.ones_like(value), value, phased.distance)
+        count = member @ valid
         some = xp.maximum(count, 1.0)
-        mean = total / some
+        mean, apart = (member @ (valid * q) / some for q in (value, phased.distance))
         # The distances in a group differ by at most an eighth of a px, which a linear term corrects.
         ends = (count[:, 2:] > 0) & (count[:, :-2] > 0)
         slope = xp.pad(xp.where(ends, (mean[:, 2:] - mean[:, :-2]) / (2 * aligned.step), 0.0), ((0, 0), (1, 1)))
         of = lambda a: a[phased.phase]  # noqa: E731
-        off = value - of(mean) - of(slope) * (phased.distance - of(apart / some))
-        first, second = summed(off, off**2)
-        others = xp.maximum(of(count) - 1, 1.0)
-        middle = (of(first) - off) / others
-        scatter = xp.maximum((of(second) - off**2) / others - middle**2, variance)
+        # Of each pixel, from the means of its group: value minus slope times distance.
+        off = value - of(mean - slope * apart) - of(slope) * phased.distance
+        first, second = (of(member @ (valid * q)) for q in (off, off**2))
+        others = of(xp.maximum(count - 1, 1.0))
+        middle = (first - off) / others
+        scatter = xp.maximum((second - off**2) / others - middle**2, variance)
         far = (off - middle) ** 2 > _FAR**2 * scatter * (1 + 1 / others)
-        return valid * ~(far & (of(count) > _OTHERS))
+        return valid * ~(far & of(count > _OTHERS))
 
-    valid = repeated(_ROUNDS, again, aligned.valid)
+    # A large outlier may hide others in its group.
+    valid = again(aligned.valid)
+    valid = either((valid < aligned.valid).any(), again, lambda same: same, valid)
     return aligned._replace(valid=valid, value=aligned.value * valid)
 
 
-def estimated_noise(known: Noise, aligned: AlignedRows, distance: jax.Array) -> Noise:
+def estimated_noise(known: Noise, phased: PhasedRows) -> Noise:
     """Estimate the unknown parameters of the noise.
 
     The estimate uses second differences of samples on both sides of the edge. The samples are 2 columns apart, so that they
     have the same colour in a mosaic.
     """
+    aligned = phased.rows
     # Second differences remove light that changes linearly across the edge.
     difference = aligned.value[:, 4:] - 2 * aligned.value[:, 2:-2] + aligned.value[:, :-4]
     all_three = aligned.valid[:, 4:] * aligned.valid[:, 2:-2] * aligned.valid[:, :-4]
-    away = distance[:, 2:-2]
+    away = phased.distance[:, 2:-2]
     far = all_three * (xp.abs(away) > xp.minimum(_LEVEL_DISTANCE, 0.3 * aligned.step * aligned.value.shape[1]))
 
     def side(part: jax.Array) -> tuple[jax.Array, jax.Array]:
