@@ -139,15 +139,16 @@ def edge_and_slopes(
     """
     long, _, short = _boxes(angle, half_width, std)
     short = xp.where(short > _THINNEST, short, _THINNEST)
-    sums = [xp.zeros(()), xp.zeros(()), xp.zeros(())]
-    for corner, sign in ((long + short, 1), (long - short, -1), (short - long, -1), (-long - short, 1)):
-        t = (x + corner) / std
-        phi = xp.exp(-(t**2) / 2) / xp.sqrt(2 * xp.pi)
-        below = (1 + special.erf(t / xp.sqrt(2.0))) / 2
-        parts = (std**2 / 2 * ((t**2 + 1) * below + t * phi), std * (t * below + phi), std * below)
-        sums = [total + sign * part for total, part in zip(sums, parts, strict=True)]
-    area = 4 * long * short
-    return sums[0] / area, sums[1] / area, sums[2] / area
+    t = xp.stack([x + long + short, x + long - short, x - long + short, x - long - short]) / std
+    phi = xp.exp(-t * t / 2) / np.sqrt(2 * np.pi)
+    below = (1 + special.erf(t / np.sqrt(2.0))) / 2
+    first = t * below + phi
+
+    def difference(corners: jax.Array) -> jax.Array:
+        return corners[0] - corners[1] - corners[2] + corners[3]
+
+    share = std / (4 * long * short)
+    return std * share / 2 * difference(t * first + below), share * difference(first), share * difference(below)
 
 
 def _boxes(angle: jax.Array, half_width: jax.Array, std: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from contextvars import ContextVar
 from importlib import import_module
 from importlib.abc import MetaPathFinder
@@ -79,13 +79,15 @@ class _Namespace:
 
     def _choosing(self, name: str, own: Callable[..., Any]) -> Callable[..., Any]:
         def function(*args: Any, **kwargs: Any) -> Any:
-            if has_jax(*args, *kwargs.values()):
+            if "jax" in sys.modules and has_jax(*args, *kwargs.values()):
                 return getattr(import_module(self._homes[1]), name)(*args, **kwargs)
-            with nullcontext() if _silent.get() else np.errstate(all="ignore"):
-                try:
+            try:
+                if _silent.get():
                     return own(*args, **kwargs)
-                except np.linalg.LinAlgError:
-                    return np.full_like(args[-1], np.nan)
+                with np.errstate(all="ignore"):
+                    return own(*args, **kwargs)
+            except np.linalg.LinAlgError:
+                return np.full_like(args[-1], np.nan)
 
         function.__name__ = name
         return function
