@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from matcam.core.arrays import linalg, scipy_linalg, xp
+from matcam.core.arrays import linalg, xp
 
 FLOOR = 1e-12
 """Smallest eigenvalue of a matrix with a unit diagonal. Rounding in sums of 1e6 products stays below it. A direction at
@@ -54,7 +54,8 @@ def lifted_inverse(information: AnyMatrix, undetermined: float = 0.0) -> AnyMatr
     scale = xp.where(diagonal > 0, 1 / xp.sqrt(xp.where(diagonal > 0, diagonal, 1.0)), 0.0)
     lifted = information * scale[:, None] * scale + xp.diag(xp.where(scale > 0, FLOOR, 1.0))
     root = linalg.cholesky(lifted)
-    inverse = scipy_linalg.cho_solve((root, True), np.eye(len(scale)), check_finite=False)
+    half = linalg.inv(root)
+    inverse = half.T @ half
     return inverse * scale[:, None] * scale + xp.diag(xp.where(scale > 0, 0.0, undetermined))
 
 

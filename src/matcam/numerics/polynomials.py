@@ -25,7 +25,7 @@ def plane_powers(x: FloatArray, y: FloatArray, degree: int) -> FloatArray:
     for _ in range(degree):
         of_x.append(of_x[-1] * x)
         of_y.append(of_y[-1] * y)
-    return np.stack([of_x[i] * of_y[j] for i, j in plane_orders(degree)], axis=-1)
+    return np.moveaxis(np.stack([of_x[i] * of_y[j] for i, j in plane_orders(degree)]), 0, -1)
 
 
 def plane_fit(x: FloatArray, y: FloatArray, values: FloatArray, degree: int) -> FloatArray:

@@ -15,19 +15,19 @@ from numpy.typing import ArrayLike
 
 from matcam.calibration.edge.edge_result import EdgeMTF, EdgeStack, stack_result
 from matcam.calibration.edge.free_curve import GHOSTS, GLARE, line_width
-from matcam.calibration.edge.geometry import Rows, aligned_rows, edge_distance, half_length
+from matcam.calibration.edge.geometry import Rows, aligned_rows, half_length
 from matcam.calibration.edge.maximum_likelihood import UNKNOWN_NOISE, Noise
 from matcam.calibration.edge.measurement import EdgeFits, edge_fits, fits_program, lens_fit
 from matcam.calibration.edge.processing import with_traces
 from matcam.calibration.edge.profiles import Gaussian, LensModel, check_light, lens_model
-from matcam.calibration.edge.rows import EdgeRegions, RegionFrame, describe_content, edge_regions, refusals
+from matcam.calibration.edge.rows import EdgeRegions, RegionFrame, clearance, describe_content, edge_regions, refusals
 from matcam.calibration.edge.start import in_even_rows
 from matcam.calibration.photograph.linear_image import SMALLEST, LinearImage, flaw, region_of
 from matcam.calibration.photograph.tone import Tone
 from matcam.calibration.photograph.uneven_light import EXCLUDED_WIDTHS, LightField, light_field
 from matcam.calibration.photograph.unnamed_mosaic import refuse_unnamed_mosaic
 from matcam.core import checks
-from matcam.core.arrays import changed, tuple_map, xp
+from matcam.core.arrays import changed, tuple_map
 from matcam.core.errors import ArgumentError, FitError
 from matcam.core.registry import PARAMETRIC_LENSES
 from matcam.core.remark import Remark
@@ -218,6 +218,7 @@ def edge_stack(
     problems: list[Remark | None] = []
     even: list[EdgeRegions] = []
     lights: list[LightField | None] = []
+    clearances: list[np.ndarray] = []
     for given, known in regions:
         rows, fits = given, fit(given, settings)
         if even_light:
@@ -233,13 +234,14 @@ def edge_stack(
             of_lens = lambda edge: lens_fit(edge, np.float64(settings.half_width), settings.lens)  # noqa: E731
             fits = fits._replace(parametric=_of_each(len(fits.outliers), of_lens, fits))
         chunks.append(fits)
-        refused = refusals(fits, given, accept_sharpened=settings.accept_sharpened)
+        clearances.append(clearance(fits, given))
+        refused = refusals(fits, given, clearances[-1], accept_sharpened=settings.accept_sharpened)
         problems += [before or refusal for before, refusal in zip(known, refused, strict=True)]
         frames.append(RegionFrame(*(np.broadcast_to(column, len(rows.value)) for column in rows.frame)))
     fits = tuple_map(lambda *a: np.concatenate(a), *chunks)
     frame = RegionFrame(*(np.concatenate(columns) for columns in zip(*frames, strict=True)))
     stack = stack_result(fits, frame, settings.lens, settings.half_width, tuple(problems))
-    return with_traces(stack, even, lights) if even_light else stack
+    return with_traces(stack, even, lights, np.concatenate(clearances)) if even_light else stack
 
 
 def _placed(rows: EdgeRegions, x: ArrayLike, y: ArrayLike) -> EdgeRegions:
@@ -289,11 +291,11 @@ def _in_even_light(rows: EdgeRegions, fits: EdgeFits) -> tuple[EdgeRegions, list
     value, fields = np.array(rows.value), list[LightField | None]()
     widths = np.asarray(line_width(fits.free.shape))
     for i, (region, x, y) in enumerate(zip(rows.value, *rows.coordinates(), strict=True)):
-        shape, curve = fits.free.shape, xp.asarray(fits.curve[i])
+        shape, curve = fits.free.shape, fits.curve[i]
         blur = float(widths[i])
         field: LightField | None = None
         if np.isfinite([*curve, blur]).all() and blur < _WIDEST * np.isfinite(region).sum(1).max() * rows.step:
-            distance = np.asarray(edge_distance(curve, x, y))
+            distance = rows.distances(i, curve)
             gain, read = (float(np.asarray(part)[i]) for part in fits.noise)
             glare = bool(fits.free.even[i, GLARE] != 0)
             if (fits.free.even[i, GHOSTS] != 0).any():  # a ghost is not uneven light

@@ -273,6 +273,11 @@ def _step(t: jax.Array) -> jax.Array:
     return (1 + special.erf(t / xp.sqrt(2.0))) / 2
 
 
+def edge_values(curve: FreeCurve, basis: Basis) -> jax.Array:
+    """Combine the edge responses of the basis functions with the coefficients of a curve."""
+    return basis.pilot + curve.even @ (basis.even - basis.pilot) + curve.odd @ basis.odd
+
+
 def _combined(curve: FreeCurve, pilot: jax.Array, even: jax.Array, odd: jax.Array) -> SampledCurve:
     """Combine the basis functions with the coefficients of a curve, and compute the standard deviation."""
     columns = xp.concatenate([even, odd, xp.zeros((1, pilot.size))])

@@ -18,11 +18,10 @@ from scipy.optimize import least_squares
 from scipy.special import ndtr, ndtri
 
 from matcam.calibration.edge.edge_result import EdgeMTF, EdgeStack
-from matcam.calibration.edge.free_curve import ghost_of, line_width
+from matcam.calibration.edge.free_curve import edge_basis, edge_values, ghost_of, line_width
 from matcam.calibration.edge.free_fit import VEIL
-from matcam.calibration.edge.geometry import edge_distance
 from matcam.calibration.edge.maximum_likelihood import ADDED, SHIFT, light_of
-from matcam.calibration.edge.rows import CLEAR, SHARPENED, EdgeRegions, clearance
+from matcam.calibration.edge.rows import CLEAR, SHARPENED, EdgeRegions
 from matcam.calibration.edge.wider_errors import widened, with_core_as_total
 from matcam.calibration.photograph.flat_noise import (
     LEAST_NOISE,
@@ -44,7 +43,7 @@ from matcam.calibration.photograph.linear_filters import (
     needed_gain,
 )
 from matcam.calibration.photograph.uneven_light import LightField
-from matcam.core.arrays import FloatArray, tuple_map
+from matcam.core.arrays import FloatArray
 from matcam.core.remark import Remark
 from matcam.numerics.crossing import first_fall
 
@@ -129,6 +128,11 @@ class _EdgeRegion:
         return there & (self.distance < -margin), there & (self.distance > margin)
 
     @cached_property
+    def levels(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Different values of each flat side, ascending, and their numbers of pixels."""
+        return [np.unique(self.value[side], return_counts=True) for side in self.sides]
+
+    @cached_property
     def noise(self) -> FlatNoise:
         least = LEAST_NOISE * abs(self.edge.bright - self.edge.dark)
         return flat_noise(self.value, *self.sides, lines=not self.mosaic, least=least)
@@ -173,23 +177,24 @@ class _EdgeRegion:
         return [*found, *_narrow(self), *_veiled(self), *_ghost(self)]
 
 
-def with_traces(stack: EdgeStack, regions: Iterable[EdgeRegions], lights: Sequence[LightField | None]) -> EdgeStack:
+def with_traces(
+    stack: EdgeStack, regions: Iterable[EdgeRegions], lights: Sequence[LightField | None], clear: np.ndarray
+) -> EdgeStack:
     """Add remarks and uncertainties from uneven light and processing to a stack.
 
     If glare and uneven light cannot be distinguished, the MTF is that of the lens without glare. `stack`: results of n
-    edges. `regions`: their rows, corrected for uneven light. `lights`: uneven light of each edge, or None.
+    edges. `regions`: their rows, corrected for uneven light. `lights`: uneven light of each edge, or None. `clear`:
+    `clearance` of each edge (n,).
     """
     shares = {of: np.zeros(len(stack)) for of in ("lens", "free", "glare")}
     given = list(stack.given or [()] * len(stack))
     i = 0
     for rows in regions:
-        part = slice(i, i + len(rows.value))
-        clear = clearance(tuple_map(lambda a: a[part], stack.fits), rows)  # noqa: B023
-        for k, (value, x, y) in enumerate(zip(rows.value, *rows.coordinates(), strict=True)):
+        for k, value in enumerate(rows.value):
             if stack.problems[i] is None:
                 edge = stack[i]
-                distance = np.asarray(edge_distance(edge.fits.curve, x, y))
-                found = _EdgeRegion(edge, value, distance, rows.step > 1, float(clear[k]), lights[i]).traces()
+                distance = rows.distances(k, edge.fits.curve)
+                found = _EdgeRegion(edge, value, distance, rows.step > 1, float(clear[i]), lights[i]).traces()
                 given[i] = given[i] + tuple(trace.remark for trace in found if trace.remark)
                 for trace in found:
                     shares[trace.of][i] = np.hypot(shares[trace.of][i], trace.share)
@@ -325,7 +330,7 @@ def _filtered(region: _EdgeRegion, smoothed: list[Trace], raised: list[Trace]) -
 
 def _crushed(region: _EdgeRegion) -> list[Trace]:
     """Detect a dark side in which many pixels have the lowest value."""
-    piled = crushed_share(*(region.value[side] for side in region.sides))
+    piled = crushed_share(*(count for _, count in region.levels))
     if not piled:
         return []
     share = max(_CRUSHED, _effect_of_crushing(region))
@@ -341,17 +346,18 @@ def _coarse(region: _EdgeRegion) -> list[Trace]:
     The mean of rounded values errs by at most (level / pi) exp(-2 pi^2 noise^2 / level^2) (Widrow & Kollar, Quantization
     Noise, 2008, ch. 9).
     """
-    value, sides = region.value, region.sides
-    levels = np.unique(value[np.isfinite(value)])
-    if not 2 <= levels.size <= _MOST_LEVELS or not all(side.any() for side in sides):
+    value, sides, of_sides = region.value, region.sides, [levels for levels, _ in region.levels]
+    if not all(0 < levels.size <= _MOST_LEVELS for levels in of_sides):
+        return []
+    levels = np.unique(np.concatenate([*of_sides, value[np.isfinite(value) & ~sides[0] & ~sides[1]]]))
+    if not 2 <= levels.size <= _MOST_LEVELS:
         return []
     gaps, errors = np.diff(levels), []
-    for side, variance in zip(sides, region.noise.variance, strict=True):
+    for side, (_, count), variance in zip(sides, region.levels, region.noise.variance, strict=True):
         at = int(np.searchsorted(levels, np.median(value[side])))
         apart = float(gaps[max(at - _NEAR_LEVELS, 0) : at + _NEAR_LEVELS].min())
         # Rounding adds variance. Noise that extends to a third level can be separated from it.
-        count = np.sort(np.unique(value[side], return_counts=True)[1])
-        beyond = float(np.clip(count[:-2].sum(), 0.5, None) / count.sum())
+        beyond = float(np.clip(np.sort(count)[:-2].sum(), 0.5, None) / count.sum())
         noisy = min(max(variance - apart**2 / 12, 0.0), (apart / ndtri(beyond / 2)) ** 2)
         errors.append(apart * np.exp(-2 * np.pi**2 * noisy / apart**2))
     step = region.edge.bright - region.edge.dark
@@ -423,7 +429,7 @@ def _effect_of_tone(edge: EdgeMTF, undone: Callable[[FloatArray], FloatArray]) -
     `undone`: function that converts an edge response (0 to 1) after the tone curve to light.
     """
     distance = np.linspace(-_SIDE, _SIDE, _SAMPLES)
-    response = np.clip(edge.esf(distance).value, 0, 1)
+    response = np.clip(edge_values(edge.fits.free, edge_basis(edge.fits.free.shape, distance, np.zeros(()))), 0, 1)
 
     def half(light: FloatArray) -> float:
         transfer = np.abs(np.fft.rfft(np.diff(light), _TRANSFORM)) / (light[-1] - light[0])

@@ -13,7 +13,7 @@ from scipy import ndimage
 
 from matcam.calibration.edge.free_curve import GLARE, ghost_of, line_width
 from matcam.calibration.edge.free_fit import VEIL
-from matcam.calibration.edge.geometry import edge_position
+from matcam.calibration.edge.geometry import edge_distance, edge_position
 from matcam.calibration.edge.measurement import EdgeFits
 from matcam.calibration.photograph.flat_noise import flat_noise
 from matcam.core.remark import Remark
@@ -119,6 +119,11 @@ class EdgeRegions(NamedTuple):
         x, y = frame.in_picture(*self.coordinates())
         return frame.x + x, frame.y + y
 
+    def distances(self, i: int, curve: AnyArray) -> np.ndarray:
+        """Compute the distances of the samples of one region from an edge (CURVE,), (rows, columns) px."""
+        x = self.start[i][:, None] + self.step * np.arange(self.value.shape[2])
+        return np.asarray(edge_distance(np.asarray(curve), x, self.y[i][:, None]))
+
     def crossings(self, curves: AnyArray) -> np.ndarray:
         """Compute the positions at which edges (n, CURVE) cross the rows (n, rows), px."""
         return np.asarray(edge_position(np.nan_to_num(np.asarray(curves)).T[..., None], self.y))
@@ -176,8 +181,13 @@ def program_size(size: int) -> int:
         power *= 2
 
 
-def refusals(found: EdgeFits, region: EdgeRegions, *, accept_sharpened: bool) -> list[Remark | None]:
-    """List the reasons for which edges of a stack are rejected; None for an edge that was measured."""
+def refusals(
+    found: EdgeFits, region: EdgeRegions, clear: np.ndarray, *, accept_sharpened: bool
+) -> list[Remark | None]:
+    """List the reasons for which edges of a stack are rejected; None for an edge that was measured.
+
+    `clear`: `clearance` of the edges.
+    """
     dark, bright = found.state.linear[:, 0], found.state.linear[:, 1]
     contrast = (bright - dark) / np.maximum(found.residual, 1e-300)
     blur = np.asarray(line_width(found.free.shape))
@@ -186,7 +196,7 @@ def refusals(found: EdgeFits, region: EdgeRegions, *, accept_sharpened: bool) ->
     lost = ~np.isfinite(contrast + blur + over + least) | (found.crossing < _LEAST_ROWS)
     gap = _largest_gap(region, found)
 
-    glare, clear = found.free.even[:, GLARE], clearance(found, region)
+    glare = found.free.even[:, GLARE]
     veiled = (glare > _VEILED) & (found.free.shape.radius > VEIL * width) & (found.misfit > MISFIT)
 
     ghost = ghost_of(found.free)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from matcam.calibration.edge.free_curve import FreeCurve, SampledCurve, edge_basis
+from matcam.calibration.edge.free_curve import FreeCurve, SampledCurve, edge_basis, edge_values
 from matcam.calibration.edge.free_fit import LinearFit
 from matcam.calibration.edge.geometry import AlignedRows, PhasedRows
 from matcam.calibration.edge.maximum_likelihood import Noise, light_of
@@ -143,7 +143,7 @@ def misfit_of(fit: LinearFit, curve: FreeCurve, excess: jax.Array) -> jax.Array:
     """
     distance, there = fit.cells.distance, fit.cells.pixels > 0
     basis = edge_basis(curve.shape, distance, fit.cells.spread)
-    response = basis.pilot + curve.even @ (basis.even - basis.pilot) + curve.odd @ basis.odd
+    response = edge_values(curve, basis)
     light = light_of(curve.levels, fit.cells.terms)
     dark, bright = curve.levels[:2]
     left = fit.cells.value - light.addend - light.factor * (dark + (bright - dark) * response)

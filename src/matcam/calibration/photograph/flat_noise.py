@@ -136,7 +136,9 @@ def flat_noise(
     """
     sides = [dark & np.isfinite(value), bright & np.isfinite(value)]
     value = np.where(sides[0] | sides[1], value, 0.0)
-    views = [(value, sides), *([(value.T, [side.T for side in sides])] if lines else [])]
+    views = [(value, sides)]
+    if lines:
+        views.append((np.ascontiguousarray(value.T), [np.ascontiguousarray(side.T) for side in sides]))
 
     def at(lag: int) -> tuple[FloatArray, FloatArray]:
         """Compute the variances and counts of all directions and sides."""
@@ -173,16 +175,17 @@ def flat_noise(
     return result._replace(wide=ratio(two, three) if good.any() else 1.0, grid=grid)
 
 
-def crushed_share(dark: FloatArray, bright: FloatArray) -> float:
+def crushed_share(dark: np.ndarray, bright: np.ndarray) -> float:
     """Compute the fraction of clipped pixels on the dark side of an edge.
 
     Clipped pixels have the lowest value of the side. The fraction is 0 if the next value, or one value on the bright
     side, is similarly frequent. In a noise-free image both sides are uniform, which does not indicate clipping.
+    `dark`, `bright`: numbers of pixels with each value of a side, in ascending order of the values.
     """
-    if dark.size < 2 or bright.size < 2:
+    if dark.sum() < 2 or bright.sum() < 2:
         return 0.0
-    count = np.unique(dark, return_counts=True)[1] / dark.size
-    largest = np.unique(bright, return_counts=True)[1].max() / bright.size
+    count = dark / dark.sum()
+    largest = bright.max() / bright.sum()
     piled = count[0] > max(_LEAST_PILE, _PILED * max(largest, count[1] if count.size > 1 else 0.0))
     return float(count[0]) if piled else 0.0
 
@@ -201,10 +204,12 @@ def _variance(value: FloatArray, there: np.ndarray, lag: int) -> tuple[float, fl
 
 def _is_rounded_light(value: FloatArray, there: np.ndarray) -> bool:
     """Check whether the codes of a side change only along the contours of smooth light, without noise."""
-    change = np.sign(np.diff(value, axis=1)) * (there[:, 1:] & there[:, :-1])
-    rows, columns = np.nonzero(change)
-    if rows.size < 2 or rows.size > (1 - _EQUAL) * (there[:, 1:] & there[:, :-1]).sum():
+    both = there[:, 1:] & there[:, :-1]
+    change = np.diff(value, axis=1) * both
+    if not 2 <= np.count_nonzero(change) <= (1 - _EQUAL) * both.sum():
         return False
+    change = np.sign(change)
+    rows, columns = np.nonzero(change)
     sign, same_row = change[rows, columns], rows[1:] == rows[:-1]
     return bool((sign[1:] != sign[:-1])[same_row].sum() < _REVERSALS * same_row.sum())
 

@@ -261,7 +261,8 @@ def _bins(
     mean = np.bincount(name, some) / np.maximum(count, 1)
     std = np.sqrt(np.maximum(noise[0] * np.maximum(mean, 0) + noise[1] ** 2, 1e-300))
     # The first estimate of each bin is its median, which is robust to dust and hot pixels.
-    order = np.lexsort((some, name))
+    order = np.argsort(some)
+    order = order[np.argsort(name[order].astype(np.uint16), kind="stable")]
     middle = some[order[np.minimum(np.cumsum(count) - (count + 1) // 2, some.size - 1)]]
     used = np.abs(some - middle[name]) < _CLIPPED * std[name] * (1 + 1 / np.sqrt(count[name]))
     good = np.bincount(name, used) >= np.maximum(0.5 * count, 6)

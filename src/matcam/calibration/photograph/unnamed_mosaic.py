@@ -60,9 +60,11 @@ def _of_lines(values: FloatArray) -> float:
         parts = [part[np.isfinite(part)] for part in parts]
         if min(part.size for part in parts) >= _FEWEST:
             ends = [float(np.median(part)) for part in parts]
+            least = min(map(abs, ends))
+            if ends[0] * ends[1] >= 0 or 2 * least <= max(_ALTERNATING, found):
+                continue
             # Standard deviation of a median.
             std = max(1.25 * robust_std(part - end) / np.sqrt(part.size) for part, end in zip(parts, ends, strict=True))
-            least = min(map(abs, ends))
-            if ends[0] * ends[1] < 0 and 2 * least > _ALTERNATING and least > _SIGNIFICANT * std:
-                found = max(found, 2 * least)
+            if least > _SIGNIFICANT * std:
+                found = 2 * least
     return found

@@ -124,7 +124,7 @@ def _crushed(value: np.ndarray) -> Remark | None:
     """Describe crushed blacks of a strip; None if the blacks are not crushed."""
     used = value[np.isfinite(value)]
     bright = used > (used.min() + used.max()) / 2
-    share = crushed_share(used[~bright], used[bright])
+    share = crushed_share(*(np.unique(used[side], return_counts=True)[1] for side in (~bright, bright)))
     return (
         Remark("crushed", f"blacks are crushed: {share:.0%} of the dark side has the lowest value") if share else None
     )
