@@ -51,12 +51,11 @@ def scaled_inverse(information: AnyMatrix, undetermined: float = 0.0) -> AnyMatr
 def lifted_inverse(information: AnyMatrix, undetermined: float = 0.0) -> AnyMatrix:
     """Invert one NumPy or JAX matrix as `scaled_inverse` inverts JAX arrays."""
     diagonal = xp.diagonal(information)
-    scale = xp.where(diagonal > 0, 1 / xp.sqrt(xp.where(diagonal > 0, diagonal, 1.0)), 0.0)
-    lifted = information * scale[:, None] * scale + xp.diag(xp.where(scale > 0, FLOOR, 1.0))
-    root = linalg.cholesky(lifted)
-    half = linalg.inv(root)
-    inverse = half.T @ half
-    return inverse * scale[:, None] * scale + xp.diag(xp.where(scale > 0, 0.0, undetermined))
+    scale = 1 / xp.sqrt(xp.where(diagonal > 0, diagonal, xp.inf))
+    units = scale[:, None] * scale
+    half = linalg.inv(linalg.cholesky(information * units + xp.diag(xp.where(scale > 0, FLOOR, 1.0))))
+    inverse = half.T @ half * units
+    return inverse + xp.diag(xp.where(scale > 0, 0.0, undetermined)) if undetermined else inverse
 
 
 def least_eigenvalue(information: np.ndarray) -> float:

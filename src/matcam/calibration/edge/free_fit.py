@@ -36,7 +36,7 @@ from matcam.calibration.edge.free_curve import (
 )
 from matcam.calibration.edge.geometry import TERMS, EdgeCells
 from matcam.calibration.edge.maximum_likelihood import ADDED, LINEAR, SHIFT, EdgeModel, Noise, light_of
-from matcam.core.arrays import changed, each, last_of, linalg, repeated, scipy_linalg, slope_along, xp
+from matcam.core.arrays import changed, last_of, linalg, repeated, slope_along, xp
 from matcam.numerics.linalg import FLOOR, lifted_inverse
 
 if TYPE_CHECKING:
@@ -274,35 +274,28 @@ def _chosen_light(full: LinearFit) -> jax.Array:
     size = xp.diagonal(normal) + _PRECISIONS
     unit = xp.where(size > 0, 1 / xp.sqrt(xp.where(size > 0, size, 1.0)), 0.0)
 
-    def judged(used: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Compute chi-square, and the decrease that glare causes."""
-        free = xp.concatenate([used[:_LEVELS], xp.ones(EVEN + ODD)])
-        # Parameters that are not free are 0, which changes the residual linearly.
-        given = xp.concatenate([(full.levels * (1 - used))[:_LEVELS], xp.zeros(EVEN + ODD)])
-        towards = normal @ given
-        # The units make the diagonal 1. A parameter that is not free is decoupled.
-        precise = (normal + xp.diag(_PRECISIONS)) * free * free[:, None] * unit * unit[:, None]
-        root = linalg.cholesky(precise + xp.diag(xp.where(free * unit > 0, FLOOR, 1.0)))
-        mine, shared = (score + towards) * free * unit, cross * free * unit
-        both = xp.concatenate([mine[None], shared]).T
-        solved = scipy_linalg.solve_triangular(root, both, lower=True, check_finite=False)
-        mine, shared = solved[:, 0], solved[:, 1:]
-        chi2 = before + 2 * score @ given + given @ towards - mine @ mine
-        left = by_glare + cross @ given - mine @ shared
-        rise = xp.max(xp.maximum(left, 0.0) ** 2 / (alone - (shared**2).sum(0)) - unlikely)
-        return chi2, xp.maximum(rise, 0.0)
-
-    lights = xp.asarray(LIGHTS) + 0 * before  # a JAX array if the bins are JAX arrays
-    chi2, rise = each(judged, lights)
+    # For each light, chi-square and its decrease by glare. Parameters that are not free are 0, which changes the residual
+    # linearly; they are decoupled. The units make the diagonal 1.
+    free = np.pad(LIGHTS[:, :_LEVELS], ((0, 0), (0, EVEN + ODD)), constant_values=1.0)
+    given = xp.pad((full.levels * (1 - LIGHTS))[:, :_LEVELS], ((0, 0), (0, EVEN + ODD)))
+    towards, scale = given @ normal, free * unit
+    precise = (normal + np.diag(_PRECISIONS)) * scale[:, None] * scale[..., None]
+    root = linalg.cholesky(precise + xp.where(scale > 0, FLOOR, 1.0)[..., None] * np.eye(len(_PRECISIONS)))
+    both = xp.concatenate([((score + towards) * scale)[:, None], cross * scale[:, None]], 1)
+    solved = linalg.solve(root, both.swapaxes(1, 2))
+    mine, shared = solved[..., 0], solved[..., 1:]
+    chi2 = before + 2 * given @ score + (given * towards).sum(1) - (mine**2).sum(1)
+    left = by_glare + given @ cross.T - (mine[..., None] * shared).sum(1)
+    rise = xp.maximum((xp.maximum(left, 0.0) ** 2 / (alone - (shared**2).sum(1)) - unlikely).max(1), 0.0)
     # Structure that neither light nor glare explains is treated as noise.
     scatter = xp.maximum(xp.min(chi2 - rise) / degrees, 1.0)
     chi2, rise = chi2 / scatter, rise / scatter
     cost = (
         chi2
-        + xp.maximum(per_parameter, _LEAST_COST) * lights.sum(1)
+        + xp.maximum(per_parameter, _LEAST_COST) * LIGHTS.sum(1)
         - xp.where(rise > FOUND, rise - 2 * per_parameter, 0.0)
     )
-    return lights[xp.argmin(cost)]
+    return xp.asarray(LIGHTS)[xp.argmin(cost)]
 
 
 def curve_without_glare(fit: LinearFit) -> FreeCurve:

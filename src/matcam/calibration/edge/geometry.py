@@ -172,10 +172,10 @@ def aligned_rows(rows: Rows, curve: jax.Array) -> AlignedRows:
     half = width // 2
     first = as_index(xp.round((edge_position(curve, rows.y) - rows.start) / rows.step)) - half
     first = xp.clip(first, -width - half, 2 * width)
-    padded = xp.pad(rows.value, ((0, 0), (width + half, width + 2 * half + 1)), constant_values=xp.nan)
-    value = xp.take_along_axis(padded, (first + width + half)[:, None] + np.arange(2 * half + 1), axis=1)
-    valid = xp.isfinite(value)
-    x = rows.start[:, None] + rows.step * (first[:, None] + xp.arange(2 * half + 1))
+    column = first[:, None] + np.arange(2 * half + 1)
+    value = xp.take_along_axis(rows.value, xp.clip(column, 0, width - 1), axis=1)
+    valid = xp.isfinite(value) & (column >= 0) & (column < width)
+    x = rows.start[:, None] + rows.step * column
     y = xp.asarray(rows.y)
     return AlignedRows(xp.where(valid, value, 0.0), valid.astype(float), x, y, rows.step, xp.ones(y.shape))
 

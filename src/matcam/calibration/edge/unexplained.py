@@ -30,7 +30,7 @@ _LEAST_NOISE = 1e-4
 """Smallest noise relative to the step. It represents rounding and the errors of any model."""
 _SAME, _COARSEST = 1e-9, 0.1
 """Difference of neighbours up to which their codes are assumed equal, and largest distance of codes, relative to the step."""
-_ROBUST, _LARGE = 4, 20.0
+_ROBUST, _LARGE = 3, 20.0
 """Number of iterations of the robust variance; multiple of the mean square at which a squared difference is clipped."""
 _OTHERS = 3
 """Number of pixels that a group must exceed for the outlier test."""
@@ -81,12 +81,14 @@ def estimated_noise(known: Noise, phased: PhasedRows) -> Noise:
     away = phased.distance[:, 2:-2]
     far = all_three * (xp.abs(away) > xp.minimum(_LEVEL_DISTANCE, 0.3 * aligned.step * aligned.value.shape[1]))
 
+    square = difference**2
+
     def side(part: jax.Array) -> tuple[jax.Array, jax.Array]:
         weight = far * part
         count = xp.maximum(weight.sum(), 1.0)
-        power = xp.asarray(xp.inf)
+        power = xp.vdot(weight, square) / count
         for _ in range(_ROBUST):  # single hot pixels have little weight
-            power = (weight * xp.minimum(difference**2, _LARGE * power)).sum() / count
+            power = xp.vdot(weight, xp.minimum(square, _LARGE * power)) / count
         return (weight * aligned.value[:, 2:-2]).sum() / count, power / 6
 
     (low, v_low), (high, v_high) = side(away < 0), side(away > 0)

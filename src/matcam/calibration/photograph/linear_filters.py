@@ -25,7 +25,7 @@ from scipy.special import ndtr
 from matcam.calibration.photograph.flat_noise import LEAST_NOISE
 from matcam.core.arrays import FloatArray
 from matcam.numerics.crossing import first_fall
-from matcam.numerics.polynomials import plane_powers
+from matcam.numerics.polynomials import plane_orders
 
 LAGS = ((0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (2, 0), (1, 2), (2, 1), (1, -2), (2, -1), (2, 2), (2, -2))
 """Offsets (rows, columns) of the pixels whose correlation is compared with that of filters, px."""
@@ -138,14 +138,11 @@ def correlations(value: FloatArray, sides: tuple[np.ndarray, np.ndarray]) -> Cor
     Returns:
         Correlations of pixels at all offsets of `LAGS` and `_FAR_LAGS`.
     """
-    y, x = np.meshgrid(*(np.linspace(-1, 1, size) for size in value.shape), indexing="ij")
-    terms = plane_powers(x, y, _ORDER)
     noise, there = np.zeros(value.shape), np.zeros(value.shape)
     for side in sides:
         if side.sum() < _FEWEST:
             return None
-        design = terms[side]
-        left = value[side] - design @ np.linalg.lstsq(design.T @ design, design.T @ value[side], rcond=None)[0]
+        left = value[side] - _smooth_light(value, side)[side]
         scale = left.std()
         if not scale > 0:
             return None
@@ -156,7 +153,22 @@ def correlations(value: FloatArray, sides: tuple[np.ndarray, np.ndarray]) -> Cor
     there *= local < _STRUCTURE * np.median(local[there > 0])
     total, pairs = (_sums_of_products(a) for a in (noise * there, there))
     # The fit of the light reduces the sum of correlations by one pair for each of its terms.
-    return Correlations((total + len(sides) * terms.shape[-1]) / np.maximum(pairs, 1.0), pairs)
+    return Correlations((total + len(sides) * len(plane_orders(_ORDER))) / np.maximum(pairs, 1.0), pairs)
+
+
+def _smooth_light(value: FloatArray, side: np.ndarray) -> FloatArray:
+    """Fit a polynomial of order `_ORDER` to the pixels of a mask, and evaluate it over the image (height, width).
+
+    Powers of rows and columns separate, so that all sums over pixels are products of matrices.
+    """
+    powers = [np.linspace(-1, 1, size) ** np.arange(2 * _ORDER + 1)[:, None] for size in value.shape]
+    moments = powers[0] @ side @ powers[1].T
+    i, j = np.transpose(plane_orders(_ORDER))
+    y, x = (power[: _ORDER + 1] for power in powers)
+    found = np.zeros((_ORDER + 1, _ORDER + 1))
+    score = (y @ (side * value) @ x.T)[i, j]
+    found[i, j] = np.linalg.lstsq(moments[i[:, None] + i, j[:, None] + j], score, rcond=None)[0]
+    return np.asarray(y.T @ found @ x)
 
 
 def _sums_of_products(values: FloatArray) -> FloatArray:

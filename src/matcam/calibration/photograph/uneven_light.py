@@ -163,10 +163,12 @@ def light_field(
     scales = [float(np.abs(a).max()) + 1.0 for a in (bins.x, bins.y)]
     smooth = bins.level * _polynomials(bins.x / scales[0], bins.y / scales[1])
     design = np.concatenate([[~bright, bright], smooth]).T / bins.std[:, None]
-    basis = np.linalg.qr(design, mode="complete")[0][:, design.shape[1] :]
-    data = basis.T @ (bins.value / bins.std)
-    if not glare and data @ data < data.size + _SUSPECT * np.sqrt(2 * data.size):
+    scaled, degrees = bins.value / bins.std, len(design) - design.shape[1]
+    fitted = np.linalg.qr(design)[0].T @ scaled
+    if not glare and scaled @ scaled - fitted @ fitted < degrees + _SUSPECT * np.sqrt(2 * degrees):
         return None
+    basis = np.linalg.qr(design, mode="complete")[0][:, design.shape[1] :]
+    data = basis.T @ scaled
     columns = np.stack([(ndtr(bins.distance / radius) - bright) * step / bins.std for radius in _RADII]) @ basis
     families = _families(bins, basis, data, columns, step)
     kinds = [(family, amplitude, noise) for family in families for amplitude in family.amplitudes for noise in _NOISES]
