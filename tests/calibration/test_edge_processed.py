@@ -255,6 +255,7 @@ def test_errors_of_compressed_pictures():
 def test_a_pile_at_the_lowest_value():
     rng = np.random.default_rng(67)
     dark, bright = rng.poisson(20, 3000).astype(float), rng.poisson(900, 3000).astype(float)
+
     def share(*sides):
         return crushed_share(*(np.unique(side, return_counts=True)[1] for side in sides))
 

@@ -302,7 +302,7 @@ def _in_even_light(rows: EdgeRegions, fits: EdgeFits) -> tuple[EdgeRegions, list
                 blur = max(blur, float(shape.apart[i]) / EXCLUDED_WIDTHS + blur)
             # The light along the edge is divided out of the rows in all cases.
             own = Rows(region, rows.y[i], rows.start[i], rows.step)
-            by_row = np.asarray(in_even_rows(aligned_rows(own, curve), half_length(own)).light)[:, None]
+            by_row = in_even_rows(aligned_rows(own, curve), half_length(own)).light[:, None]
             field = light_field(region / by_row, x, y, distance, (gain, read), blur=blur, glare=glare)
             if field is not None and field.amplitude and (field.amplitude > _BRIGHTEST or describe_content(region)):
                 field = None

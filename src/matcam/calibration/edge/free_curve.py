@@ -141,7 +141,7 @@ def line_width(shape: CoreShape) -> jax.Array:
     return xp.sqrt(shape.sigma**2 + shape.half_width**2 / 3)
 
 
-def edge_basis(shape: CoreShape, distance: jax.Array, spread: jax.Array) -> Basis:
+def edge_basis(shape: CoreShape, distance: AnyArray, spread: AnyArray) -> Basis:
     """Evaluate the basis as edge responses at `distance`, px.
 
     `spread`: variance of the distances in each bin, px^2.
@@ -160,7 +160,7 @@ def edge_basis(shape: CoreShape, distance: jax.Array, spread: jax.Array) -> Basi
     return Basis(pilot, even, xp.concatenate([(left - right) / 2, moved[None]]))
 
 
-def glare_edge(radius: jax.Array, distance: jax.Array, spread: jax.Array) -> jax.Array:
+def glare_edge(radius: jax.Array, distance: AnyArray, spread: AnyArray) -> jax.Array:
     """Evaluate the edge response of Gaussian glare."""
     return _step(distance / xp.sqrt(radius**2 + spread))
 

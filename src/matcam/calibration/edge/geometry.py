@@ -121,17 +121,20 @@ class EdgeCells(NamedTuple):
     terms: jax.Array
 
 
-def edge_position(curve: jax.Array, y: AnyArray) -> jax.Array:
-    """Evaluate x0 at y, px. `curve`: (CURVE,) coefficients of 1, y, y^2, ..."""
-    return xp.asarray(xp.polyval(curve[::-1], y))
+def edge_position(curve: AnyArray, y: AnyArray) -> jax.Array:
+    """Evaluate x0 at y, px, by Horner's rule. `curve`: (CURVE,) coefficients of 1, y, y^2, ..."""
+    total = curve[-1]
+    for k in range(2, len(curve) + 1):
+        total = total * y + curve[-k]
+    return total
 
 
-def edge_slope(curve: jax.Array, y: AnyArray) -> jax.Array:
+def edge_slope(curve: AnyArray, y: AnyArray) -> jax.Array:
     """Evaluate dx0/dy at y."""
     return edge_position(curve[1:] * np.arange(1, CURVE), y)
 
 
-def edge_distance(curve: jax.Array, x: AnyArray, y: AnyArray) -> jax.Array:
+def edge_distance(curve: AnyArray, x: AnyArray, y: AnyArray) -> jax.Array:
     """Compute the distance from the curve, px, to second order.
 
     The distance is positive on the bright side. For a parabola with second derivative k and local slope t, and a distance
@@ -212,7 +215,11 @@ def edge_cells(phased: PhasedRows) -> EdgeCells:
     # Far from the edge, a column has one bin for the upper and one for the lower rows, to resolve changes of the light.
     upper = np.arange(count) < count // 2
     halves = np.stack([upper, ~upper]).astype(float)
-    parts = [(phased.member, near), (halves, slice(near.start)), (halves, slice(near.stop, None))]
+    parts: list[tuple[AnyArray, slice]] = [
+        (phased.member, near),
+        (halves, slice(near.start)),
+        (halves, slice(near.stop, None)),
+    ]
     sums = [xp.concatenate(some, 1) for some in zip(*(summed(*part) for part in parts), strict=True)]
     pixels = sums[1][0]
     # An empty bin has weight 0, and is placed at distance 0, where every model is finite.

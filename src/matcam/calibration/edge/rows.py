@@ -181,9 +181,7 @@ def program_size(size: int) -> int:
         power *= 2
 
 
-def refusals(
-    found: EdgeFits, region: EdgeRegions, clear: np.ndarray, *, accept_sharpened: bool
-) -> list[Remark | None]:
+def refusals(found: EdgeFits, region: EdgeRegions, clear: np.ndarray, *, accept_sharpened: bool) -> list[Remark | None]:
     """List the reasons for which edges of a stack are rejected; None for an edge that was measured.
 
     `clear`: `clearance` of the edges.

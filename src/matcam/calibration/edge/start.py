@@ -184,7 +184,7 @@ def _polynomial(y: AnyArray, x: AnyArray, weight: jax.Array, terms: int, length:
     return to_coefficients(found, length)
 
 
-def to_coefficients(strengths: jax.Array, length: jax.Array) -> jax.Array:
+def to_coefficients(strengths: AnyArray, length: jax.Array) -> jax.Array:
     """Convert coefficients (..., k) of Legendre polynomials of y / length to those (..., CURVE) of powers of y."""
     return strengths @ LEGENDRE[: strengths.shape[-1], :CURVE] / length ** np.arange(CURVE)
 

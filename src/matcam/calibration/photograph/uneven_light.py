@@ -255,8 +255,9 @@ def _bins(
     flat = np.isfinite(value) & (np.abs(distance) > margin)
     side = max(_SMALLEST_BIN, float(np.sqrt(flat.sum() / _BINS)))
     rows, columns = (np.floor((a - a.min()) / side).astype(int) for a in (y, x))
-    name = ((2 * rows + (distance > 0)) * (columns.max() + 1) + columns)[flat]
-    some = value[flat]
+    at = np.flatnonzero(flat)
+    name = np.take((2 * rows + (distance > 0)) * (columns.max() + 1) + columns, at)
+    some = np.take(value, at)
     if not some.size:
         return None
     count = np.bincount(name)
@@ -272,7 +273,7 @@ def _bins(
         return None
     n = np.maximum(np.bincount(name, used), 1.0)
     mean_x, mean_y, apart, level = (
-        np.bincount(name, used * a)[good] / n[good] for a in (x[flat], y[flat], distance[flat], some)
+        np.bincount(name, used * a)[good] / n[good] for a in (*(np.take(a, at) for a in (x, y, distance)), some)
     )
     bright = apart > 0
     if min(bright.sum(), (~bright).sum()) < _FEWEST_BINS / 4:
