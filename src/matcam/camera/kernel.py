@@ -28,7 +28,7 @@ from matcam.core.arrays import special, xp
 from matcam.numerics.normal import normal_density
 
 if TYPE_CHECKING:
-    from matcam.core.jax import jax
+    from matcam.core.jax import AnyArray, jax
 
 _FREQUENCIES = np.linspace(0, 2, 4001)
 """Frequencies among which MTF50 is searched for, cycles/px. Their step is below the standard deviation of any calibration."""
@@ -129,7 +129,7 @@ def square_edge(x: jax.Array, angle: jax.Array, half_width: jax.Array, std: jax.
 
 
 def edge_and_slopes(
-    x: jax.Array, angle: jax.Array, half_width: jax.Array, std: jax.Array
+    x: AnyArray, angle: jax.Array, half_width: jax.Array, std: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Evaluate `square_edge` and its derivatives with respect to x and std.
 
