@@ -36,7 +36,8 @@ def in_consensus(stacks: Sequence[EdgeStack]) -> list[EdgeStack]:
     if not sum(counts):
         return list(stacks)
     value = np.concatenate([np.log(s.parametric.values[g, 0]) for s, g in zip(stacks, good, strict=True)])
-    std = np.concatenate([_relative_std(s, g) for s, g in zip(stacks, good, strict=True)])
+    variance = np.concatenate([s.parametric.covariance[g, 0, 0] for s, g in zip(stacks, good, strict=True)])
+    std = np.sqrt(variance) / np.exp(value)
     middle = np.median(value)
     scatter = robust_std(value - middle)
     far = np.abs(value - middle) > np.maximum(_FAR * np.hypot(std, scatter), _LEAST)
@@ -89,10 +90,6 @@ def widest_angle(angle: np.ndarray) -> float:
     beyond = np.searchsorted(turned, (angle + np.pi / 2) % np.pi)
     beside = turned[np.stack([beyond - 1, beyond % turned.size])]
     return float(np.abs((angle - beside + np.pi / 2) % np.pi - np.pi / 2).max())
-
-
-def _relative_std(stack: EdgeStack, which: np.ndarray) -> np.ndarray:
-    return np.sqrt(stack.parametric.covariance[which, 0, 0]) / stack.parametric.values[which, 0]
 
 
 def disagreement_remarks(disagreeing: Mapping[str, float], channel: str) -> tuple[Remark, ...]:

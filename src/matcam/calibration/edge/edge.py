@@ -20,12 +20,19 @@ from matcam.calibration.edge.maximum_likelihood import UNKNOWN_NOISE, Noise
 from matcam.calibration.edge.measurement import EdgeFits, edge_fits, fits_program, lens_fit
 from matcam.calibration.edge.processing import with_traces
 from matcam.calibration.edge.profiles import Gaussian, LensModel, check_light, lens_model
-from matcam.calibration.edge.rows import EdgeRegions, RegionFrame, clearance, describe_content, edge_regions, refusals
+from matcam.calibration.edge.rows import (
+    EdgeRegions,
+    RegionFrame,
+    clearance,
+    describe_content,
+    edge_region,
+    edge_regions,
+    refusals,
+)
 from matcam.calibration.edge.start import in_even_rows
-from matcam.calibration.photograph.linear_image import SMALLEST, LinearImage, flaw, region_of
+from matcam.calibration.photograph.linear_image import SMALLEST, LinearImage, flaw
 from matcam.calibration.photograph.tone import Tone
 from matcam.calibration.photograph.uneven_light import EXCLUDED_WIDTHS, LightField, light_field
-from matcam.calibration.photograph.unnamed_mosaic import refuse_unnamed_mosaic
 from matcam.core import checks
 from matcam.core.arrays import changed, tuple_map
 from matcam.core.errors import ArgumentError, FitError
@@ -131,11 +138,7 @@ def edge_mtf(
         0.22 cycles/px, normal at -5.7 degrees
     """
     settings = _settings(model, wavelength, pixel_pitch, half_width, gain, read_noise, accept_sharpened)
-    region = region_of(image, roi, channel=channel, cfa=cfa, tone=tone)
-    if problem := flaw(region.values):
-        raise FitError(problem.text)
-    refuse_unnamed_mosaic(region)
-    rows = edge_regions(region.values[None], mosaic=region.cfa is not None)
+    region, rows = edge_region(image, roi, channel, cfa, tone)
     rows = _placed(rows, *region.corner)
     stack = edge_stack([(rows, [None])], settings, even_light=True)
     if problem := stack.problems[0]:
@@ -227,7 +230,7 @@ def edge_stack(
             if again.size:
                 some = {name: getattr(rows, name)[again] for name in ("value", "y", "start")}
                 anew = fit(rows._replace(**some), settings)
-                fits = tuple_map(partial(_changed, again), fits, anew)
+                fits = tuple_map(lambda a, new: np.asarray(changed(a, again, new)), fits, anew)  # noqa: B023
             even.append(rows)
             lights += found
         if settings.lens.name != "gaussian":
@@ -247,10 +250,6 @@ def edge_stack(
 def _placed(rows: EdgeRegions, x: ArrayLike, y: ArrayLike) -> EdgeRegions:
     """Shift the frames of regions by the positions of their first pixels in the photograph, px."""
     return rows._replace(frame=rows.frame._replace(x=rows.frame.x + np.asarray(x), y=rows.frame.y + np.asarray(y)))
-
-
-def _changed(where: np.ndarray, array: np.ndarray, values: np.ndarray) -> np.ndarray:
-    return np.asarray(changed(array, where, values))
 
 
 def _of_each(count: int, function: Callable[..., Any], *edges: Any) -> Any:

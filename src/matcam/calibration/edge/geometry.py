@@ -20,10 +20,6 @@ from matcam.core.arrays import as_index, xp
 if TYPE_CHECKING:
     from matcam.core.jax import AnyArray, jax
 
-LEGENDRE = np.array(
-    [np.pad(np.polynomial.legendre.leg2poly(one)[: k + 1], (0, 10 - k)) for k, one in enumerate(np.eye(11))]
-)
-"""Coefficients of the powers of t in the Legendre polynomials of orders 0 to 10."""
 CURVE = 6
 """Number of coefficients of the curve of an edge. Lens distortion curves the image of a straight edge."""
 _PHASES = 8

@@ -6,9 +6,11 @@ the right. Nothing is resampled. For a mosaic, the rows contain the sites of one
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy import ndimage
 
 from matcam.calibration.edge.free_curve import GLARE, ghost_of, line_width
@@ -16,7 +18,11 @@ from matcam.calibration.edge.free_fit import VEIL
 from matcam.calibration.edge.geometry import edge_distance, edge_position
 from matcam.calibration.edge.measurement import EdgeFits
 from matcam.calibration.photograph.flat_noise import flat_noise
+from matcam.calibration.photograph.linear_image import LinearImage, measurable_region
+from matcam.calibration.photograph.tone import Tone
+from matcam.calibration.photograph.unnamed_mosaic import refuse_unnamed_mosaic
 from matcam.core.remark import Remark
+from matcam.files.photographs import Photograph
 from matcam.numerics.normal import robust_std
 
 if TYPE_CHECKING:
@@ -127,6 +133,22 @@ class EdgeRegions(NamedTuple):
     def crossings(self, curves: AnyArray) -> np.ndarray:
         """Compute the positions at which edges (n, CURVE) cross the rows (n, rows), px."""
         return np.asarray(edge_position(np.nan_to_num(np.asarray(curves)).T[..., None], self.y))
+
+
+def edge_region(
+    image: ArrayLike | Photograph | LinearImage,
+    roi: Sequence[int] | None,
+    channel: str | None,
+    cfa: str | None,
+    tone: Tone,
+) -> tuple[LinearImage, EdgeRegions]:
+    """Convert the region of an image that contains one edge to a linear plane and to rows.
+
+    The arguments are those of `region_of`. A FitError is raised if the region cannot be measured.
+    """
+    region = measurable_region(image, roi, channel=channel, cfa=cfa, tone=tone)
+    refuse_unnamed_mosaic(region)
+    return region, edge_regions(region.values[None], mosaic=region.cfa is not None)
 
 
 def edge_regions(values: np.ndarray, *, mosaic: bool = False) -> EdgeRegions:

@@ -13,7 +13,6 @@ import numpy as np
 
 from matcam.calibration.edge.geometry import (
     CURVE,
-    LEGENDRE,
     AlignedRows,
     Rows,
     aligned_rows,
@@ -45,6 +44,10 @@ _STIFF = 0.02
 """Precision of the prior for the orders of the curve above 2 (the bow), relative to the weight of one row."""
 _FAINTEST = 0.2
 """Smallest light of a row relative to the linear part of the light. The largest relative light is the inverse."""
+
+
+_LEGENDRE = np.array([np.pad(np.polynomial.legendre.leg2poly(one), (0, CURVE))[:CURVE] for one in np.eye(CURVE)])
+"""Coefficients of the powers of t in the Legendre polynomials of orders 0 to 5."""
 
 
 def find_curve(rows: Rows) -> tuple[jax.Array, jax.Array]:
@@ -186,13 +189,9 @@ def _polynomial(y: AnyArray, x: AnyArray, weight: jax.Array, terms: int, length:
 
 def to_coefficients(strengths: AnyArray, length: jax.Array) -> jax.Array:
     """Convert coefficients (..., k) of Legendre polynomials of y / length to those (..., CURVE) of powers of y."""
-    return strengths @ LEGENDRE[: strengths.shape[-1], :CURVE] / length ** np.arange(CURVE)
-
-
-_TO_STRENGTHS = np.linalg.inv(LEGENDRE[:CURVE, :CURVE])
-"""Coefficients of the Legendre polynomials in the powers of t of orders 0 to 5."""
+    return strengths @ _LEGENDRE[: strengths.shape[-1]] / length ** np.arange(CURVE)
 
 
 def to_strengths(curve: jax.Array, length: jax.Array) -> jax.Array:
     """Convert coefficients of powers of y to those (CURVE,) of Legendre polynomials: the inverse of `to_coefficients`."""
-    return (curve * length ** np.arange(CURVE)) @ _TO_STRENGTHS
+    return (curve * length ** np.arange(CURVE)) @ np.linalg.inv(_LEGENDRE)

@@ -268,6 +268,17 @@ def region_of(
     return region
 
 
+def measurable_region(
+    image: ArrayLike | Photograph | LinearImage, roi: Sequence[int] | None = None, *, channel: str | None = None,
+    cfa: str | None = None, tone: Tone = "linear",
+) -> LinearImage:  # fmt: skip
+    """Convert a region as `region_of`, and raise FitError if it has a `flaw`."""
+    region = region_of(image, roi, channel=channel, cfa=cfa, tone=tone)
+    if problem := flaw(region.values):
+        raise FitError(problem.text)
+    return region
+
+
 def flaw(values: np.ndarray) -> Remark | None:
     """Find the reason why a region cannot be measured, or return None. `values`: (height, width)."""
     used = values[np.isfinite(values)]

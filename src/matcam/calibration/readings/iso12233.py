@@ -14,10 +14,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from matcam.calibration.edge.free_curve import SampledCurve
-from matcam.calibration.edge.rows import edge_regions
-from matcam.calibration.photograph.linear_image import LinearImage, flaw, region_of
+from matcam.calibration.edge.rows import edge_region
+from matcam.calibration.photograph.linear_image import LinearImage
 from matcam.calibration.photograph.tone import Tone
-from matcam.calibration.photograph.unnamed_mosaic import refuse_unnamed_mosaic
 from matcam.calibration.readings.edge_numbers import LEVELS, rise
 from matcam.core.arrays import FloatArray
 from matcam.core.errors import ArgumentError, FitError
@@ -154,11 +153,7 @@ def iso12233_sfr(
     """
     if not (isinstance(order, int) and _ORDERS[0] <= order <= _ORDERS[1]):
         raise ArgumentError(f"order must be a whole number from {_ORDERS[0]} to {_ORDERS[1]}, got {order!r:.40}")
-    region = region_of(image, roi, channel=channel, cfa=cfa, tone=tone)
-    if problem := flaw(region.values):
-        raise FitError(problem.text)
-    refuse_unnamed_mosaic(region)
-    rows = edge_regions(region.values[None], mosaic=region.cfa is not None)
+    _, rows = edge_region(image, roi, channel, cfa, tone)
     value = rows.value[0][np.isfinite(rows.value[0]).any(1)]
     value = value[:, np.isfinite(value).all(0)]
     start = rows.start[0, : len(value)] / rows.step

@@ -181,16 +181,16 @@ def clear_edges(
 ) -> EdgePositions:
     """Select the edges that are even on both sides, and shorten them at both ends.
 
-    `small`, `x`, `y`, `angle`, `length`: as in `clear_distance`. `corner`: length that is removed at both ends, px.
+    `small`, `x`, `y`, `angle`, `length`: as in `_clear_distance`. `corner`: length that is removed at both ends, px.
     """
-    clear, step = clear_distance(small, x, y, angle, length)
+    clear, step = _clear_distance(small, x, y, angle, length)
     length = length - 2 * corner
     order = np.argsort(-step * length, kind="stable")
     order = order[(clear > 0)[order]]
     return EdgePositions(*(column[order] for column in (x, y, angle, length, clear.astype(float))))
 
 
-def clear_distance(
+def _clear_distance(
     small: np.ndarray, x: np.ndarray, y: np.ndarray, angle: np.ndarray, length: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Compute the distance from each edge to which both sides are even, px, and the step of the edge.

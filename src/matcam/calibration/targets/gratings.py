@@ -16,7 +16,7 @@ from scipy.spatial import ConvexHull
 
 from matcam.calibration.chart.chart import PROFILES, Grating
 from matcam.calibration.chart.registration import Projection, check_projection_given, pixel_box
-from matcam.calibration.photograph.linear_image import SMALLEST, LinearImage, flaw, region_of
+from matcam.calibration.photograph.linear_image import SMALLEST, LinearImage, measurable_region, region_of
 from matcam.calibration.photograph.tone import Tone
 from matcam.calibration.targets.mtf_samples import MTFSamples
 from matcam.calibration.targets.wave_fit import WaveFit, WavePixels, fit_wave, local_wave
@@ -166,9 +166,7 @@ def grating_mtf(
     printed = Grating(
         profile, (0, 0), (1, 1), 0.0, 1.0, 0.0, 1 - contrast, 1 + contrast, duty if profile == "lines" else 0.5
     )
-    picture = region_of(image, roi, channel=channel, cfa=cfa, tone=tone)
-    if problem := flaw(picture.values):
-        raise FitError(str(problem))
+    picture = measurable_region(image, roi, channel=channel, cfa=cfa, tone=tone)
     fit, orders, *wave = _fit_grating(picture.values, find_grating(picture.values, near), printed)
     # The positions of the bright lines are unknown. The MTF is assumed to be positive at the first harmonic.
     signs = np.ones(len(orders)) if fit.coefficients[0] >= 0 else (-1.0) ** np.array(orders)

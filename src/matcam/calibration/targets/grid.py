@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from matcam.calibration.chart.chart import Dots
 from matcam.calibration.chart.registration import Projection, check_projection_given, pixel_box
-from matcam.calibration.photograph.linear_image import LinearImage, flaw, region_of
+from matcam.calibration.photograph.linear_image import LinearImage, measurable_region, region_of
 from matcam.calibration.photograph.tone import Tone
 from matcam.calibration.targets.dot_fit import FEWEST, SHARED, DotFit, DotLattice, find_dots, fit_dots, square_lattice
 from matcam.calibration.targets.mtf_samples import MTFSamples
@@ -245,9 +245,7 @@ def dot_grid(
                 "radius of the dots relative to their pitch must be given: it cannot be distinguished from the blur"
             )
         size = float(checks.scalar("radius", checks.within("radius", radius, 0, 0.5, open_low=True, open_high=True)))
-        picture = region_of(image, roi, channel=channel, cfa=cfa, tone=tone)
-        if problem := flaw(picture.values):
-            raise FitError(str(problem))
+        picture = measurable_region(image, roi, channel=channel, cfa=cfa, tone=tone)
         lattice = square_lattice(*find_dots(picture.values))
     return _grid_result(picture, fit_dots(picture.values, lattice, size, half_width), half_width)
 

@@ -18,7 +18,7 @@ from scipy.linalg import polar
 
 from matcam.calibration.chart.chart import Star
 from matcam.calibration.chart.registration import Projection, check_projection_given, pixel_box
-from matcam.calibration.photograph.linear_image import SMALLEST, LinearImage, flaw, region_of
+from matcam.calibration.photograph.linear_image import SMALLEST, LinearImage, measurable_region
 from matcam.calibration.photograph.tone import Tone
 from matcam.calibration.targets.mtf_samples import MTFSamples
 from matcam.calibration.targets.wave_fit import WaveFit, WavePixels, fit_wave, local_wave
@@ -164,13 +164,11 @@ def star_mtf(
     if star is not None and projection is not None:
         whole = LinearImage.of(image, channel, cfa, tone)
         found, box = _expected_star(star, projection, whole.shape)
-        picture = region_of(whole, box)
+        picture = measurable_region(whole, box)
         contrast = star.contrast if contrast is None else contrast
     else:
-        picture = region_of(image, roi, channel=channel, cfa=cfa, tone=tone)
+        picture = measurable_region(image, roi, channel=channel, cfa=cfa, tone=tone)
         found = find_star(picture.values, cycles)
-    if problem := flaw(picture.values):
-        raise FitError(str(problem))
     fit, edges = _fit_star(picture.values, found)
     return _star_result(picture, found, fit, edges, contrast)
 
