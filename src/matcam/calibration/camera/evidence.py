@@ -266,7 +266,6 @@ def _without_waves(plane: LinearImage, chart: Chart | None, registration: Projec
 
 
 def _nothing_measured(chart: Chart, registration: Projection) -> FitError:
-    """Create the error for a chart that was found, but could not be measured."""
     width, height = chart.page
     ends = registration(np.array([[0.0, height / 2], [width, height / 2]]))
     across = float(np.hypot(*(ends[1] - ends[0])))
@@ -292,7 +291,6 @@ def dot_positions(chart: Chart, targets: Targets) -> tuple[BlurSamples, ...]:
 
 
 def _group(samples: MTFSamples) -> str:
-    """Format the name of a target with its kind."""
     return f"{samples.source} ({samples.kind})" if samples.source else samples.kind
 
 

@@ -310,8 +310,6 @@ def _edge_shares(edges: EdgeMeasurements, theta: Any, half_width: Any) -> tuple[
 
 @kept_program(returns=Shares)
 def _value_shares(values: ValueMeasurements, theta: Any, half_width: Any) -> Shares:
-    """Compute the contributions of MTF values."""
-
     def one(some: ValueMeasurements) -> Shares:
         f, direction = jnp.asarray(some.frequency), jnp.asarray(some.direction)
         mtf = partial(some.lens.mtf, f=f, angle=direction, half_width=half_width)

@@ -242,7 +242,6 @@ Element = Square | Grating | Star | Dots | Patch
 
 
 def _problems(element: Element) -> Iterator[str]:
-    """List the contradictions between the values of an element."""
     levels = [getattr(element, f.name) for f in fields(element) if f.name in ("level", "dark", "bright")]
     if not all(0 <= level <= 1 for level in levels):
         yield f"levels must lie in [0, 1], got {', '.join(f'{level:g}' for level in levels)}"

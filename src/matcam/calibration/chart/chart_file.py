@@ -102,7 +102,6 @@ def write_chart(path: str | Path, chart: Chart, *, force: bool = False) -> None:
 
 
 def _document(chart: Chart) -> dict[str, Any]:
-    """Describe a chart as a JSON object."""
     return {
         "format": FORMAT,
         "version": VERSION,
@@ -174,13 +173,11 @@ class _Strict(BaseModel):
 
 
 def _model(name: str, types: dict[str, Any]) -> Any:
-    """Create the model of an object whose fields are all required."""
     given: dict[str, Any] = {field: (kind, ...) for field, kind in types.items()}
     return create_model(f"_{name}", __base__=_Strict, **given)
 
 
 def _model_of(printed: type, **more: Any) -> Any:
-    """Create the model of an element or a fiducial."""
     return _model(printed.__name__, more | dict(_FIELDS[field.name] for field in fields(printed)))
 
 
@@ -203,7 +200,6 @@ _Document = _model(
 
 
 def _with_units(thing: Element | Fiducial) -> dict[str, Any]:
-    """Rename the fields of an element to those of the file."""
     return {_FIELDS[name][0]: value for name, value in vars(thing).items()}
 
 

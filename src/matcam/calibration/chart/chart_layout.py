@@ -135,7 +135,6 @@ def _fiducials(width: float, height: float, margin: float, radius: float) -> Ite
 
 
 def _patches(left: float, top: float, width: float, height: float) -> Iterator[Patch]:
-    """Yield the tone patches, side by side."""
     step = width / len(_STEPS)
     for i, level in enumerate(_STEPS):
         x, gap = left + i * step, 0.05 * step
@@ -167,7 +166,6 @@ def _fitting_side(size: Point, usual: float, pitch: float, least: int) -> float:
 
 
 def _squares(corner: Point, size: Point, pixel: float) -> Iterator[Square]:
-    """Fill a panel with slanted squares."""
     side = _fitting_side(size, _SQUARE * pixel, _SPACING, 1)
     for _, _, x, y in _positions(corner, size, _SPACING * side):
         points = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * side / 2 @ _SLANTED.T + (x, y)
@@ -176,7 +174,6 @@ def _squares(corner: Point, size: Point, pixel: float) -> Iterator[Square]:
 
 
 def _gratings(profile: str) -> Callable[[Point, Point, float], Iterator[Grating]]:
-    """Return the function that fills a panel with gratings of a profile."""
     duty, bright = (_LINES if profile == "lines" else 0.5), (_SINE_BRIGHT if profile == "sine" else _BRIGHT)
 
     def panel(corner: Point, size: Point, pixel: float) -> Iterator[Grating]:
@@ -196,7 +193,6 @@ def _gratings(profile: str) -> Callable[[Point, Point, float], Iterator[Grating]
 
 
 def _star(corner: Point, size: Point, pixel: float) -> Iterator[Star]:
-    """Place one star into a panel, if it is large enough."""
     outer = min(size) / 2
     # Use the largest number of cycles that are wide enough at the rim: with more cycles, a ring is closer to a plane wave.
     for cycles in _CYCLES:
@@ -207,7 +203,6 @@ def _star(corner: Point, size: Point, pixel: float) -> Iterator[Star]:
 
 
 def _dots(corner: Point, size: Point, pixel: float) -> Iterator[Dots]:
-    """Fill a panel with dots, if at least nine fit."""
     # The lattice is rotated, so that the pixels sample the dots at different phases.
     middle = np.array(corner) + np.array(size) / 2
     inner = tuple(s / (np.cos(_SLANT) + np.sin(_SLANT) * max(size) / min(size)) for s in size)

@@ -334,7 +334,6 @@ def _settings(
     model: str, wavelength: float | None, pixel_pitch: float | None, half_width: float, gain: float | None,
     read_noise: float | None, accept_sharpened: bool,
 ) -> EdgeSettings:  # fmt: skip
-    """Check the arguments of the public functions and return them as one object."""
     checks.choice("model", model, tuple(PARAMETRIC_LENSES))
     checks.flag("accept_sharpened", accept_sharpened)
     if model in ("diffraction", "defocus"):

@@ -420,7 +420,6 @@ def stack_result(
 
 
 def _of_one(value: Any, index: int) -> Any:
-    """Select the part of an attribute of a stack that belongs to one edge."""
     if isinstance(value, tuple) and value and isinstance(value[0], np.ndarray):
         return tuple(_of_one(part, index) for part in value)
     if isinstance(value, np.ndarray):

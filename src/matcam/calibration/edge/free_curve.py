@@ -285,7 +285,6 @@ def _combined(curve: FreeCurve, pilot: jax.Array, even: jax.Array, odd: jax.Arra
 
 
 def _std(curve: FreeCurve, columns: jax.Array) -> jax.Array:
-    """Compute the standard deviation of a linear combination of columns."""
     return xp.sqrt(xp.maximum(xp.sum(columns * (curve.covariance @ columns), 0), 0.0))
 
 

@@ -236,7 +236,6 @@ def _ghosts(fit: LinearFit, positions: jax.Array) -> jax.Array:
 
 
 def _width(cells: EdgeCells) -> jax.Array:
-    """Compute the width of the region across the edge, px."""
     distance = xp.where(cells.pixels > 0, cells.distance, 0.0)
     return distance.max() - distance.min()
 
@@ -368,7 +367,6 @@ def _rises(fit: LinearFit, log_radii: jax.Array) -> jax.Array:
 
 
 def _column(fit: LinearFit, log_radius: jax.Array) -> jax.Array:
-    """Compute the column of glare with a share of 1."""
     return (glare_edge(xp.exp(log_radius), fit.cells.distance, fit.cells.spread) - fit.pilot) * fit.step
 
 

@@ -273,14 +273,12 @@ def _fits_of_stack(
 
 
 def _climb(cells: EdgeCells, state: State, seen: LensAtEdge, noise: Noise, steps: int) -> State:
-    """Update the parameters by several steps of Fisher scoring."""
     longest = xp.array(seen.lens.longest)
     step = partial(scoring_step, cells, profile=seen.profile, noise=noise, longest=longest)
     return repeated(steps, step, state)
 
 
 def _overshoot(free: FreeCurve) -> SampledCurve:
-    """Compute the largest excess of the ESF over its levels."""
     distance = xp.linspace(1.0, 6.0, 11) * free_curve.line_width(free.shape)
     response = free_curve.edge_response(free, xp.concatenate([-distance[::-1], distance]))
     excess = xp.concatenate([-response.value[: distance.size], response.value[distance.size :] - 1])
@@ -297,7 +295,6 @@ def _lens_fit(
     excess: jax.Array,
     unexplained: Unexplained,
 ) -> LensFit:
-    """Compute all results of a fitted lens model."""
     parameters = at.state.profile
     weight = cells.pixels / noise.variance(at.value, cells.dim)
     covariance = excess * lifted_inverse((at.design * weight) @ at.design.T)
@@ -325,5 +322,4 @@ def _lens_fit(
 
 
 def _with_slopes(function, at: jax.Array):  # type: ignore[no-untyped-def]
-    """Evaluate a function and its derivatives."""
     return function(at), jacobian(function, at)

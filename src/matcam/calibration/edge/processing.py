@@ -269,7 +269,6 @@ def _smoothed(region: _EdgeRegion) -> list[Trace]:
 
 
 def _tone_curve(region: _EdgeRegion) -> list[Trace]:
-    """Detect noise that is larger on the dark side, as after a tone curve."""
     if not region.noise.tone_curve_suspected:
         return []
     edge = region.edge
@@ -329,7 +328,6 @@ def _filtered(region: _EdgeRegion, smoothed: list[Trace], raised: list[Trace]) -
 
 
 def _crushed(region: _EdgeRegion) -> list[Trace]:
-    """Detect a dark side in which many pixels have the lowest value."""
     piled = crushed_share(*(count for _, count in region.levels))
     if not piled:
         return []

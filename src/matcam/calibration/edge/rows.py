@@ -326,7 +326,6 @@ def _largest_gap(region: EdgeRegions, found: EdgeFits) -> np.ndarray:
 
 
 def _difference(values: np.ndarray, axis: int) -> np.ndarray:
-    """Compute the difference (n,) of the means at opposite borders."""
     last, first = (np.take(values, places, axis).reshape(len(values), -1) for places in ((-1, -2), (0, 1)))
     if np.isfinite(values).all():
         return last.mean(1) - first.mean(1)

@@ -96,7 +96,9 @@ def series_columns(rows: Sequence[SeriesEdge]) -> dict[str, Sequence[Any]]:
         "region": [row.region for row in rows],
         "channel": [row.channel for row in rows],
     }
-    table |= {name: [_number(row.found.get(name)) for row in rows] for name in names}
+    # A missing value becomes NaN.
+    cells = {name: [row.found.get(name) for row in rows] for name in names}
+    table |= {name: [np.nan if cell is None else cell for cell in column] for name, column in cells.items()}
     table["remarks"] = ["; ".join(row.found.get("remarks", ())) for row in rows]
     table["problem"] = [row.problem for row in rows]
     return table
@@ -153,8 +155,3 @@ def read_regions(path: Path) -> dict[str, Region | None]:
     if not regions:
         raise FileFormatError(f"{path}: the file contains no region: add a line with x, y, width and height")
     return regions
-
-
-def _number(value: Any) -> Any:
-    """Convert a value to a table cell; a missing value becomes NaN."""
-    return np.nan if value is None else value

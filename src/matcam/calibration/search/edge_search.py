@@ -111,7 +111,6 @@ def described_edges(values: FloatArray, chart: Chart, projection: Projection) ->
 
 
 def _at_scale(picture: np.ndarray, factor: int) -> EdgePositions:
-    """Find edges in the image reduced by a factor."""
     small = _reduced(picture, factor)
     ribbons = _ribbons(small) if min(small.shape) > 2 * _SHORTEST else np.zeros((0, 4))
     x, y, angle, length = ribbons.T

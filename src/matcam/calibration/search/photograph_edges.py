@@ -121,7 +121,6 @@ def plane_edge_stack(
 
 
 def _crushed(value: np.ndarray) -> Remark | None:
-    """Describe crushed blacks of a strip; None if the blacks are not crushed."""
     used = value[np.isfinite(value)]
     bright = used > (used.min() + used.max()) / 2
     share = crushed_share(*(np.unique(used[side], return_counts=True)[1] for side in (~bright, bright)))

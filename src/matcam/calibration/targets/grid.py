@@ -251,7 +251,6 @@ def dot_grid(
 
 
 def _expected_dots(whole: LinearImage, dots: Dots, projection: Projection) -> tuple[LinearImage, DotLattice]:
-    """Crop the image to a described grid, and project its dots."""
     printed = np.array(dots.centres)
     seen = projection(printed)
     inside = (seen > 2).all(1) & (seen < np.array(whole.shape[::-1]) - 3).all(1)
@@ -263,7 +262,6 @@ def _expected_dots(whole: LinearImage, dots: Dots, projection: Projection) -> tu
 
 
 def _grid_result(picture: LinearImage, fit: DotFit, half_width: float) -> DotGrid:
-    """Compute the results of the dots in each zone and over the field."""
     x, y, variance = fit.parameters[:, 4:7].T
     across = int(max(1, min(3, np.sqrt(len(x) / _ZONE))))
     borders = [np.quantile(a, np.linspace(0, 1, across + 1)[1:-1]) for a in (x, y)]

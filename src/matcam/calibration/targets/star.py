@@ -252,7 +252,6 @@ def _inner_rim(radius: FloatArray, value: FloatArray, found: FoundStar) -> float
 
 
 def _knots(edges: tuple[float, float]) -> FloatArray:
-    """Return the knots of a cubic spline over a range of frequencies."""
     inner = np.linspace(*edges, max(2, int(np.ceil((edges[1] - edges[0]) / _INTERVAL)) + 1))
     return np.concatenate([[edges[0]] * 3, inner, [edges[1]] * 3])
 

@@ -149,7 +149,9 @@ def measure_targets(
         else:
             found = [replace(one, source=name, f_number=f_number) for one in found]
             if printed is not None and not isinstance(element, Dots):
-                found = [_of_known_contrast(one, printed.contrast_std) for one in found]
+                # All samples have the relative error of the contrast of the print in common.
+                common = [printed.contrast_std**2 * np.outer(one.mtf, one.mtf) for one in found]
+                found = [replace(f, covariance=f.covariance + more) for f, more in zip(found, common, strict=True)]
             samples += found
     problems = tuple(_not_measured(kind, of) for kind, of in unmeasured.items())
     return Targets(tuple(samples), tuple(grids), problems, registration, printed)
@@ -161,8 +163,3 @@ def _not_measured(kind: str, problems: dict[int, str]) -> Remark:
     if len(problems) > 1:
         text += f"; {len(problems) - 1} other {kind} could not be measured either: {', '.join(map(str, list(problems)[1:]))}"
     return Remark("target-not-measured", text)
-
-
-def _of_known_contrast(samples: MTFSamples, std: float) -> MTFSamples:
-    """Add the relative error of the contrast of the print, which all samples have in common, to the covariance."""
-    return replace(samples, covariance=samples.covariance + std**2 * np.outer(samples.mtf, samples.mtf))

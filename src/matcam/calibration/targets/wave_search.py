@@ -256,7 +256,6 @@ class GratingPhase(NamedTuple):
         return np.asarray(np.linalg.lstsq(self._powers(x, y), phase, rcond=None)[0], dtype=np.float64)
 
     def _powers(self, x: FloatArray, y: FloatArray) -> FloatArray:
-        """Evaluate the terms of the polynomial at pixel positions."""
         return plane_powers((x - self.middle[0]) / _UNIT, (y - self.middle[1]) / _UNIT, self.order)
 
 
