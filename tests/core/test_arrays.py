@@ -10,7 +10,6 @@ import pytest
 from matcam import GGX, Camera, DiffractionOptics, GaussianOptics, HaloOptics, Sphere, rigs
 from matcam.core.arrays import (
     changed,
-    each,
     either,
     fft,
     first_axis_map,
@@ -92,7 +91,6 @@ def test_what_is_no_number_is_no_warning():
 def test_steps_and_derivatives(kind):
     x = kind([1.0, 2.0, 4.0])
     np.testing.assert_allclose(repeated(3, lambda state: (state[0] * 2,), (x,))[0], [8.0, 16.0, 32.0])
-    np.testing.assert_allclose(each(lambda one: (one, one**2), x)[1], [1.0, 4.0, 16.0])
     np.testing.assert_allclose(first_axis_map(lambda one: one + 1, (x,), 2), [2.0, 3.0, 5.0])
     assert float(either(x[0] > 0, lambda a: a + 1, lambda a: a - 1, x[2])) == 5
     assert float(last_of(lambda total, one: (total + one, total), x[0], x)) == 4

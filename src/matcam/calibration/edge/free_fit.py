@@ -294,7 +294,7 @@ def _chosen_light(full: LinearFit) -> jax.Array:
         + xp.maximum(per_parameter, _LEAST_COST) * LIGHTS.sum(1)
         - xp.where(rise > FOUND, rise - 2 * per_parameter, 0.0)
     )
-    return xp.asarray(LIGHTS)[xp.argmin(cost)]
+    return xp.asarray(xp.take(LIGHTS, xp.argmin(cost), axis=0))
 
 
 def curve_without_glare(fit: LinearFit) -> FreeCurve:

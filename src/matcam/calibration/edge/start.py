@@ -20,7 +20,7 @@ from matcam.calibration.edge.geometry import (
     half_length,
     legendre,
 )
-from matcam.core.arrays import linalg, repeated, scipy_linalg, xp
+from matcam.core.arrays import linalg, repeated, xp
 
 if TYPE_CHECKING:
     from matcam.core.jax import AnyArray, jax
@@ -116,7 +116,7 @@ def in_even_rows(aligned: AlignedRows, length: jax.Array) -> AlignedRows:
     normal = (powers * weight) @ powers.T + 1e-9 * np.eye(_LIGHT + 1)
     root = linalg.cholesky(normal)
     # Component of each order that is orthogonal to the lower orders.
-    own = scipy_linalg.solve_triangular(root, powers, lower=True, check_finite=False)
+    own = linalg.solve(root, powers)
     share = own @ (weight * level)
     count = xp.maximum(weight.sum(), 2.0)
     left = xp.maximum((weight * level**2).sum() - xp.cumsum(share**2), 1e-12 * (weight * level**2).sum() + 1e-300)

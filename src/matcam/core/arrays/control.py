@@ -45,20 +45,6 @@ def repeated(count: int, step: Callable[[T], T], state: T) -> T:
     return state
 
 
-def each(function: Callable[[Any], Any], array: Any) -> Any:
-    """Apply a function to each element along an array's first axis.
-
-    Returns:
-        Stacked results: an array, or a tuple of arrays.
-    """
-    if has_jax(array):
-        return import_module("jax").vmap(function)(array)
-    found = [function(one) for one in array]
-    if not isinstance(found[0], tuple):
-        return xp.stack(found)
-    return tuple(xp.stack(list(parts)) for parts in zip(*found, strict=True))
-
-
 def either(condition: Any, some: Callable[..., T], others: Callable[..., T], *args: Any) -> T:
     """Call one of two functions, by a condition, which may be traced."""
     if has_jax(condition):

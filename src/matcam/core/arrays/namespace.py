@@ -96,7 +96,6 @@ class _Namespace:
 xp: Any = _Namespace("numpy", "jax.numpy")
 special: Any = _Namespace("scipy.special", "jax.scipy.special")
 linalg: Any = _Namespace("numpy.linalg", "jax.numpy.linalg")
-scipy_linalg: Any = _Namespace("scipy.linalg", "jax.scipy.linalg")
 fft: Any = _Namespace("numpy.fft", "jax.numpy.fft")
 
 
