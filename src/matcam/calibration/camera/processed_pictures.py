@@ -76,8 +76,7 @@ def processed(plane: LinearImage, *, accept: bool) -> Processed:
     elif noise.smoothed:
         remark = Remark("demosaiced", f"{noise.correlation}: the image was demosaiced, which blurs it; use camera raw")
     elif noise.tone_curve_suspected:
-        text = f"the noise variance of dark pixels is {noise.tilt:.1f} times that of bright ones: "
-        remark = Remark("tone-curve", f"{text}a tone curve may have been applied; specify it with --tone")
+        remark = Remark("tone-curve", f"{noise.tone}; specify it with --tone")
     else:
         return Processed((), None)
     return Processed((remark,), noise)

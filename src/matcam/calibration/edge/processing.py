@@ -273,11 +273,9 @@ def _tone_curve(region: _EdgeRegion) -> list[Trace]:
         return []
     edge = region.edge
     step = edge.bright - edge.dark
-    share = max(
-        TONE_CURVE_UNCERTAINTY, _effect_of_tone(edge, lambda seen: np.maximum(edge.dark + step * seen, 0) ** _GAMMA)
-    )
-    text = f"the noise variance of dark pixels is {region.noise.tilt:.1f} times that of bright ones: a tone curve may have "
-    text += f"been applied, and MTF50 may be wrong by {share:.0%}: specify the tone curve (--tone)"
+    effect = _effect_of_tone(edge, lambda seen: np.maximum(edge.dark + step * seen, 0) ** _GAMMA)
+    share = max(TONE_CURVE_UNCERTAINTY, effect)
+    text = f"{region.noise.tone}, and MTF50 may be wrong by {share:.0%}: specify the tone curve (--tone)"
     return [Trace(share, Remark("tone-curve", text))]
 
 
@@ -361,12 +359,8 @@ def _coarse(region: _EdgeRegion) -> list[Trace]:
     step = region.edge.bright - region.edge.dark
     share = _PER_LEVEL * float(np.hypot(*errors)) / step
     text = f"codes are coarse: only {step / max(gaps.min(), 1e-300):.0f} levels are resolved, and the noise is below one level"
-    return [
-        Trace(
-            share,
-            Remark("quantised", f"{text}; MTF50 may be wrong by {share:.1%}") if share > _LEAST_REPORTED else None,
-        )
-    ]
+    remark = Remark("quantised", f"{text}; MTF50 may be wrong by {share:.1%}")
+    return [Trace(share, remark if share > _LEAST_REPORTED else None)]
 
 
 def _asymmetric(region: _EdgeRegion) -> list[Trace]:

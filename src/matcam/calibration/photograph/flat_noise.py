@@ -121,6 +121,14 @@ class FlatNoise(NamedTuple):
         )
 
     @property
+    def tone(self) -> str:
+        """Description of a suspected tone curve."""
+        return (
+            f"the noise variance of dark pixels is {self.tilt:.1f} times that of bright ones: a tone curve may have been "
+            "applied"
+        )
+
+    @property
     def apart(self) -> float:
         """Significance of a negative correlation of neighbours, as caused by sharpening, in standard deviations."""
         return (self.neighbour_ratio - 1) / self.neighbour_ratio_std

@@ -180,25 +180,11 @@ def clear_edges(
 ) -> EdgePositions:
     """Select the edges that are even on both sides, and shorten them at both ends.
 
-    `small`, `x`, `y`, `angle`, `length`: as in `_clear_distance`. `corner`: length that is removed at both ends, px.
-    """
-    clear, step = _clear_distance(small, x, y, angle, length)
-    length = length - 2 * corner
-    order = np.argsort(-step * length, kind="stable")
-    order = order[(clear > 0)[order]]
-    return EdgePositions(*(column[order] for column in (x, y, angle, length, clear.astype(float))))
-
-
-def _clear_distance(
-    small: np.ndarray, x: np.ndarray, y: np.ndarray, angle: np.ndarray, length: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Compute the distance from each edge to which both sides are even, px, and the step of the edge.
-
-    The distance is 0 if a side is not even next to the edge. `small`: (height, width) image with little noise. `x`, `y`:
-    (n,) middles of the edges, px. `angle`: (n,) direction of the normal towards the bright side, rad. `length`: (n,) px.
+    `small`: (height, width) image with little noise. `x`, `y`: (n,) middles of the edges, px. `angle`: (n,) direction of the
+    normal towards the bright side, rad. `length`: (n,) px. `corner`: length that is removed at both ends, px.
     """
     if not x.size:
-        return np.zeros(0), np.zeros(0)
+        return EdgePositions(x, y, angle, length, np.zeros(0))
     away = np.arange(-_PROFILE, _PROFILE + 1)
     along = np.linspace(-0.5, 0.5, _ALONG) * np.maximum(length - 2 * _CORNER, 1)[:, None]
     c, s = np.cos(angle)[:, None, None], np.sin(angle)[:, None, None]
@@ -222,5 +208,7 @@ def _clear_distance(
     fault = (np.abs(profile - level[..., None]) > allowed) | (uneven > _SPOT * rough[:, None])
     fault = (fault & (beyond >= 0)) | ~inside
     clear = np.where(fault.any(2), fault.argmax(2) - 1, _PROFILE).min(0)
-    step = level[1] - level[0]
-    return np.where((clear > start + 2) & (step > 0), clear, 0), step
+    step, length = level[1] - level[0], length - 2 * corner
+    order = np.argsort(-step * length, kind="stable")
+    order = order[((clear > start + 2) & (step > 0))[order]]
+    return EdgePositions(*(column[order] for column in (x, y, angle, length, clear.astype(float))))
