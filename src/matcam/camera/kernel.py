@@ -135,20 +135,21 @@ def edge_and_slopes(
 
     Fits evaluate all three repeatedly. They cost as much as one, because H solves the heat equation: one normal
     distribution function and one density per corner of the square determine all three. The second difference is
-    evaluated without the split into two parts; it is accurate to 1e-9 of the step up to 100 px.
+    evaluated without the split into two parts; it is accurate to 1e-9 of the step up to 100 px. x: (n,) px; std: one or n
+    values, px; angle and half_width: one value.
     """
     long, _, short = _boxes(angle, half_width, std)
     short = xp.where(short > _THINNEST, short, _THINNEST)
-    t = xp.stack([x + long + short, x + long - short, x - long + short, x - long - short]) / std
+    corners, signs = (
+        xp.stack([long + short, long - short, short - long, -long - short]),
+        np.array([1.0, -1.0, -1.0, 1.0]),
+    )
+    t = (x + corners[:, None]) / std
     phi = xp.exp(-t * t / 2) / np.sqrt(2 * np.pi)
     below = (1 + special.erf(t / np.sqrt(2.0))) / 2
     first = t * below + phi
-
-    def difference(corners: jax.Array) -> jax.Array:
-        return corners[0] - corners[1] - corners[2] + corners[3]
-
     share = std / (4 * long * short)
-    return std * share / 2 * difference(t * first + below), share * difference(first), share * difference(below)
+    return std * share / 2 * (signs @ (t * first + below)), share * (signs @ first), share * (signs @ below)
 
 
 def _boxes(angle: jax.Array, half_width: jax.Array, std: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
