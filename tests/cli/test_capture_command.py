@@ -79,6 +79,14 @@ def test_what_an_ended_run_left_is_no_obstacle(matcam, tmp_path, monkeypatch):
     assert "is not empty: use --force" in matcam(*again, code=2).stderr
 
 
+def test_a_steady_lamp_with_few_readings_of_its_reference_does_not_drift(matcam):
+    """Of four lamp positions two are behind the patch, and one is read with an error of 1.5 %, three times the scatter."""
+    options = ("--radius", "60", "--roughness", "0.05", "--lamp-positions", "6")
+    matcam("simulate", "--capture", "shots", *options)
+    found = json.loads(matcam("capture", "check", "shots", "--json", code=1).stdout)
+    assert {one["code"] for one in found["findings"]} == {"times-wrong", "angles-missed"}
+
+
 def test_a_simulated_flat_sample_is_checked_as_one(matcam, tmp_path):
     """Its pictures against their truth by another route: the mean of the texture follows cosine and lobe."""
     options = (

@@ -45,6 +45,22 @@ def test_help_groups_commands_and_tells_exit_codes(matcam):
     assert text == matcam("--help").stdout
 
 
+@pytest.mark.parametrize("group", [[], ["capture"], ["data"]], ids=str)
+def test_a_group_without_arguments_prints_its_help(matcam, group):
+    said = matcam(*group, code=2).stderr
+    assert said == matcam(*group, "-h").stdout
+    assert ("Commands:" in said) == bool(group)
+
+
+@pytest.mark.parametrize("columns", [40, 80])
+def test_a_table_keeps_its_numbers_and_headings_in_a_narrow_terminal(matcam, monkeypatch, columns):
+    monkeypatch.setenv("COLUMNS", str(columns))
+    said = matcam("predict", "0.001", "0.02", "--radius", "400").stdout
+    assert "…" not in said
+    assert "roughness" in said
+    assert max(map(len, said.splitlines())) <= 80
+
+
 @pytest.mark.parametrize(
     "words",
     [
@@ -150,7 +166,7 @@ def test_layout_is_json():
 def test_the_next_command_is_one_that_runs(matcam, tmp_path):
     """What is suggested is understood by the command line; JSON is left alone."""
     *_, last = matcam("predict", 0.01, "--radius", 300).stdout.strip().splitlines()
-    assert last == "next: matcam limits 0.01 --radius 300.0"
+    assert last == "next: matcam limits 0.01 --radius 300"
     matcam("limits", "--help")
     assert "next" not in json.loads(matcam("predict", 0.01, "--json").stdout)
     *_, last = matcam("chart", "squares", "-o", "my chart.svg").stdout.strip().splitlines()

@@ -63,7 +63,11 @@ CONTENT = {
     "lobes": [("ggx", 0.01)], "not_determined": [("one[R]", "other[G]", 0.99)], "exposures": [("E1", 1.0, 0.01)],
     "lengths": [("distance of the camera, radii", "at least 400")], "pictures": [("L01-a-long-name-of-a-lamp", 45.0, 27.0, 3)],
     "left_out": ["frames/" + "z" * 120 + ".tiff: missing"],
-    "uncertainty": [("a long name of a result, rad", [["a long name of a source, px", "B", 0.5, 0.1, 2.0, 0.2, float("nan")]])],
+    "uncertainty": [("a long name of a result, rad", [
+        ["a long name of a source, px", "B", 0.5, 0.1, 2.0, 0.2, float("nan")],
+        ["a long name of a result, rad, combined", "", 1e-05, 2e-07, float("nan"), 2e-07, 3.28e3],
+        ["a long name of a result, rad, expanded (k = 2)", "", 1e-05, 4e-07, *[float("nan")] * 3],
+    ])],
 }  # fmt: skip
 
 
@@ -79,6 +83,7 @@ def test_pages_do_not_overflow_sideways(chromium, template, width, tmp_path):
         write_page(tmp_path / template, template, CONTENT | {"figures": [("Lobe", picture)]})
     page = chromium.new_page(viewport={"width": width, "height": 900})
     page.goto((tmp_path / template).as_uri())
+    page.evaluate("for (const one of document.querySelectorAll('details')) one.open = true")
     assert page.evaluate("document.documentElement.scrollWidth") <= width
     page.close()
 
@@ -98,6 +103,7 @@ def test_numbers_do_not_break_at_their_exponent(chromium, template, tmp_path):
         write_page(tmp_path / template, template, CONTENT | {"figures": []})
     page = chromium.new_page(viewport={"width": 400, "height": 900})
     page.goto((tmp_path / template).as_uri())
+    page.evaluate("for (const one of document.querySelectorAll('details')) one.open = true")
     lines = page.evaluate("""() => [...document.querySelectorAll("td")].filter(td => /e-\\d/.test(td.textContent)).map(td => {
         const range = document.createRange(); range.selectNodeContents(td); return range.getClientRects().length; })""")
     page.close()

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from scipy.special import chdtrc
 
 from matcam.acquisition.check.flat_check import flat_remarks
 from matcam.acquisition.check.quick_highlights import black_level, quick_highlights
@@ -30,6 +31,8 @@ from matcam.files.capture_frames import LampGuess
 
 _WHOLE = 4
 """Number of lamp positions whose exposures are all read: few, so that a check takes seconds."""
+_CHANCE = 0.01
+"""Probability that a steady lamp is reported as drifting, if the specified scatter and the errors of its readings are right."""
 _FIRST, _LAST, _GAP = 10.0, 70.0, 12.0
 """Limits of theta_d, degrees: a capture should begin below the first, end above the second, and have no gap larger than
 the third.
@@ -145,14 +148,12 @@ def coverage_remarks(lamps: dict[str, LampGuess]) -> list[Remark]:
         text = f"the lamp positions end at theta_d = {theta_d[-1]:.0f} degrees: add a position above {_LAST:.0f} "
         text += "degrees to measure F there"
         found.append(Remark("angles-missed", text))
-    for low, high in pairwise(theta_d):
-        if high - low > _GAP:
-            found.append(
-                Remark(
-                    "angles-missed",
-                    f"no lamp position has theta_d between {low:.0f} and {high:.0f} degrees: add a position",
-                )
-            )
+    gaps = [f"{low:.0f} and {high:.0f}" for low, high in pairwise(theta_d) if high - low > _GAP]
+    if gaps:
+        text = (
+            f"no lamp position has theta_d between {', between '.join(gaps)} degrees: add positions, so that steps of "
+        )
+        found.append(Remark("angles-missed", f"{text}theta_d are at most {_GAP:.0f} degrees"))
     return found
 
 
@@ -175,9 +176,11 @@ def _lamp_remarks(capture: Capture, radiometry: Radiometry | None, sample: tuple
     values = dict(zip(seen, light.tolist(), strict=True))
     stated = capture.settings["lamp"]["gain_std"]
     # errors of the lamp directions also add to the scatter of a diffuse reference
-    unknown = float(np.mean([(out.std / out.value) ** 2 for out in seen.values()]))
-    scatter = math.sqrt(max(float(np.var(light, ddof=1)) - unknown, 0.0))
-    if scatter <= 2 * stated + 0.002:
+    unknown = np.array([(out.std / out.value) ** 2 for out in seen.values()])
+    scatter = math.sqrt(max(float(np.var(light, ddof=1)) - float(unknown.mean()), 0.0))
+    weights = 1 / (unknown + max(stated, 1e-5) ** 2)
+    chi2 = float(weights @ (light - np.average(light, weights=weights)) ** 2)
+    if scatter <= 2 * stated + 0.002 or chdtrc(light.size - 1, chi2) > _CHANCE:
         return []
     worst = max(values, key=lambda lamp: abs(values[lamp] - 1))
     text = (

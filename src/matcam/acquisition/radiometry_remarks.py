@@ -58,7 +58,7 @@ def tone_curve_proof(exponent: Stated) -> str | None:
     if not abs(exponent.value - 1) > max(_PROVEN * exponent.std, _POWER):
         return None
     return (
-        f"codes grow like exposure time to the power {exponent.value:.2f} +- {exponent.std:.2f}, not in proportion: the frames "
+        f"codes grow like exposure time to the power {exponent.value:.2f} ± {exponent.std:.2f}, not in proportion: the frames "
         "went through a tone curve, or time_s in frames.csv is wrong"
     )
 
@@ -87,7 +87,7 @@ def exposure_remarks(names: Sequence[str], ratios: ExposureRatios, nominal: np.n
     wrong = ratios.value / said - 1
     for name, error, std in zip(names, wrong, ratios.std(), strict=True):
         if np.isfinite(std) and abs(error) > max(_WRONG_TIME, 4 * std):
-            text = f"exposure {name}: its light relative to {names[0]} is {1 + error:.3f} +- {std:.3f} times the nominal ratio"
+            text = f"exposure {name}: its light relative to {names[0]} is {1 + error:.3f} ± {std:.3f} times the nominal ratio"
             found.append(Remark("times-wrong", text + "; the measured ratio is used: check time_s in frames.csv"))
     slope = float(np.polyfit(np.log(said), np.log(ratios.value), 1)[0]) if said[-1] > 1.5 else 1.0
     proof = tone_curve_proof(tone_exponent(ratios, nominal))

@@ -31,7 +31,6 @@ from matcam.cli.common import with_common
 from matcam.cli.options import Command, Group
 
 app = typer.Typer(
-    no_args_is_help=True,
     cls=Group,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,  # the help is plain text, and Rich takes a fifth of a second to load

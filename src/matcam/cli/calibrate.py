@@ -241,13 +241,14 @@ def _verdict(found: Any) -> list[str]:
             f"{label} = {value:.4g} ± {std:.2g}"
             for label, value, std in zip(fit.names, fit.values, fit.std, strict=True)
         )
-        count = 0 if fit.edges is None else fit.edges.x.size
+        if fit.edges is None:
+            lines.append(f"{name}: {numbers}  (no edges, {sum(fit.measurements.values())} other measurements)")
+            continue
         how = "explains the edges" if fit.consistent else "does NOT explain the edges (try --model measured or halo)"
-        lines.append(f"{name}: {numbers}  ({count} edges, whose blur varies by {fit.spread:.1%})")
-        if fit.edges is not None:
-            lines.append(
-                f"   the camera {how}: their MTFs differ by at most {fit.misfit:.4f} ± {fit.misfit_std:.4f} below Nyquist"
-            )
+        lines.append(f"{name}: {numbers}  ({fit.edges.x.size} edges, whose blur varies by {fit.spread:.1%})")
+        lines.append(
+            f"   the camera {how}: their MTFs differ by at most {fit.misfit:.4f} ± {fit.misfit_std:.4f} below Nyquist"
+        )
     return lines
 
 

@@ -22,7 +22,7 @@ from matcam.cli.rig_options import RigOptions, SphereRig
 from matcam.core.errors import ArgumentError
 from matcam.core.io import check_outputs
 
-app = typer.Typer(no_args_is_help=True, cls=Group)
+app = typer.Typer(cls=Group)
 
 
 @app.callback()
@@ -108,7 +108,7 @@ def check(
     if math.isfinite(found.centre[2]):
         column, row, radius = found.centre
         where = f"column {column:.1f}" + (f", row {row:.1f}" if math.isfinite(row) else "")
-        show.say(f"outline from highlights and outline frames: {where}, radius {radius:.1f} px")
+        show.say(f"approximate outline, from highlights and outline frames: {where}, radius {radius:.1f} px")
     show.notes(found.notes)
     for remark in found.findings:
         show.say(f"found: {remark}")
@@ -162,7 +162,7 @@ def plan(
     found = needs.to_dict()
     wide = f"{needs.radius:.0f} px or more" if math.isfinite(needs.radius) else "larger than all tried values"
     if needs.radius == needs.fresnel_std[0][0]:
-        wide = f"{needs.radius:.0f} px suffices, the smallest tried"
+        wide = f"{needs.radius:.0f} px suffices, the smallest tried (half of --radius)"
     show.table(
         ["quantity", "needed"],
         [

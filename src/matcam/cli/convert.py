@@ -82,7 +82,8 @@ def _print(report: dict[str, Any]) -> None:
     if not report["resampled"]:
         show.say("all values are unchanged")
     else:
-        show.say(f"resampled {report['resampled']}")
+        how = report["resampled"]
+        show.say(how if how.startswith("fitted") else f"resampled {how}")
         error = report["error"]
         show.say(
             f"the output differs by {_percent(error['peak'])} at the peak (median up to 45°), and at random pairs of "

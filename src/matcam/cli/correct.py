@@ -205,10 +205,9 @@ def _print_table(document: dict[str, Any], name: str, json: bool) -> None:
         show.as_json(document)
         return
     print_fit(document["fit"], name)
-    show.say(
-        f"supported (the correction is known to 5 %): {document['supported_share']:.0%} of the entries that can be judged; "
-        f"the peak at 75° was raised by a factor of {document['peak_gain_75']:.2f}"
-    )
+    show.say(document["verdict"])
+    if not document["withheld"]:
+        show.say(f"the peak at 75° was raised by a factor of {document['peak_gain_75']:.2f}")
     for remark in document["remarks"]:
         if remark not in document["fit"]["remarks"]:  # printed with the fit
             show.say(f"note: {remark['text']}")

@@ -13,7 +13,7 @@ from matcam.cli.options import AsJson, Command, Force, Group, option
 from matcam.core.errors import ArgumentError, DownloadError, OutputError, unknown_name
 from matcam.core.io import check_output_folder, one_by_one
 
-app = typer.Typer(no_args_is_help=True, cls=Group)
+app = typer.Typer(cls=Group)
 
 
 @app.callback()

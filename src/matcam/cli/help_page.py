@@ -19,7 +19,7 @@ GROUPS = {
     "Exchange": ("inspect", "convert", "render", "app"),
     "Paper": ("figures", "demo"),
 }
-"""Groups of commands by purpose; other commands are listed under Other."""
+"""Groups of commands by purpose. Other commands are listed under Other, or under Commands if no command has a purpose."""
 
 EXIT_CODES = {
     0: "done",
@@ -91,13 +91,15 @@ def usage(command: Any, context: Any) -> str:
 def groups(commands: Any) -> Iterator[tuple[str, list[str]]]:
     """Yield the groups of existing commands, and last the ungrouped commands."""
     left = [name for name in commands if not getattr(commands[name], "hidden", False)]
+    rest = "Commands"
     for title, members in GROUPS.items():
         found = [name for name in members if name in left]
         left = [name for name in left if name not in found]
         if found:
+            rest = "Other"
             yield title, found
     if left:
-        yield "Other", left
+        yield rest, left
 
 
 def page(command: Any, context: Any) -> str:

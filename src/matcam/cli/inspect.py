@@ -116,7 +116,14 @@ def _print_remainder(report: dict[str, Any]) -> None:
         if isinstance(value, dict):
             show.table([name, ""], [[str(key), str(item)] for key, item in value.items()])
         else:
-            show.say(f"{name}: {value}")
+            show.say(f"{name.replace('_', ' ')}: {_plain(value)}")
+
+
+def _plain(value: Any) -> str:
+    """Format a value, or a list of values separated by commas."""
+    if isinstance(value, list):
+        return ", ".join(map(_plain, value))
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
 def _print_table(report: dict[str, Any]) -> None:

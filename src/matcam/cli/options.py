@@ -178,6 +178,13 @@ def choose_device(device: str | None) -> None:
 class Group(TyperGroup):
     """Group of commands, listed in the help by purpose."""
 
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse the arguments. Without arguments, print the help and exit with code 2."""
+        if not args and not ctx.resilient_parsing:
+            typer.echo(ctx.get_help(), err=True)
+            ctx.exit(2)
+        return super().parse_args(ctx, args)
+
     def format_help(self, ctx: Any, formatter: Any) -> None:
         """Write the help."""
         formatter.write(help_page.page(self, ctx))

@@ -24,6 +24,8 @@ _SECONDS = 30.0
 """Smallest time between two lines of progress, s, which keeps the log of a long run short."""
 _LEAST_WIDTH = 20
 """Smallest width of a table, characters. At a width of 0, Rich prints nothing."""
+_LONGEST_WORD = 24
+"""Longest word that a column of a table shows without a break, characters: enough for numbers and names of parameters."""
 
 OPTIONS = {"force=True": "--force", "fit_camera=True": "--fit-camera"}
 """Arguments in messages of the library, and the corresponding options."""
@@ -89,12 +91,18 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]], title: str = "") -
     named = Text(printable(title)) if title else None
     drawn = Table(box=box.SIMPLE_HEAD, title=named, title_justify="left", title_style="bold", pad_edge=False)
     for number, name in enumerate(head):
-        drawn.add_column(Text(printable(name)), justify="right" if number else "left")
+        words = " ".join([name, *(row[number] for row in rows)]).split()
+        least = min(max(map(len, words), default=0), _LONGEST_WORD)
+        drawn.add_column(Text(printable(name)), justify="right" if number else "left", min_width=least)
     for row in rows:
         drawn.add_row(*(Text(printable(cell)) for cell in row))
     with io.StringIO() as drawing:
-        Console(file=drawing, highlight=False, force_terminal=sys.stdout.isatty(), width=_width()).print(drawn)
-        _print(drawing.getvalue(), end="")
+        console = Console(file=drawing, highlight=False, force_terminal=sys.stdout.isatty(), width=_width())
+        whole = sum(column.min_width or 0 for column in drawn.columns) + 3 * len(
+            head
+        )  # two blanks and a separator each
+        console.print(drawn, width=max(console.width, whole), crop=False)
+        _print("\n".join(line.rstrip() for line in drawing.getvalue().split("\n")), end="")
 
 
 def _width() -> int | None:

@@ -42,7 +42,7 @@ def _camera(values: dict[str, Any]) -> list[Any]:
     for parameter in ("camera", "radius", "distance", "lamp_distance", "sample_mm"):
         option = f"--{parameter.replace('_', '-')}"
         if values.get(parameter) is not None:
-            found += [option, values[parameter]]
+            found += [option, f"{value:.12g}" if isinstance(value := values[parameter], float) else value]
     if values.get("azimuth"):
         found += ["--azimuth", values["azimuth"]]
     return found

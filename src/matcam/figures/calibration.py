@@ -166,16 +166,18 @@ def calibration_figure(found: Calibration, picture: np.ndarray | None, lines: Se
     channel = found.channels[found.channel]
     edges = channel.edges if picture is not None else None
     maps = [["map", "lateral" if found.lateral_colour else "."]] if edges is not None else []
-    with drawing(10.5, 7.6 + 3.4 * len(maps)) as figure:
-        rows: list[Any] = [["picture", "mtf"], ["residuals", "field"], *maps, ["words", "words"]]
+    of_edges = [["residuals", "field"], *maps] if any(fit.edges is not None for fit in found.channels.values()) else []
+    with drawing(10.5, 4.4 + 3.3 * len(of_edges)) as figure:
+        rows: list[Any] = [["picture", "mtf"], *of_edges, ["words", "words"]]
         axes = figure.subplot_mosaic(
             rows,
-            height_ratios=(1.15, 1, *([1.1] * len(maps)), 0.12 + 0.075 * len(lines)),
+            height_ratios=(1.15, *([1.05] * len(of_edges)), 0.12 + 0.075 * len(lines)),
         )
         _draw_picture(axes["picture"], channel, picture, found.channel)
         draw_calibration(axes["mtf"], found)
-        _draw_residuals(axes["residuals"], found)
-        _draw_field(axes["field"], found, picture)
+        if of_edges:
+            _draw_residuals(axes["residuals"], found)
+            _draw_field(axes["field"], found, picture)
         if picture is not None and edges is not None:
             draw_blur_map(axes["map"], edges, picture.shape[:2], found.channel)
             if found.lateral_colour:
@@ -195,10 +197,10 @@ def calibration_figure(found: Calibration, picture: np.ndarray | None, lines: Se
 
 
 def _draw_picture(axes: Axes, fit: CameraFit, picture: np.ndarray | None, channel: str) -> None:
-    source = fit.edges.source[0] if fit.edges is not None else "no image"
-    axes.set_title(f"Edges of {source}, {channel}", loc="left", parse_math=False)
+    source = f"Edges of {fit.edges.source[0]}" if fit.edges is not None else "No edges were measured"
+    axes.set_title(f"{source}, {channel}", loc="left", parse_math=False)
     axes.grid(False)
-    if picture is None or fit.edges is None:
+    if picture is None:
         axes.axis("off")
         return
     height, width = picture.shape[:2]
@@ -210,13 +212,15 @@ def _draw_picture(axes: Axes, fit: CameraFit, picture: np.ndarray | None, channe
     axes.imshow(
         shown, cmap="gray", vmin=low, vmax=max(high, low + 1e-12), extent=(-0.5, width - 0.5, height - 0.5, -0.5)
     )
+    axes.set(xlabel="x [px]", ylabel="y [px]")
     edges = fit.edges
+    if edges is None:
+        return
     here = edges.source == edges.source[0]
     dots = axes.scatter(
         edges.x[here], edges.y[here], c=edges.mtf50[here], s=18, cmap="cividis", lw=0.4, edgecolor="white"
     )
     axes.figure.colorbar(dots, ax=axes, label="MTF50 [cycles/px]", shrink=0.85)
-    axes.set(xlabel="x [px]", ylabel="y [px]")
 
 
 def draw_calibration(axes: Axes, found: Calibration) -> None:

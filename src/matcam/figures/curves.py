@@ -265,7 +265,7 @@ def draw_lobe(
     """
     axes.plot(theta_h[seen], value[seen], color=BLUE, label=label)
     low = np.maximum(value - std, value * 1e-2)
-    axes.fill_between(theta_h[seen], low[seen], (value + std)[seen], color=BLUE, alpha=0.25, lw=0)
+    axes.fill_between(theta_h[seen], low[seen], (value + std)[seen], color=BLUE, alpha=0.25, lw=0, label="± 1 std")
     axes.plot(theta_h[good], value[good], ".", color=GREEN, ms=5, label="supported")
     axes.set(xscale="log", yscale="log", xlabel=r"half angle $\theta_h$ [degrees]", ylabel="BRDF [1/sr]")
     axes.minorticks_off()  # a hundred artists for each panel take two thirds of the time of a page

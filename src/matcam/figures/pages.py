@@ -27,7 +27,17 @@ from matcam.figures.spheres import (
     table_sphere,
     whole_sphere,
 )
-from matcam.figures.style import BLUE, GREY, VERMILION, data_url, degrees_axis, drawing, inline_png, write_page
+from matcam.figures.style import (
+    BLUE,
+    GREY,
+    VERMILION,
+    budget_tables,
+    data_url,
+    degrees_axis,
+    drawing,
+    inline_png,
+    write_page,
+)
 from matcam.inverse.correction.correction import Correction
 from matcam.inverse.fresnel_term import NORMALISE, fresnel_of_peaks
 from matcam.inverse.operator.rig_axes import LAMP, LENS
@@ -68,7 +78,7 @@ def write_correction_page(
             *([] if "hwhm_rad" in found.params else [(_READ_AS["hwhm_rad"], found.hwhm, found.hwhm_std)]),
         ],
         "figures": [(title, inline_png(figure)) for title, figure in figures],
-        "uncertainty": [(one.name, one.rows()) for one in done.uncertainty_budgets()],
+        "uncertainty": budget_tables(done.uncertainty_budgets()),
     }
     write_page(path, "correction_page.html", content, force=force)
 

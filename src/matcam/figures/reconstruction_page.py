@@ -20,6 +20,7 @@ from matcam.figures.style import (
     BLUE,
     GREY,
     VERMILION,
+    budget_tables,
     channel_colour,
     degrees_axis,
     drawing,
@@ -82,7 +83,7 @@ def write_reconstruction_page(
         "lobes": list(result.tried.items()),
         "not_determined": [(*one.names, one.correlation) for one in result.not_determined],
         "exposures": exposures,
-        "uncertainty": [(one.name, one.rows()) for one in result.uncertainty_budgets()],
+        "uncertainty": budget_tables(result.uncertainty_budgets()),
         "figures": [(title, inline_png(figure)) for title, figure in figures],
     }
     write_page(path, "reconstruction_page.html", content, force=force)

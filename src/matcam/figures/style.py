@@ -9,7 +9,7 @@ from __future__ import annotations
 import base64
 import io
 import textwrap
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any
@@ -23,6 +23,8 @@ from matplotlib.text import Text
 from PIL import Image
 
 from matcam.core.io import check_picture, replacing, write_text
+from matcam.core.results.summary import Quantity
+from matcam.numerics.budget import UncertaintyBudget
 
 BLUE, VERMILION, GREEN, ORANGE, SKY, PURPLE, YELLOW, BLACK = (
     "#0072B2", "#D55E00", "#009E73", "#E69F00", "#56B4E9", "#CC79A7", "#F0E442", "#000000",
@@ -190,6 +192,11 @@ def _png(figure: Figure, dpi: float) -> bytes:
         figure.dpi = drawn_for
     Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3]).save(stream, format="png")
     return stream.getvalue()
+
+
+def budget_tables(budgets: Iterable[UncertaintyBudget]) -> list[tuple[str, list[list[Any]]]]:
+    """List uncertainty budgets for `page.html`: the result with its combined uncertainty, and the rows."""
+    return [(f"{one.name}: {Quantity(one.name, one.value, one.combined).text}", one.rows()) for one in budgets]
 
 
 def write_page(path: str | Path, template: str, content: Mapping[str, Any], *, force: bool = False) -> None:

@@ -23,7 +23,7 @@ CONTENTS = {
     "table": "a table on the MERL grid",
     "fields": "a BRDF in RGL's parameterisation",
     "samples": "scattered samples",
-    "result": "a result other than a BRDF",
+    "result": "a result of several variables",
     "picture": "an image",
     "camera": "a camera profile",
     "sidecar": "a picture sidecar",

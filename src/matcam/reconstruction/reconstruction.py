@@ -234,7 +234,7 @@ class Reconstruction(Summarised):
     def verdict(self) -> str:
         """Summarise the result in plain sentences."""
         widths = [np.degrees(pair) for name, pair in self.parameters.items() if name.startswith("hwhm")]
-        half_width = " and ".join(f"{value:.4g} +- {std:.1g}°" for value, std in widths)
+        half_width = " and ".join(f"{value:.4g} ± {std:.1g}°" for value, std in widths)
         low, high = np.degrees(self.measured_range)
         modified = "spline-modified " if self.fit.kind.spline_size else ""
         lobe = f"{modified}{self.fit.kind.family} lobe of half width {half_width}"

@@ -231,7 +231,7 @@ def _turn_remarks(fit: _Fit, std: np.ndarray, whose: str) -> list[Remark]:
         return []
     degrees, axes = np.degrees(turn), ("x (right)", "y (up)", "z (to the camera)")
     parts = ", ".join(f"{value:+.1f} about {axis}" for value, axis, one in zip(degrees, axes, free, strict=True) if one)
-    text = f"the highlights indicate a rotation of the lamp table by {np.degrees(size):.1f} +- {np.degrees(spread):.1f} degrees"
+    text = f"the highlights indicate a rotation of the lamp table by {np.degrees(size):.1f} ± {np.degrees(spread):.1f} degrees"
     where = f" relative to the {whose} outline" if free[1] else ""
     return [Remark("table-turned", f"{text}{where} ({parts}): check the axes of angles and azimuths")]
 
@@ -241,7 +241,7 @@ def _radius_remarks(fit: _Fit, outline: QuickOutline, std: float) -> list[Remark
     known = math.sqrt(max(std**2 - float(fit.covariance[5, 5]), 1e-12))
     if abs(change) < max(_SIGNIFICANT * known, _LEAST_GROWTH * outline.radius):
         return []
-    text = f"the highlights indicate a radius of {fit.p[5]:.1f} +- {math.sqrt(fit.covariance[5, 5]):.1f} px, but the "
+    text = f"the highlights indicate a radius of {fit.p[5]:.1f} ± {math.sqrt(fit.covariance[5, 5]):.1f} px, but the "
     text += f"outline has {outline.radius:.1f} px: check sample.radius_mm, the distances and the angles of frames.csv"
     return [Remark("radius-mismatch", text)]
 

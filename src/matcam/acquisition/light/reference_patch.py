@@ -35,7 +35,7 @@ class ReferencePatch(NamedTuple):
     Attributes:
         region: first column, first row, width, height in the whole frame, px.
         reflectance: reflectance of the patch, no unit; None if unknown.
-        depth: distance in front of the centre of the sphere, towards the camera, radii. Default: 0 +- 0.5.
+        depth: distance in front of the centre of the sphere, towards the camera, radii. Default: 0 ± 0.5.
         tilt_std: standard deviation of the angle of its normal to the camera's axis, about each of two axes, rad.
             Default: 1 degree.
     """

@@ -47,5 +47,5 @@ def hidden_by_clipping(path: Path, sigma: float) -> tuple[float, Remark]:
         sigma: standard deviation of the lens's blur, px.
     """
     middle = 0.8 * float(np.hypot(sigma, _PIXEL))
-    text = f"{path}: the bright field is clipped, which hides {middle:.1f} +- {middle:.1f} px of the radius"
+    text = f"{path}: the bright field is clipped, which hides {middle:.1f} ± {middle:.1f} px of the radius"
     return middle, Remark("outline-clipped", f"{text}; expose outline frames less")

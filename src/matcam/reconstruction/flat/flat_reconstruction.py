@@ -111,7 +111,7 @@ class FlatReconstruction(Summarised):
         alpha, std = self.parameters["alpha"]
         resolved = "; ".join(f"{name} up to {self._resolution(name)}" for name in MAPS)
         return (
-            f"{len(self.names)} images give a {self.family} lobe of roughness {alpha:.4g} +- {std:.1g} and two maps. "
+            f"{len(self.names)} images give a {self.family} lobe of roughness {alpha:.4g} ± {std:.1g} and two maps. "
             f"The maps are resolved in these bands: {resolved}. Their errors include the finer texture, which is lost."
         )
 
