@@ -318,7 +318,7 @@ def targets_figure(samples: Sequence[MTFSamples], camera: Camera | None = None, 
             xlim=(0, highest * 1.02),
             ylim=(-0.1, 1.05),
         )
-        axes.legend(loc="upper right")
+        axes.legend(loc="upper right", frameon=True, framealpha=1, edgecolor="none")
         axes.set_title(title or "MTF", loc="left")
         if left is not None:
             left.axhline(0, color=BLACK, lw=0.6)
