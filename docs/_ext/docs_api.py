@@ -166,7 +166,7 @@ def described_lines(thing, text, texts=None):
         for name, words in _described_in(parts.pop(heading, [])):
             described[name] = words
     own = {name: words for name, words in described.items() if name in types_of}
-    others = {name: words for name, words in described.items() if name not in types_of}
+    others = {name: words for name, words in described.items() if name not in types_of and not name.startswith("_")}
     for title, which in (("Parameters", own), ("Attributes", others if inspect.isclass(thing) else {})):
         if which:
             lines += ["", f"**{title}**", ""]

@@ -191,6 +191,9 @@ def test_no_next_command_reads_a_file_that_is_not_there(tmp_path, monkeypatch):
             suggestions.after(name, {**written, "output": Path("folder")} if name == "data merl" else written) is None
         )
     Path("shots").mkdir()
+    assert suggestions.after("capture init", written) is None  # an empty template
+    filled = {**written, "photographs": Path("photographs")}
+    assert suggestions.after("capture init", filled) == "matcam capture check shots"
     assert suggestions.after("capture check", written) == "matcam reconstruct shots -o shots.binary"
     Path("shots.binary").touch()
     assert suggestions.after("capture check", written) == "matcam reconstruct shots -o shots-2.binary"

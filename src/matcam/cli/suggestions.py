@@ -119,7 +119,7 @@ def _after_check(values: dict[str, Any]) -> list[Any]:
 _NEXT: dict[str, Callable[[dict[str, Any]], list[Any] | None]] = {
     "predict": lambda v: ["matcam", "limits", *(v["roughness"] or [])[:5], *_camera(v)],
     "simulate": _after_simulate,
-    "capture init": lambda v: ["matcam", "capture", "check", v["folder"]] if v["photographs"] else None,
+    "capture init": lambda v: ["matcam", "capture", "check", v["folder"]] if v.get("photographs") else None,
     "capture check": _after_check,
     "edge": lambda v: ["matcam", "calibrate", *v["pictures"], "-o", _unused(Path("camera.json"))],
     "calibrate": lambda v: ["matcam", "inspect", v["output"]] if v["output"] else None,
