@@ -73,7 +73,7 @@ def draw_fresnel(axes: Axes, result: xr.Dataset, tables: xr.Dataset | None, chan
         color=BLUE,
         lw=1,
         ls=(0, (1, 1.2)),
-        label="peak over the recorded share (as in the paper)",
+        label="peak over its response (as in the paper)",
     )
     label = "corrected: lobe fitted through the camera, ± 1 std"
     draw_with_std(axes, theta, corrected, std, BLUE, lw=2, label=label)
