@@ -13,10 +13,10 @@ import signal
 import sys
 import traceback
 import warnings
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, TextIO
 
-from matcam.core.arrays.dask import without_dask
 from matcam.core.errors import MatcamError
 from matcam.core.threads import use_one_blas_thread, use_one_heap
 
@@ -45,6 +45,21 @@ def main(arguments: list[str] | None = None) -> None:
     if error := _unwritable():
         code = _output_failed(error, code)
     sys.exit(code)
+
+
+@contextlib.contextmanager
+def without_dask() -> Iterator[None]:
+    """Hide Dask from imports, unless it is already imported or a cluster requires it.
+
+    xarray imports Dask, if it is installed, to check the types of arrays, which takes half a second. Here all arrays are those
+    of NumPy.
+    """
+    sys.modules.setdefault("dask", None)  # type: ignore[arg-type]
+    try:
+        yield
+    finally:
+        if sys.modules.get("dask", sys) is None:
+            del sys.modules["dask"]
 
 
 _ended_by: list[int] = []

@@ -16,6 +16,7 @@ import ipaddress
 import os
 import platform
 import re
+import sys
 from collections.abc import Generator, Sequence
 from concurrent.futures import CancelledError
 from contextlib import ExitStack
@@ -28,7 +29,6 @@ from matcam.batch.executors import Executor, one_core_environment
 from matcam.batch.folder import SETTINGS
 from matcam.batch.job import Job, Outcome, attempt, failed
 from matcam.core import checks
-from matcam.core.arrays.dask import show_dask
 from matcam.core.errors import ArgumentError, MatcamError, described
 from matcam.core.jax import use_compilation_cache
 from matcam.core.memory import free_for_the_next
@@ -63,7 +63,8 @@ class ClusterExecutor(Executor):
                 f"cluster must be local:N or a scheduler's address such as tcp://host:8786, got {self.address!r:.60}"
             )
         checks.extra("a cluster", "scale", "distributed")
-        show_dask()
+        if sys.modules.get("dask", sys) is None:  # hidden by the command line
+            del sys.modules["dask"]
 
     @property
     def is_open(self) -> bool:

@@ -1,4 +1,4 @@
-"""Dask is hidden from xarray, and available to those who ask for it."""
+"""Commands hide Dask from xarray; a cluster uses it."""
 
 import subprocess
 import sys
@@ -7,7 +7,7 @@ import pytest
 
 _CODE = """
 import sys
-from matcam.core.arrays.dask import show_dask, without_dask
+from matcam.cli import without_dask
 with without_dask():
     import numpy, xarray
     xarray.DataArray(numpy.ones(3)).to_netcdf(engine="h5netcdf")
@@ -18,7 +18,13 @@ print(dask.__name__)
 """
 
 
-@pytest.mark.parametrize("inside", ["pass", "show_dask(); import distributed"])
+@pytest.mark.parametrize(
+    "inside",
+    [
+        "pass",
+        "from matcam.batch.executors.cluster import ClusterExecutor; ClusterExecutor('local:1'); import distributed",
+    ],
+)
 def test_arrays_of_numpy_do_not_load_dask(inside):
     pytest.importorskip("distributed")
     code = _CODE.replace("{inside}", inside)
@@ -28,7 +34,7 @@ def test_arrays_of_numpy_do_not_load_dask(inside):
 
 def test_a_loaded_dask_is_kept():
     code = (
-        "import dask, sys\nfrom matcam.core.arrays.dask import without_dask\nwith without_dask(): import dask as again\n"
+        "import dask, sys\nfrom matcam.cli import without_dask\nwith without_dask(): import dask as again\n"
         "assert sys.modules['dask'] is dask is again"
     )
     pytest.importorskip("dask")
