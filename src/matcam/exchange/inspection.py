@@ -49,8 +49,8 @@ def lobe_widths(table: xr.DataArray) -> LobeWidths:
     """Measure the lobe's half width at half maximum at every theta_d.
 
     The BRDF is averaged over the channels, and over the cells within 18 degrees of the plane of light and view, or
-    beyond 72 degrees from it. The average is interpolated linearly between the angles of the grid. The maximum is the
-    value at the first theta_h.
+    beyond 72 degrees from it. Between the angles of the grid its logarithm is linear in theta_h^2. The maximum is the value
+    at the first theta_h.
 
     Args:
         table: BRDF on the MERL grid, (90, 90, 180, channels), 1/sr, such as `read_merl` returns.
@@ -131,7 +131,7 @@ def camera_trace(table: xr.DataArray) -> dict[str, Any]:
 def _half_widths(values: np.ndarray, theta_h: np.ndarray) -> np.ndarray:
     """Compute the half width at each theta_d.
 
-    The values (theta_h, theta_d, phi_d, channel) are linear between the angles.
+    The logarithm of the values (theta_h, theta_d, phi_d, channel) is linear in theta_h^2 between the angles, as for a Gaussian.
     """
     present = np.isfinite(values)
     count = present.sum(axis=(2, 3))
@@ -144,7 +144,8 @@ def _half_widths(values: np.ndarray, theta_h: np.ndarray) -> np.ndarray:
         below = np.flatnonzero(relative < 0.5)
         if below.size and below[0]:
             i = int(below[0])
-            widths[k] = np.interp(-0.5, -relative[i - 1 : i + 1], theta_h[i - 1 : i + 1])
+            depth = -np.log(np.maximum(relative[i - 1 : i + 1], 1e-12))
+            widths[k] = np.sqrt(np.interp(np.log(2), depth, theta_h[i - 1 : i + 1] ** 2))
     return widths
 
 

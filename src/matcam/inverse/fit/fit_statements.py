@@ -43,10 +43,13 @@ def rig_statements(axes: Sequence[Axis], information: np.ndarray, first: int, si
 def _slope(axis: Axis, information: float) -> float:
     """Compute the derivative of the value of a parameter with respect to its coordinate.
 
-    It is the slope of a secant from one prior standard deviation below the specified value to one above it, within the bounds
-    of the axis. information: prior information on the coordinate.
+    It is the slope of a secant, so that the standard uncertainty of the value is the specified one. The secant of a guessed
+    width extends from the specified value to one standard deviation above it (`guess_std`). For other parameters it extends
+    from one standard deviation below the value to one above it. information: prior information on the coordinate.
     """
     std = 1 / math.sqrt(max(information, _LEAST))
+    if axis.softening:
+        return (axis.value(std) - axis.value(0.0)) / std
     low, high = max(-std, axis.low), min(std, axis.high)
     return (axis.value(high) - axis.value(low)) / (high - low)
 
