@@ -12,7 +12,7 @@ import xarray as xr
 from matcam.camera.profile import field_document
 from matcam.core.errors import ArgumentError
 from matcam.core.remark import Remark
-from matcam.core.results.summary import Quantity, Summarised, Summary
+from matcam.core.results.summary import Quantity, Summarised, Summary, with_std
 from matcam.files.capture_settings import Stated
 from matcam.inverse.fit.fit_setup import AUTO
 from matcam.material.masking import Masking
@@ -234,7 +234,9 @@ class Reconstruction(Summarised):
     def verdict(self) -> str:
         """Summarise the result in plain sentences."""
         widths = [np.degrees(pair) for name, pair in self.parameters.items() if name.startswith("hwhm")]
-        half_width = " and ".join(f"{value:.4g} ± {std:.1g}°" for value, std in widths)
+        half_width = " and ".join(
+            f"{with_std(value, std) if 0 < std < np.inf else f'{value:.4g}'}°" for value, std in widths
+        )
         low, high = np.degrees(self.measured_range)
         modified = "spline-modified " if self.fit.kind.spline_size else ""
         lobe = f"{modified}{self.fit.kind.family} lobe of half width {half_width}"
