@@ -104,7 +104,7 @@ def test_from_photographs_to_the_material(matcam, tmp_path):
     for name, (_, std) in found["parameters"].items():
         assert combined[name] == pytest.approx(std, rel=1e-6)
     assert combined["outline_radius_px"] == pytest.approx(found["geometry"]["radius_px"][1], rel=1e-6)
-    assert page.count("<h3>") == len(budgets)
+    assert page.count("<summary>") == len(budgets)
     # page, terminal and JSON agree
     for picture in found["pictures"]:
         assert f"<td>{picture['name']}</td>" in page

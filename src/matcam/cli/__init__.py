@@ -54,7 +54,8 @@ def without_dask() -> Iterator[None]:
     xarray imports Dask, if it is installed, to check the types of arrays, which takes half a second. Here all arrays are those
     of NumPy.
     """
-    sys.modules.setdefault("dask", None)  # type: ignore[arg-type]
+    if "xarray" not in sys.modules:  # xarray checks once whether Dask is installed
+        sys.modules.setdefault("dask", None)  # type: ignore[arg-type]
     try:
         yield
     finally:
