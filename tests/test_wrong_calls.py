@@ -154,7 +154,7 @@ def test_a_picture_with_labels_is_measured_as_one_without():
 @pytest.mark.parametrize("name", ["x" * 300, "a\0b", "none"])
 def test_a_folder_that_cannot_be(tmp_path, monkeypatch, name):
     monkeypatch.chdir(tmp_path)
-    words = {"none": "none: no such folder", "a\0b": "a\\x00b: is not the name of a file"}
+    words = {"none": "none: no such folder", "a\0b": "a\\x00b: not a valid path"}
     with pytest.raises(FileFormatError) as caught:
         matcam.reconstruct(name)
     assert str(caught.value) == words.get(name, f"{name}: cannot be read: {os.strerror(36)}")

@@ -262,12 +262,13 @@ def picture_shape(name: str, shape: tuple[int, int]) -> tuple[int, int]:
 
 
 def merl() -> Rig:
-    """Return the rig of the MERL database as assumed in the paper.
+    """Return the rig of the MERL database.
 
-    It has a QImaging Retiga 1300 and a sphere that covers half the height of the image, with a limb of radius 256 px.
-    Pixels have a fill factor of 100 %, and the blur of the optics is sigma_mtf = half a pixel. This blur is an assumption
-    of the paper. Its standard deviation is 100 %, so that a fit estimates the blur from the data, down to no blur. The
-    rule by which cells were read from pixels is unpublished, and is estimated from each table.
+    The rig is that assumed by Holzschuch & Pacanowski (2017). It has a QImaging Retiga 1300 and a sphere that covers
+    half the height of the image, with a limb of radius 256 px. Pixels have a fill factor of 100 %, and the blur of the
+    optics is sigma_mtf = half a pixel. This blur is an assumption of that paper. Its standard deviation is 100 %, so
+    that a fit estimates the blur from the data, down to no blur. The rule by which cells were read from pixels is
+    unpublished, and is estimated from each table.
 
     Returns:
         The rig. Replace its parts to describe another rig.

@@ -255,7 +255,7 @@ def test_what_a_photographer_should_know():
 
     assert "overshoot, as after sharpening" in remarks(sharpened(70))
     # where most are sharpened, the others are no sample of the lens
-    assert "are sharpened, crushed or saturated" in refusal(sharpened(200))
+    assert "are sharpened or saturated, or have crushed blacks" in refusal(sharpened(200))
 
 
 def test_what_was_assumed_of_the_tone_curve(tmp_path):
@@ -359,7 +359,9 @@ def test_mostly_processed_pictures_are_no_camera():
     picture = chart(0.5)
     sharp = picture + 1.2 * (picture - gaussian_filter(picture, 1.0))
     sharp[:, 260:] = picture[:, 260:]
-    with pytest.raises(FitError, match=r"edges are sharpened, crushed or saturated: this is a processed"):
+    with pytest.raises(
+        FitError, match=r"edges are sharpened or saturated, or have crushed blacks: this is a processed"
+    ):
         calibrate([sharp])
 
 

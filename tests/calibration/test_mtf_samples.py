@@ -30,7 +30,7 @@ def test_lists_become_arrays_and_the_diagonal_is_the_variance():
         ({"mtf": [0.9, np.nan]}, "mtf must have 2 finite values"),
         ({"frequency": [0.0, 0.2]}, "frequency must be positive"),
         ({"frequency": [], "direction": [], "mtf": [], "covariance": np.zeros((0, 0))}, "at least 1"),
-        ({"covariance": [0.1, 0.2]}, "covariance must have (2, 2)"),
+        ({"covariance": [0.1, 0.2]}, "covariance must be finite and of shape (2, 2)"),
         ({"covariance": [[1, 0], [0, 0]]}, "positive variances"),
         ({"covariance": [[1, 0.5], [0, 1]]}, "symmetric"),
     ],

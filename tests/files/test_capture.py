@@ -163,7 +163,7 @@ def test_extra_pictures_are_named(tmp_path):
     folder = write(tmp_path)
     write_tiff(folder / "frames/extra.tif", np.zeros((6, 8), np.uint16))
     (problem,) = read_capture(folder).problems
-    assert "extra.tif: is not listed" in str(problem)
+    assert "extra.tif: the file is not listed" in str(problem)
 
 
 def test_many_files_of_one_fault_are_one_remark(tmp_path):

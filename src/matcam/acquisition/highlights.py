@@ -1,6 +1,6 @@
 """Highlight in an image of a sphere, and the direction of its lamp.
 
-The highlight is fitted on the sphere: a round lobe about one normal, foreshortened, blurred by the lens, on a uniform
+The highlight is fitted on the sphere: an isotropic lobe about one normal, foreshortened, blurred by the lens, on a uniform
 background. The model thus includes the shift by foreshortening towards the limb, and the fitted position is the mirror
 point. Clipped pixels are lower bounds.
 """

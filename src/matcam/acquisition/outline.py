@@ -143,7 +143,9 @@ def stacked(pictures: Sequence[MergedPicture], name: str = "all lamps") -> Merge
     """
     shapes = {(one.values.shape, one.origin) for one in pictures}
     if len(shapes) != 1:
-        raise ArgumentError(f"pictures must be of one shape and origin, got {len(shapes)} different ones")
+        raise ArgumentError(
+            f"pictures must have the same shape and the same origin, got {len(shapes)} different combinations"
+        )
     number, total, variance = (np.zeros(pictures[0].values.shape) for _ in range(3))
     clipped = np.zeros(pictures[0].values.shape, bool)
     for one in pictures:

@@ -161,7 +161,7 @@ class Planned:
         return as_toml(head | {name: values for name, values in sections.items() if values})
 
     def command(self) -> str:
-        """Return the command line of the same prediction; camera.json is the profile."""
+        """Return the command line of the prediction; camera.json is the profile."""
         words = [
             "matcam predict",
             *(f"{r:g}" for r in self.roughnesses),
@@ -176,7 +176,7 @@ class Planned:
         return " ".join(words)
 
     def python(self) -> str:
-        """Format the same rig and its prediction as Python code."""
+        """Format the rig and its prediction as Python code."""
         lens = f"matcam.GaussianOptics({self.sigma:g})"
         if self.glare:
             lens = f"matcam.HaloOptics({lens}, {self.glare:g}, {GLARE_RADIUS:g})"

@@ -1,4 +1,4 @@
-"""`matcam figures`: Figures 3 to 6 of the paper."""
+"""`matcam figures`: Figures 3 to 6 of Holzschuch & Pacanowski (2017)."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def command(
     force: Force = False,
     json: AsJson = False,
 ) -> None:
-    """Draw the paper's Figures 3 to 6 as PNG and PDF or SVG, with the data of each as CSV.
+    """Draw Figures 3 to 6 of Holzschuch & Pacanowski (2017) as PNG and PDF or SVG, with the data of each as CSV.
 
     Example: `matcam figures chrome.binary -o figures`
     """

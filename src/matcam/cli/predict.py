@@ -41,7 +41,11 @@ def command(
     power: Power = None,
     dims: Annotated[
         int,
-        option("--dims", "N", "Dimensions: 2 for a real sample, 1 for the paper's one-dimensional model."),
+        option(
+            "--dims",
+            "N",
+            "Dimensions: 2 for a real sample, 1 for the one-dimensional model of Holzschuch & Pacanowski (2017).",
+        ),
     ] = 2,
     exact: Annotated[
         bool,

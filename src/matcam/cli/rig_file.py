@@ -86,7 +86,7 @@ def _entries(path: Path) -> dict[tuple[str, ...], Any]:
 
     document = read_toml(path, "a rig")
     if document.pop("schema", None) != SCHEMA:
-        raise FileFormatError(f'{path}: is not a rig file, which begins with schema = "{SCHEMA}"')
+        raise FileFormatError(f'{path}: the file is not a rig file, which begins with schema = "{SCHEMA}"')
     found: dict[tuple[str, ...], Any] = {}
     for key, value in document.items():
         if isinstance(value, dict):

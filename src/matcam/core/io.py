@@ -339,7 +339,7 @@ def reading(path: Path, what: str = "") -> Iterator[None]:
     `what` is the expected content ("an image"); if given, a folder is an error, too.
     """
     if "\0" in str(path):
-        raise FileFormatError(f"{printable(str(path))}: is not the name of a file")
+        raise FileFormatError(f"{printable(str(path))}: not a valid path")
     try:
         mode = path.stat().st_mode
         if stat.S_ISDIR(mode) and what:

@@ -1,4 +1,4 @@
-"""Curves over an angle or a position: Figures 3 to 6 of the paper, and the predicted loss of a rig."""
+"""Curves over an angle or a position: Figures 3 to 6 of Holzschuch & Pacanowski (2017), and the predicted loss of a rig."""
 
 from __future__ import annotations
 
@@ -171,7 +171,7 @@ def plane_figure(data: Prediction, title: str) -> Figure:
 def highlight_figure(data: xr.Dataset) -> Figure:
     """Draw a highlight on the sensor, after the optics, and in pixels.
 
-    These are Figures 3 and 4 of the paper. data: result of `paper.figure_3_4`.
+    These are Figures 3 and 4 of Holzschuch & Pacanowski (2017). data: result of `paper.figure_3_4`.
     """
     with drawing(10, 3.3) as figure:
         panels = figure.subplots(1, data.sizes["theta_o"], sharey=True)
@@ -205,7 +205,7 @@ def highlight_figure(data: xr.Dataset) -> Figure:
 def loss_figure(data: xr.Dataset) -> Figure:
     """Draw the ratio of recorded to true peak over the angle.
 
-    This is Figure 5 of the paper, for narrow to wide lobes. data: result of `paper.figure_5`.
+    This is Figure 5 of Holzschuch & Pacanowski (2017), for narrow to wide lobes. data: result of `paper.figure_5`.
     """
     with drawing(7.4, 4.4) as figure:
         axes = figure.subplots()

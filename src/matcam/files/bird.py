@@ -69,7 +69,7 @@ def read_bird(path: str | Path) -> xr.DataArray:
     document = read_json(path, "a BRDF in BiRD's format")
     data = document.get("data") if isinstance(document, dict) else None
     if not isinstance(data, dict):
-        raise FileFormatError(f'{path}: is not a BRDF in BiRD\'s format: it has no object "data"')
+        raise FileFormatError(f'{path}: the file is not a BRDF in BiRD\'s format: it has no object "data"')
     angles = [_column(path, data, name, {"rad": 1.0, "deg": math.pi / 180, "°": math.pi / 180}) for name in _ANGLES]
     values = _column(path, data, "BRDF", dict.fromkeys(("1/sr", "sr^-1"), 1.0))
     for name, angle in zip(_ANGLES, angles, strict=True):

@@ -404,7 +404,7 @@ def _unlisted(folder: Path, frames: Iterable[CaptureFrame], problems: Iterable[R
     if not extra:
         return []
     if len(extra) == 1:
-        text = f"{folder / extra[0]}: is not listed in {LIST} and was not read"
+        text = f"{folder / extra[0]}: the file is not listed in {LIST} and was not read"
     else:
         text = f"{folder}: {len(extra)} files are not listed in {LIST} and were not read: {some_of(extra)}"
     return [Remark("unlisted-frame", text)]

@@ -291,7 +291,7 @@ def _check_members(path: Path, size: int, members: list[zipfile.ZipInfo]) -> Non
 
 
 def _check_directory(path: Path, size: int) -> None:
-    """Check the position of the directory of the zip, because its claimed size is allocated."""
+    """Check that the directory of a zip lies within the file, because `zipfile` allocates the size that the file specifies."""
     with path.open("rb") as file:
         # bytes: end of a zip, with its comment
         file.seek(max(0, size - (22 + (1 << 16))))

@@ -91,7 +91,7 @@ def predict(rig: Rig, ndfs: NDF | Sequence[NDF], *, dims: int = 2, exact: bool =
     Args:
         rig: camera, sample and lamp.
         ndfs: lobes of one family, such as `[GGX(0.01), GGX(0.1)]`, or a single lobe.
-        dims: 2 for a real sample, 1 for the paper's one-dimensional model. Default: 2.
+        dims: 2 for a real sample, 1 for the one-dimensional model of Holzschuch and Pacanowski. Default: 2.
         exact: True for the curved sample with its limb, as in `peak_response`, with Smith's masking. Default: False, the
             tangent plane of the sample.
 
@@ -173,8 +173,8 @@ def loss_angle(rig: Rig, ndf: NDF, dims: int = 2) -> float:
     Args:
         rig: camera, sample and lamp.
         ndf: distribution of the microfacets' normals, such as `GGX(0.01)`.
-        dims: 2 for a real sample, 1 for the paper's one-dimensional model. Default: 2. The relative loss of Gaussian lobes is
-            the same in both.
+        dims: 2 for a real sample, 1 for the one-dimensional model of Holzschuch and Pacanowski. Default: 2. The
+            relative loss of Gaussian lobes is the same in both.
 
     Returns:
         Angle, rad; pi/2 if the loss is smaller at all angles below 89.9 degrees.

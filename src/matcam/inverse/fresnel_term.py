@@ -1,4 +1,6 @@
-"""Fresnel term of a measured material, with and without camera correction: equation (13) and Figure 6 of the paper."""
+"""Fresnel term of a measured material, with and without camera correction: equation (13) and Figure 6 of
+Holzschuch & Pacanowski (2017).
+"""
 
 from __future__ import annotations
 
@@ -115,7 +117,8 @@ def fresnel(
         Dataset over (theta_d, channel), without unit except for angles:
 
         - `raw`, `raw_std`: F from the recorded peak alone, as if the camera were perfect.
-        - `corrected_peak`: estimate of the paper: `raw` divided by the response at the peak relative to that at theta_d = 0.
+        - `corrected_peak`: estimate of Holzschuch & Pacanowski (2017): `raw` divided by the response at the peak relative to
+            that at theta_d = 0.
         - `corrected`, `corrected_std`: F from the lobe fitted through the camera. The standard deviation has a part from
             pixel noise and image gain (`corrected_std_noise`), and a part from the camera (`corrected_std_camera`).
         - `absolute`, `absolute_std`: `corrected` without normalisation; NaN if the lobe is too narrow to

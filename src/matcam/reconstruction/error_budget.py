@@ -250,7 +250,7 @@ def reflectance_readings(
 ) -> dict[str, FitReading]:
     """Derive the ratio of F at an angle to its mean, by channel.
 
-    The mean is that from 10 to 45 degrees. It is also derived if F is absolute.
+    The mean is that from 10 to 45 degrees. If F is absolute, the mean itself is also derived.
 
     curves, units: arguments of `parameter_readings`. theta_d: difference angle, rad.
     """

@@ -157,7 +157,10 @@ def _width(noise: float, unit: float) -> float:
 
 
 def _log_share(top: TopCodes, width: float, noise: float, gain: float) -> float:
-    """Compute log10 of the bound of the probability that one more of the largest codes lies within `width`."""
+    """Compute log10 of 1 - exp(-z w / sigma), the factor of the bound for each pixel beyond the first.
+
+    It is 0 if sigma is unknown or negligible, or if the codes are near dark. width: w, DN.
+    """
     own = top.gain if math.isfinite(top.gain) else gain
     sigma = math.sqrt(max(own * top.height, 0.0)) if math.isfinite(own) else 0.0
     if top.height < _SPREAD * noise or sigma <= width * 1e-6:

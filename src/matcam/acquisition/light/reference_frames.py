@@ -1,4 +1,4 @@
-"""Reference in the frames of the sample, or in its own images (reference/).
+"""Light of the reference patch in the frames of the sample, or in separate images (reference/).
 
 A separate image is taken before or after that of the sample, and the light of the lamp may change in between. The
 change is specified, or estimated from repeated images of one lamp position, or from the changes of light between lamp
@@ -37,7 +37,7 @@ _STEADY = 0.001
 
 
 class SeenReference(NamedTuple):
-    """Reference in the frames of one lamp position.
+    """Light of the reference patch in the frames of one lamp position.
 
     Attributes:
         lamp: name of the lamp position.
@@ -54,7 +54,7 @@ class SeenReference(NamedTuple):
 
 
 def in_sample_frames(samples: Sequence[BracketSample]) -> list[SeenReference]:
-    """Collect the reference in the frames of the sample.
+    """Collect the light of the reference patch in the frames of the sample.
 
     Args:
         samples: samples of all lamp positions.
@@ -70,7 +70,7 @@ def in_own_frames(
     darkness: Mapping[str, Darkness],
     threshold: float,
 ) -> tuple[list[SeenReference], list[Remark]]:
-    """Measure the reference in its own images, and list unusable images.
+    """Measure the light of the reference patch in its own images, and list unusable images.
 
     Args:
         reader: the reader of frames.

@@ -174,9 +174,9 @@ def calibrate(
         samples: measurements of gratings, stars and dots. Default: none.
         chart: description of the chart in the images, or its file, which `matcam chart` writes. With a chart, gratings, stars
             and dots are also measured. Default: None, slanted edges only.
-        model: lens model (no unit): "gaussian" (the sigma_mtf of the paper), "halo" (Gaussian core and veiling glare),
-            "diffraction", "defocus" (diffraction and defocus), "measured" (mean MTF of the edges, divided by that of the
-            pixel). Default: "gaussian".
+        model: lens model (no unit): "gaussian" (sigma_mtf of Holzschuch & Pacanowski 2017), "halo" (Gaussian core and
+            veiling glare), "diffraction", "defocus" (diffraction and defocus), "measured" (mean MTF of the edges,
+            divided by that of the pixel). Default: "gaussian".
         half_width: half the side of the sensitive area of a pixel, in (0, 0.5] px. None: it is fitted together with a
             Gaussian core, which requires many edges, and fails if either is not determined to 10 %. Default: 0.5.
         wavelength: wavelength of the light, m, one value or a mapping by channel. It is required by "diffraction" and

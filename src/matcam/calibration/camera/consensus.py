@@ -64,8 +64,8 @@ def refuse_too_few(stacks: Sequence[EdgeStack], channel: str, *, accept_sharpene
     processed += 0 if accept_sharpened else codes.count("sharpened")
     if processed > _PROCESSED * (good + processed):
         raise FitError(
-            f"channel {channel}: {processed} of {good + processed} edges are sharpened, crushed or saturated: this is a "
-            "processed or overexposed image, whose MTF is not that of the lens; use camera raw, and expose less"
+            f"channel {channel}: {processed} of {good + processed} edges are sharpened or saturated, or have crushed blacks: "
+            "this is a processed or overexposed image, whose MTF is not that of the lens; use camera raw, and expose less"
         )
     if good < FEWEST_EDGES:
         raise FitError(

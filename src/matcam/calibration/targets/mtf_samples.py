@@ -69,7 +69,9 @@ class MTFSamples:
             raise ArgumentError(f"frequency must be positive, got {self.frequency.min():g} cycles/px")
         covariance = np.asarray(self.covariance, dtype=np.float64)
         if covariance.shape != (count, count) or not np.isfinite(covariance).all():
-            raise ArgumentError(f"covariance must have ({count}, {count}) finite values, got shape {covariance.shape}")
+            raise ArgumentError(
+                f"covariance must be finite and of shape ({count}, {count}), got shape {covariance.shape}"
+            )
         variance = np.diag(covariance)
         if (
             not (variance > 0).all()

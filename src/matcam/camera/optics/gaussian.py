@@ -1,4 +1,4 @@
-"""Gaussian optics, the one-parameter lens of the paper, and approximation of any lens by a signed sum of Gaussians.
+"""Gaussian optics, a lens with one parameter, and approximation of any lens by a signed sum of Gaussians.
 
 With mtf(f) = sum_j w_j exp(-2 pi^2 sigma_j^2 f^2) the kernels have closed forms. The sum is exact for Gaussians, also
 with halos. For a lens whose MTF ends at a cutoff, the accuracy of a sum is limited: with sum |w_j| <= 50 no choice of
@@ -49,11 +49,11 @@ _TAIL = 0.01 + 0.99 * np.exp(-((_GRID / 0.2) ** 2))
 
 
 class GaussianOptics(Optics):
-    """Gaussian point spread function, the lens of the paper.
+    """Gaussian point spread function (Holzschuch & Pacanowski 2017).
 
     Args:
-        sigma: standard deviation of the point spread function, px, positive. The paper assumes 0.5 px for the MERL
-            camera.
+        sigma: standard deviation of the point spread function, px, positive. Holzschuch & Pacanowski assume
+            0.5 px for the MERL camera.
 
     Raises:
         ArgumentError: sigma is not positive, or not a single number.

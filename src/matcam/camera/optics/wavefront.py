@@ -68,7 +68,7 @@ def amplitude(terms: jax.Array, x: jax.Array, y: jax.Array, sizes: tuple[int, in
 
     Args:
         terms: terms of the wavefront, (8,), waves rms.
-        x: horizontal positions on the sensor, (positions,), in half periods of the cutoff.
+        x: horizontal positions on the sensor, (positions,), in units of 2 / (cutoff frequency).
         y: vertical positions, same shape and unit.
         sizes: numbers of nodes along the radius and the circumference.
     """
@@ -89,7 +89,8 @@ def amplitude(terms: jax.Array, x: jax.Array, y: jax.Array, sizes: tuple[int, in
 def pupil_sizes(phase: int, reach: float) -> tuple[int, int]:
     """Compute the numbers of nodes along radius and circumference of the pupil.
 
-    phase: bound of the wavefront error, rad. reach: largest distance of a position, half periods of the cutoff.
+    phase: bound of the wavefront error, rad. reach: largest distance of a position, in units of
+    2 / (cutoff frequency).
     """
     turns = phase + 2 * np.pi * reach
     return 16 + int(0.7 * turns), 2 * (16 + int(1.2 * turns))

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 _MOST_DIRECTLY = 4096
 """Largest number of frequencies that have a quadrature each; a larger number is interpolated in a table."""
 _MOST = 5.0  # largest plausible coefficient, waves rms
-_FARTHEST = 200.0  # largest distance at which the PSF is integrated, half periods of the cutoff
+_FARTHEST = 200.0  # largest distance at which the PSF is integrated, in units of 2 / (cutoff frequency)
 
 
 class ZernikeOptics(Optics):

@@ -114,9 +114,9 @@ _awaiting: list[Callable[[Any], None]] = []
 
 
 def when_jax_is_there(action: Callable[[Any], None]) -> None:
-    """Run an action that requires JAX, when JAX is imported.
+    """Run an action that requires JAX, as soon as JAX is imported.
 
-    action: function of the module of JAX. It runs immediately if JAX is already imported.
+    action: function with one argument, the module `jax`. It is called immediately if JAX is already imported.
     """
     jax = sys.modules.get("jax")
     if hasattr(jax, "tree_util"):

@@ -58,7 +58,7 @@ def check_folder(path: Path, hint: str = "") -> None:
     except OSError as error:
         raise FileFormatError(f"{path}: cannot be read: {error.strerror}") from None
     except ValueError:
-        raise FileFormatError(f"{printable(str(path))}: is not the name of a file") from None
+        raise FileFormatError(f"{printable(str(path))}: not a valid path") from None
 
 
 UNPRINTABLE = "[\x00-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069\ud800-\udfff]"

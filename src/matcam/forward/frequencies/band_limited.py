@@ -177,7 +177,7 @@ class FineRecord(NamedTuple):
         return self._replace(spectrum=self.spectrum * recorded(sigma, self.fx, self.fy[:, None])[..., None])
 
     def derivative(self, along: int, across: int) -> jax.Array:
-        """Compute the derivative of the values of order `along` with respect to x and `across` with respect to y, px."""
+        """Compute a derivative of the values with respect to position in px, of order `along` in x and `across` in y."""
         factor = (2j * np.pi * self.fx) ** along * (2j * np.pi * self.fy[:, None]) ** across
         return self._replace(spectrum=self.spectrum * factor[..., None]).values()
 

@@ -116,7 +116,7 @@ def margin_of(per_px: int, highest: float) -> float:
 def serves(sample: Curved, elongation: float, highest: float) -> bool:
     """Check whether the radiance of a sample can be computed on a grid.
 
-    This requires a sphere in front of a distant camera, and a round lobe.
+    This requires a sphere in front of a distant camera, and an isotropic lobe.
 
     Args:
         sample: the sample.

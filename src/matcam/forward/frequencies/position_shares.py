@@ -117,7 +117,10 @@ class PositionShares(NamedTuple):
         return self._replace(coefficients=self.coefficients + sigma**2 / 2 * one.coefficients + sigma**4 / 8 * two)
 
     def _derived(self, along: int, across: int) -> np.ndarray:
-        """Compute the coefficients of the derivatives of the weights of given orders in x and y, px, in the same shape."""
+        """Compute the coefficients of a derivative of the weights with respect to position in px, in the same shape.
+
+        along: order of the derivative in x. across: order in y.
+        """
         found = self.coefficients
         for axis, times in ((0, along), (1, across)):
             if times:

@@ -86,7 +86,7 @@ class Blur(eqx.Module):
 
     @property
     def std_of_half(self) -> float:
-        """Return the standard deviation of one Gaussian that represents all, px; see the function `std_of_half`."""
+        """Return the standard deviation of the Gaussian with the half-value frequency of the sum of all Gaussians, px."""
         return std_of_half(np.asarray(self.weights), np.asarray(self.stds))
 
     @property

@@ -130,7 +130,7 @@ def _closed_in_focus(
 
 
 def _closed_line(rig: Rig, ndf: MixtureNDF, lens: Gaussians, theta: jax.Array, one_plane: bool) -> jax.Array:
-    """Compute the response at the peak in one dimension, (slices,), towards the limb as in the paper.
+    """Compute the response at the peak in one dimension, (slices,), towards the limb (Holzschuch & Pacanowski 2017).
 
     one_plane: see `line_record`.
     """

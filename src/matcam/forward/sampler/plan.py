@@ -138,7 +138,7 @@ def record_plan(imaging: Imaging, positions: RecordPositions, finest: float, elo
         positions: positions to record.
         finest: narrowest scale of the lobe, rad.
         elongation: elongation of the lobe, no unit: factor by which the lobe increases the distance from a highlight within
-            which the radiance may vary on a scale below that of the kernel. Default: 1, a round lobe.
+            which the radiance may vary on a scale below that of the kernel. Default: 1, an isotropic lobe.
 
     Returns:
         The plan. It is valid for materials that are not narrower, and for cameras whose parameters differ little.

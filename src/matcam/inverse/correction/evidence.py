@@ -9,7 +9,7 @@ model error of the cells, relative to sqrt(m^2 + (1e-2 P)^2). It has an exponent
 where H is the information matrix of the data for the k parameters theta, Q the information matrix of the prior, and q_s the
 information about the free strength of slice s (MacKay 2003, chapter 28). Misfit is correlated between cells, so the likelihood
 is tempered (Gruenwald 2012). The exponent kappa = min(1, 1 / chi^2) is the share of pixel noise in the variance of the best
-explanation, where chi^2 is the mean squared residual of this explanation in standard deviations of pixel noise.
+explanation, where chi^2 is the mean squared residual of this explanation relative to the variance of pixel noise.
 
 V0 is estimated without a model of the lobe, from cells at mirrored positions, or from the differences between channels.
 """
@@ -186,7 +186,7 @@ class Explained(NamedTuple):
 
 
 def mean_squared_residual(found: MaterialFit, noise: PixelNoise) -> float:
-    """Compute the mean squared residual of a fit with free strengths, robustly, in standard deviations of pixel noise."""
+    """Compute a robust mean squared residual of a fit with free strengths, relative to the variance of pixel noise."""
     solution = found._solution
     data, model = solution.problem.data, solution.model
     u = standardised_residual(data, solution.problem.residual(model), model.value, noise, np.inf)[data.used]

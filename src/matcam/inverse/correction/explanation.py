@@ -302,7 +302,7 @@ def _with_spline(core: Member) -> Member:
 
 
 def _without_camera(best: Member, rig: Rig) -> Member:
-    """Fit the same lobe without a camera in the same cells."""
+    """Fit the lobe of an explanation without a camera, in the cells of the explanation."""
     own = best.setup
     setup = FitSetup(
         own.tables, None, own.ndf, fresnel="free", diffuse=True, base=own.base, masking=own.masking, noise=own.noise,
@@ -323,7 +323,10 @@ def with_free_masking(core: Member, rig: Rig) -> Member:
 
 
 def _in_more_slices(member: Member, slice_step: int) -> Member:
-    """Fit the same lobe in every `slice_step`-th slice. The prior of a spline modification is first estimated from the data."""
+    """Fit an explanation in every `slice_step`-th slice.
+
+    The prior of a spline modification is first estimated from the data.
+    """
     if member.setup.slice_step == slice_step:
         return member
     if member.setup.spline:

@@ -223,7 +223,7 @@ def lobe_operator(
     """Choose cells in every `slice_step`-th slice, and build their operator.
 
     rig: the rig; None: a camera without blur. workspace: store of the operator for further calls with the same rig. whole:
-    slices and axes of a larger rule from which the operator is selected. Default: None, its rule is computed separately.
+    slices and axes of a larger rule from which the operator is selected. Default: None, a separate rule is computed.
     """
     if rig is None:
         return perfect_operator(sampling, slice_step, FAR_AWAY, workspace)

@@ -96,7 +96,7 @@ class KernelChange(NamedTuple):
 
 
 def _difference(factor: float, *shares: int) -> dict[float, tuple[tuple[float, float, float], ...]]:
-    """Build a finite difference with respect to the variance, from round Gaussians at -2 to 2 steps.
+    """Build a finite difference with respect to the variance, from isotropic Gaussians at -2 to 2 steps.
 
     shares: shares of the five Gaussians, which are multiplied by `factor`.
     """
@@ -345,7 +345,7 @@ def blurs_along(rig: Rig, own: Blur, axes: Sequence[Axis]) -> list[MovedBlur]:
 
 
 def change_kernels(own: Blur, axes: Sequence[Axis]) -> list[MovedBlur]:
-    """Compute the Gaussians of the changes of the lens along axes.
+    """Compute the Gaussians that represent changes of the lens along axes.
 
     own: blur of the rig.
     """
@@ -360,7 +360,10 @@ def change_kernels(own: Blur, axes: Sequence[Axis]) -> list[MovedBlur]:
 
 
 def _change_variances(axes: Sequence[Axis]) -> list[tuple[float, float]]:
-    """List the distinct variances of the Gaussians of the changes along axes, round Gaussians first."""
+    """List the distinct variances of the Gaussians that represent changes of the lens, isotropic Gaussians first.
+
+    The two variances of each Gaussian, along and across the plane of camera and lamp, are relative to that of the lens.
+    """
     changes = (CHANGES[axis.name] for axis in axes if axis.name in CHANGES)
     terms = (term for change in changes for terms in change.points.values() for term in terms)
     variances = dict.fromkeys((along, across) for along, across, _ in terms)

@@ -20,7 +20,7 @@ _SMALL = 1e-6  # squared slope below which a series gives the angle, because the
 
 
 class GaussianNDF(MixtureNDF):
-    """Gaussian in the angle of facet normals, the lobe of the paper.
+    """Gaussian in the angle of facet normals (Holzschuch & Pacanowski 2017).
 
     D is proportional to exp(-theta_h^2 / (2 width^2)), normalised by quadrature of D cos over the hemisphere.
 

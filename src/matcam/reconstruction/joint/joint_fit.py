@@ -66,7 +66,7 @@ class JointSolution(NamedTuple):
         return self._informed(self.covariance, information)
 
     def covariance_without(self, information: np.ndarray) -> np.ndarray:
-        """Compute the covariance `fitted` without some information of low rank, (size, size)."""
+        """Compute the covariance `fitted` after removal of information of low rank, (size, size)."""
         return self._informed(self.fitted, -information)
 
     def _informed(self, covariance: np.ndarray, change: np.ndarray) -> np.ndarray:
