@@ -8,6 +8,7 @@ The same seed gives the same draw from the same sources. `PYTHONPATH` must conta
 import ast
 import random
 import sys
+from functools import cache
 from typing import NamedTuple
 
 from docs_messages import PLACE, SOURCES, collected, template
@@ -53,7 +54,13 @@ def messages():
 def draw(seed, count=COUNT):
     """Draw docstrings and messages without replacement, `count` of each."""
     chance = random.Random(seed)
-    return chance.sample(list(docstrings()), count), chance.sample(list(messages()), count)
+    return tuple(chance.sample(texts, count) for texts in _texts())
+
+
+@cache
+def _texts():
+    """Collect all docstrings and all messages, which takes some seconds."""
+    return list(docstrings()), list(messages())
 
 
 def main(arguments):
