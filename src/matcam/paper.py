@@ -81,8 +81,9 @@ def peak_eq11(
 def figure_3_4(ratio: float, rig: Rig | None = None) -> xr.Dataset:
     """Compute Figure 3 (ratio 10) or 4 (ratio 1) of the paper.
 
-    A Gaussian highlight of standard deviation ratio sigma_mtf / radius is computed on the sensor, after the optics, and
-    as recorded by the pixels, across the plane of camera and lamp at several theta_o.
+    The lobe is a Gaussian with a standard deviation of ratio * sigma_mtf / radius, rad. Its highlight is computed on the
+    sensor, after the optics, and as recorded by the pixels, along a line in the plane of camera and lamp, at several
+    theta_o.
 
     Args:
         ratio: width of the lobe divided by sigma_mtf / radius, no unit.

@@ -31,7 +31,7 @@ COMMANDS = typer.main.get_command(app).commands
             "channel must not be 'R' for a grey image: give cfa if it is a mosaic",
             "--channel must not be 'R' for a grey image: give --cfa if it is a mosaic",
         ),
-        ("edge", "wavelength must be given for the defocus model, m", "--wavelength must be given for the defocus model"),
+        ("edge", "wavelength must be given in m for the defocus model", "--wavelength must be given for the defocus model"),
         (
             "edge",
             "accept the MTF of lens and sharpening together (accept_sharpened=True)",
@@ -39,7 +39,7 @@ COMMANDS = typer.main.get_command(app).commands
         ),
         (
             "calibrate",
-            "wavelength and pixel_pitch must be given for the defocus model, m",
+            "wavelength and pixel_pitch must be given in m for the defocus model",
             "--wavelength and --pitch must be given for the defocus model",
         ),
         ("calibrate", "f_numbers must be one value, or one for each", "--f-number must be one value, or one for each"),

@@ -224,7 +224,7 @@ class _LobeFit:
         position = self.start + found.x[:2]
         if not np.isfinite(self.ball.normals(*position)).all() or np.abs(found.x[:2]).max() > 0.99 * room:
             raise FitError(
-                f"{self.name}: the bright spot is not a lobe on the sphere, so its centroid is used: check the outline"
+                f"{self.name}: no lobe on the sphere fits the bright spot, so the spot's centroid is used: check the outline"
             )
         spread = np.linalg.pinv(found.jac.T @ found.jac)[:2, :2]
         freedom = max(len(self.values) - len(first), 1)

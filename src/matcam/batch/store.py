@@ -190,7 +190,7 @@ def _check_arrays(store: Path) -> None:
                 raise FileFormatError(f"{described}: lists {shape[0]} materials, more than the {_MOST_ROWS} of a run")
             if (shape[1:], chunks, kind) != expected:
                 raise FileFormatError(
-                    f"{described}: {shape} values of {kind!r:.20} in chunks of {chunks} are not those of a run"
+                    f"{described}: an array of shape {shape} and type {kind!r:.20} in chunks of {chunks} is not that of a run"
                 )
         except (FileFormatError, KeyError, TypeError, IndexError) as error:
             raise FileFormatError(f"{store}: the folder is not the Zarr store of a run: {error}") from None

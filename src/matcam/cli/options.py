@@ -286,7 +286,7 @@ def _in_unit(message: str) -> str:
     if option not in _SCALES:
         return message
     scale, unit = _SCALES[option]
-    message = re.sub(r"(must be given\b.*), m$", r"\1", message)  # the help of the option names its unit
+    message = re.sub(r"\b(must be given) in m\b", r"\1", message)  # the help of the option names its unit
 
     def converted(found: re.Match[str]) -> str:
         low, high, value = (f"{scale * float(found[i]):.4g}" for i in (2, 3, 6))

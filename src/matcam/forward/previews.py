@@ -338,9 +338,9 @@ def _middle(channels: jax.Array) -> jax.Array:
 def _sphere(
     material: Microfacet, rig: Rig, theta: jax.Array, at: jax.Array, block: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """Compute the true and the recorded image of the sphere at the positions `at` along both axes, px; 1/sr.
+    """Compute the true and the recorded image of the sphere, 1/sr, at the positions `at` along both axes, px.
 
-    block: number of pixels along the side of a value.
+    block: side of the square block of pixels whose mean is one value, px.
     """
     scene, position = _scene(material, rig, theta)
     x, y = at[None, :], at[:, None]
@@ -359,7 +359,7 @@ def _sphere(
         )
         return sums[0] + of_y, sums[1] + of_x
 
-    # the mean over the pixels of a value is separable, because the Gaussians are separable
+    # the mean over a block of pixels is separable, because the Gaussians are separable
     nothing = jnp.zeros((at.size, lobe.lens_weights.size, lobe.weights.size))
     mean_down, mean_across = (one / block for one in jax.lax.fori_loop(0, block, add, (nothing, nothing)))
     recorded = _sum(lobe, mean_down, mean_across)

@@ -88,7 +88,7 @@ class SphereScene:
 
 
 def mirror_ball(layout: JointLayout, p: np.ndarray, k: int) -> tuple[MirrorBall, float]:
-    """Build the sphere in image k from the parameters p, and the distance of the lamp, radii."""
+    """Build the sphere in image k, and compute the distance of the lamp, radii, from the parameters p."""
     column, row = map(float, p[layout.centre(k)])
     _, radius, *nearness = map(float, p[layout.scene])
     distance, far = (1 / one if one > 0 else np.inf for one in nearness)

@@ -39,7 +39,7 @@ class FoundCircle(NamedTuple):
 
 
 def find_circles(values: np.ndarray, std: np.ndarray, *, bright_inside: bool, mosaic: bool) -> list[FoundCircle]:
-    """Find at most two circles in an image whose centres lie outside the other circle.
+    """Find at most two circles in an image, neither of which contains the centre of the other.
 
     Args:
         values: linear radiance (height, width); NaN for missing values.

@@ -75,7 +75,7 @@ class CameraRequest:
         wavelength = self.wavelength.get(channel) if isinstance(self.wavelength, Mapping) else self.wavelength
         both = wavelength is not None and self.pixel_pitch is not None
         if self.model in ("diffraction", "defocus") and not both:
-            raise ArgumentError(f"wavelength and pixel_pitch must be given for the {self.model} model, m")
+            raise ArgumentError(f"wavelength and pixel_pitch must be given in m for the {self.model} model")
         check_light(wavelength, self.pixel_pitch)
         if self.half_width is not None:
             name = "gaussian" if self.model == "measured" else self.model
@@ -136,9 +136,9 @@ class CameraFit(Summarised):
 
     @property
     def misfit(self) -> float:
-        """Largest difference from the mean MTF of the edges.
+        """Largest difference between the MTFs of camera and edges.
 
-        Only frequencies below Nyquist are compared. The value is NaN without edges.
+        The MTF of the edges is their mean. Only frequencies below Nyquist are compared. The value is NaN without edges.
         """
         return self.curve.misfit[0]
 

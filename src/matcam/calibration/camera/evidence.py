@@ -151,7 +151,7 @@ class MeanCurve:
 
     @property
     def misfit(self) -> tuple[float, float]:
-        """Largest difference below Nyquist, and its standard deviation.
+        """Largest difference between `mtf` and `camera_mtf` below Nyquist, and its standard deviation.
 
         Both are NaN without edges.
         """

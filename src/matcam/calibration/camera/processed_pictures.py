@@ -1,6 +1,6 @@
 """Detection of photographs whose processing prevents the measurement of the lens.
 
-All even areas of an image are used, because their noise is a better test than the few pixels next to one edge
+All uniform areas of an image are used, because their noise is a better test than the few pixels next to one edge
 (`flat_noise.py`).
 """
 
@@ -26,7 +26,7 @@ from matcam.core.remark import Remark
 _LARGEST = 1500
 """Largest side of the central area that is tested, px. It limits the computing time."""
 _SMOOTH, _WINDOW, _EVEN = 2.0, 9, 0.06
-"""Even areas: smoothing, px; size of a window, px; largest variation in it, relative to the range of the image."""
+"""Uniform areas: smoothing, px; size of a window, px; largest variation in it, relative to the range of the image."""
 _PIXEL = 1 / 12
 """Variance of a fully sensitive pixel, px^2."""
 
@@ -36,7 +36,7 @@ class Processed(NamedTuple):
 
     Attributes:
         remarks: remarks on the processing.
-        noise: noise of the even areas; None if no processing was found.
+        noise: noise of the uniform areas; None if no processing was found.
     """
 
     remarks: tuple[Remark, ...]
@@ -83,7 +83,7 @@ def processed(plane: LinearImage, *, accept: bool) -> Processed:
 
 
 def picture_noise(values: np.ndarray) -> FlatNoise:
-    """Measure the noise in the even areas of an image; `values`: (height, width)."""
+    """Measure the noise in the uniform areas of an image; `values`: (height, width)."""
     top, left = (max(size - _LARGEST, 0) // 2 for size in values.shape)
     middle = values[top : top + _LARGEST, left : left + _LARGEST]
     known = np.isfinite(middle)

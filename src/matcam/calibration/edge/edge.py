@@ -339,7 +339,7 @@ def _settings(
     if model in ("diffraction", "defocus"):
         for name, value in (("wavelength", wavelength), ("pixel_pitch", pixel_pitch)):
             if value is None:
-                raise ArgumentError(f"{name} must be given for the {model} model, m")
+                raise ArgumentError(f"{name} must be given in m for the {model} model")
         check_light(wavelength, pixel_pitch)
     if not (isinstance(half_width, float) and half_width == _WHOLE):
         checks.scalar("half_width", checks.within("half_width", half_width, 0, 0.5, "px", open_low=True))

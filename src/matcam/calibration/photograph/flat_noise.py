@@ -1,4 +1,4 @@
-"""Noise of even areas, as a test for denoising, compression, sharpening or a tone curve.
+"""Noise of uniform areas, as a test for denoising, compression, sharpening or a tone curve.
 
 The noise of a sensor is independent between pixels, and increases with brightness. Denoising, demosaicing and JPEG
 correlate the noise of neighbours, sharpening makes the correlation negative, and JPEG causes block borders every 8 px. A
@@ -72,7 +72,7 @@ def smoothing_uncertainty(blur: float, *, denoised: bool) -> float:
 
 
 class FlatNoise(NamedTuple):
-    """Noise of even areas.
+    """Noise of uniform areas.
 
     Attributes:
         neighbour_ratio: ratio of the variances of pixels 1 px and 2 px apart; 1 for independent noise.

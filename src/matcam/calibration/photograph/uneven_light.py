@@ -84,15 +84,17 @@ class _Bins(NamedTuple):
 class _Family(NamedTuple):
     """Models of the light with one correlation length and several amplitudes.
 
+    The data are p independent residuals of n bins after the fit of levels and polynomials.
+
     Attributes:
         length: correlation length, px.
         adds: whether the light is added to the scene; else it multiplies the scene.
         amplitudes: relative standard deviations of the light, (a,).
-        seen: effect of the light of the bins on the data (n, p).
-        power: eigenvalues of the covariance of the data by light of amplitude 1 (p,).
-        vectors: eigenvectors (p, p).
-        data: residuals of the bins after levels and polynomials, in the basis of the eigenvectors (p,).
-        glares: residuals of glare with a share of 1, in the same basis, for every radius (radii, p).
+        seen: derivative of the data with respect to the light in each bin (n, p).
+        power: eigenvalues of the covariance of the data that light of amplitude 1 causes (p,).
+        vectors: eigenvectors of this covariance (p, p).
+        data: the data in the basis of the eigenvectors (p,).
+        glares: contribution of glare with a share of 1 to the data, in the same basis, for every radius (radii, p).
     """
 
     length: float

@@ -244,7 +244,7 @@ def find_dots(values: FloatArray) -> tuple[FloatArray, FloatArray]:
     whole = (flux > _SIMILAR_FLUX[0] * usual) & (flux < _SIMILAR_FLUX[1] * usual)
     if whole.sum() < FEWEST:
         raise FitError(
-            "region contains no grid of dots: its spots differ too much in brightness; give a region of dots alone"
+            "region contains no grid of dots: the spots differ too much in brightness; give a region of dots alone"
         )
     return x[whole], y[whole]
 

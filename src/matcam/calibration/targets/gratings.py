@@ -274,7 +274,7 @@ def _fit_grating(
         )
     if not fit.signal > _CLEAR:
         raise FitError(
-            f"region contains no grating that can be measured: its wave exceeds the noise by only {fit.signal:.1f} standard "
+            f"region contains no grating that can be measured: the wave exceeds the noise by only {fit.signal:.1f} standard "
             "deviations; give a region with more contrast"
         )
     if other := _other_wave(pixels, fit, values.shape):

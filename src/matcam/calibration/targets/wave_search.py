@@ -188,13 +188,13 @@ def _centre(filled: FloatArray) -> tuple[float, float]:
         normal = (normals * weight) @ normals.T
         if np.linalg.det(normal) <= 1e-12 * np.trace(normal) ** 2:
             raise FitError(
-                "region contains no Siemens star: its brightness changes in one direction only; give a region of one star"
+                "region contains no Siemens star: the brightness changes in one direction only; give a region of one star"
             )
         at = np.linalg.solve(normal, normals @ (weight * found))
         scale = max(scale * 0.7, 3.0)
     if not (0 <= at[0] < filled.shape[1] and 0 <= at[1] < filled.shape[0]):
         raise FitError(
-            "region contains no Siemens star: its rays do not meet inside the region; give a region of one star"
+            "region contains no Siemens star: the rays do not meet inside the region; give a region of one star"
         )
     return float(at[0]), float(at[1])
 
@@ -303,7 +303,7 @@ def find_grating(values: FloatArray, near: tuple[float, float] | None = None) ->
     size = np.abs(envelope)
     label, count = ndimage.label(size > _ENVELOPE * np.quantile(size, 0.98))
     if not count:
-        raise FitError("region contains no grating: its brightness does not vary; give a region of one grating")
+        raise FitError("region contains no grating: the brightness does not vary; give a region of one grating")
     largest = 1 + int(np.argmax(ndimage.sum_labels(np.ones_like(size), label, np.arange(1, count + 1))))
     inside = ndimage.binary_erosion(
         ndimage.binary_fill_holes(label == largest), iterations=round(MARGIN), border_value=1

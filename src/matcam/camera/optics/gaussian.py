@@ -137,7 +137,7 @@ def gaussian_sum(optics: Optics, terms: int = 24) -> GaussianSum:
 
 
 def round_gaussians(optics: Optics, terms: int = 24) -> GaussianSum:
-    """Approximate the mean of a lens over all directions by Gaussians.
+    """Approximate the azimuthally averaged PSF of a lens by Gaussians.
 
     For an isotropic lens the result is that of `gaussian_sum`.
     """
@@ -156,7 +156,7 @@ def finest_width(optics: Optics) -> float:
 
 
 def few_gaussians(optics: Optics) -> GaussianSum:
-    """Approximate the mean of a lens over all directions by few Gaussians.
+    """Approximate the azimuthally averaged PSF of a lens by a few Gaussians.
 
     The sum is accurate only far from the centre of the PSF. Its residual must be added
     (`forward/integral/kernel_residual.py`).

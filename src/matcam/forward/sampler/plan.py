@@ -1,7 +1,7 @@
-"""Plan of a record: the quadrature nodes of each pixel, which depend only on the geometry.
+"""Plan of a record: the quadrature nodes of each pixel.
 
-Number and positions of the nodes depend on the parameters of the camera, but a record must be a continuous function of these
-parameters. A plan is therefore constant: with one plan, a record is a smooth function of material and camera.
+Number and positions of the nodes depend on the rig and on the narrowest scale of the lobe, but a record must be a continuous
+function of their parameters. A plan is therefore constant: with one plan, a record is a smooth function of material and camera.
 """
 
 from __future__ import annotations

@@ -188,8 +188,8 @@ def _lobes_and_shares(
 ) -> list[tuple[np.ndarray, np.ndarray]]:
     """Compute the recorded and the true lobe on a lattice, (slices, cells), each with relative derivatives.
 
-    The relative derivatives are those of the logarithm of the lobe with respect to the coefficient of each B_k,
-    (k, slices, cells). Invalid cells have the value 1.
+    The relative derivatives are those of the logarithm of the lobe with respect to the coefficients b_k of a factor
+    1 + sum_k b_k B_k of D (`lobe_shape.py`), (k, slices, cells). Invalid cells have the value 1.
 
     shifts: coordinates along the axes of the lattice.
     """

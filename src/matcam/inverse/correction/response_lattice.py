@@ -62,7 +62,7 @@ class Spacing(NamedTuple):
         return self.azimuths[-1] == 90
 
     def all_round(self) -> Spacing:
-        """Extend the azimuths to 180 degrees, for cells without this symmetry."""
+        """Extend the azimuths to 180 degrees, for cells that are not symmetric about the plane of light and view."""
         return self._replace(azimuths=(*self.azimuths, *(180 - a for a in self.azimuths[-2:0:-1])))
 
     def of_line(self) -> Spacing:

@@ -213,8 +213,9 @@ class LobeVerdict(NamedTuple):
     """Result of the check whether a fit determines and resolves its lobes.
 
     Attributes:
-        determined: True if the lobe is resolved and the relative standard deviation of every roughness is below 5 %. The
-            half width is tested instead for a lobe that the parameters of a family do not describe.
+        determined: True if the first lobe is resolved, the relative standard deviation of the first roughness of every lobe is
+            below 5 %, and that of the last parameter of its family, if there are several, is below 15 %. For a lobe that the
+            parameters of a family do not describe, only the half width is tested, with a limit of 5 %.
         resolved: True if the first lobe is wider than the smallest width that a fit allows, at which every camera records a
             point.
     """

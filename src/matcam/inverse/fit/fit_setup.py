@@ -223,7 +223,7 @@ class FitSetup:
         return Search(self.problem, self.noise, self.workspace or default_workspace())
 
     def _in_few_slices(self) -> Solution | None:
-        """Search in few of the slices, which is fast; None if the setup has no more slices, or if these have no values."""
+        """Search in a few of the slices, which is fast. None if the setup has only these, or if they have no values."""
         if self.slice_step >= _LOOK_STEP:
             return None
         few = self.with_(slice_step=_LOOK_STEP)

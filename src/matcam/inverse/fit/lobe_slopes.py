@@ -197,7 +197,7 @@ def _step(nodes: OperatorNodes, lobe: _Lobe, bases: list[tuple[jax.Array, jax.Ar
         pulled = pull(weight * light)
 
         def along(direction: jax.Array) -> jax.Array:
-            """Compute the derivative of the record that the masking causes. direction: derivative of `lobe.masked_by`."""
+            """Compute the contribution of masking to a derivative of the record. direction: derivative of `lobe.masked_by`."""
             total = jnp.zeros(())
             for one, share in zip(directions, pulled, strict=True):
                 _, change = jax.jvp(lambda by, one=one: lobe.lambda_of(by, one), (lobe.masked_by,), (direction,))

@@ -214,8 +214,8 @@ class CircleSums(NamedTuple):
 def masking_samples(circles: CircleSums, theta: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, ...]:
     """Compute the angles at which masking is evaluated, and their shares.
 
-    There are two azimuths at each node. They are interpolated between the circles next to the node, or are
-    those of the nearest circle inside the window.
+    There are two azimuths at each node, which are interpolated between the circles next to the node. A circle outside the
+    window is replaced by the nearest circle inside it.
 
     Args:
         circles: sums over circles.
@@ -223,8 +223,8 @@ def masking_samples(circles: CircleSums, theta: np.ndarray, at: np.ndarray) -> t
         at: indices of the nodes at which masking is evaluated.
 
     Returns:
-        theta, rad, (pixels, samples). Cosine of the azimuth, theta_d, rad, and share of the two azimuths, (pixels, samples,
-        2) each.
+        theta, rad, (pixels, samples); and for both azimuths, (pixels, samples, 2) each: cosine of the azimuth; theta_d, rad;
+        share.
     """
     seen = circles.total != 0
     safe = np.where(seen, circles.total, 1.0)

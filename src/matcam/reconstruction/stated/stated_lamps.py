@@ -79,5 +79,6 @@ def _table_mistake(lamps: np.ndarray, stated: np.ndarray, stds: np.ndarray, know
         return None  # the joint fit determines whether the table, the outline or a distance is wrong
     stds[known] = np.maximum(stds[known], 1.5 * usual)
     return Remark(
-        said.code, f"{said.text}; the standard deviation of the table is enlarged to {np.degrees(1.5 * usual):.2g}°"
+        said.code,
+        f"{said.text}; the standard deviation of the directions in the table is enlarged to {np.degrees(1.5 * usual):.2g}°",
     )
