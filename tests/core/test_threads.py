@@ -68,3 +68,12 @@ def test_one_core_does_nothing_behind(monkeypatch):
     with threads.done_behind(lambda: done.append(1)):
         pass
     assert done == []
+
+
+def test_a_worker_of_a_run_uses_one_core(monkeypatch):
+    monkeypatch.setattr(threads.os, "sched_getaffinity", lambda process: range(8), raising=False)
+    cores = {}
+    for limit in ("1", "3", "64", "0", "all"):
+        monkeypatch.setenv("NPROC", limit)
+        cores[limit] = threads.available_cores()
+    assert cores == {"1": 1, "3": 3, "64": 8, "0": 1, "all": 8}

@@ -43,13 +43,18 @@ def use_one_heap() -> None:
     """
     if "MALLOC_ARENA_MAX" not in os.environ:
         with contextlib.suppress(OSError, AttributeError):
-            # M_ARENA_MAX of mallopt(3)
+            # -8 is M_ARENA_MAX of mallopt(3)
             ctypes.CDLL(None).mallopt(-8, 1)
 
 
 def available_cores() -> int:
-    """Return the number of cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    """Return the number of cores that this process may use.
+
+    NPROC is an upper limit, as for XLA. It restricts each worker of a run to one core.
+    """
+    count = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    limit = os.environ.get("NPROC", "")
+    return max(min(count, int(limit)), 1) if limit.isdecimal() else count
 
 
 def import_behind(*modules: str) -> None:

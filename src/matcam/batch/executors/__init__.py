@@ -9,7 +9,7 @@ from collections.abc import Generator, Sequence
 from matcam.batch.job import Job, Outcome
 from matcam.core.threads import ONE_BLAS_THREAD
 
-_ONE_CORE = {**ONE_BLAS_THREAD, "NPROC": "1"}  # NPROC is the size of XLA's pool of threads
+_ONE_CORE = {**ONE_BLAS_THREAD, "NPROC": "1"}  # NPROC is the size of the pools of threads of XLA and matcam
 """Environment variables for the BLAS of NumPy and XLA, which read them on import."""
 _KEPT_MEMORY = {
     "MALLOC_ARENA_MAX": "1",
