@@ -115,9 +115,11 @@ class LobeOperator:
         """
         if self.moment is None:
             return self
-        rise, own, moment = np.repeat(np.asarray(lean), self.shape[1])[:, None, None], self.at, self.moment.at
-        along = [one + rise[:, None] * other for one, other in zip(own.along, moment.along, strict=True)]
-        return self.with_weights(own.weight + rise * moment.weight, along)
+        parts = in_blocks(np.repeat(np.asarray(lean), self.shape[1])[:, None, None])
+        blocks = [
+            own.plus(moment, part) for own, moment, part in zip(self.blocks, self.moment.blocks, parts, strict=True)
+        ]
+        return LobeOperator(tuple(blocks), self.shape)
 
     def record(self, ndf: NDF, masking: Masking, shifts: npt.ArrayLike) -> np.ndarray:
         """Compute the record of D G divided by cos_i, 1/sr.

@@ -70,6 +70,12 @@ class OperatorNodes(NamedTuple):
         """Replace the weights and their differences along the axes."""
         return self._replace(at=self.at._replace(weight=placed(weight), along=tuple(placed(one) for one in along)))
 
+    def plus(self, other: OperatorNodes, factor: np.ndarray) -> OperatorNodes:
+        """Add the weights of other nodes at the same positions, multiplied by a factor of each cell, (cells, 1, 1)."""
+        weight = np.asarray(self.at.weight) + factor * np.asarray(other.at.weight)
+        pairs = zip(self.at.along, other.at.along, strict=True)
+        return self.with_weights(weight, [np.asarray(one) + factor[:, None] * np.asarray(more) for one, more in pairs])
+
     def along_axes(self, indices: Sequence[int]) -> OperatorNodes:
         """Restrict the nodes to some of the axes."""
         along, points = (tuple(every[k] for k in indices) for every in (self.at.along, self.points))

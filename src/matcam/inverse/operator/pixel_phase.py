@@ -110,7 +110,7 @@ class FoundPhase(NamedTuple):
         phases = np.atleast_2d(self.phase)
         if len(phases) == 1:
             return (
-                f"lie at ({phases[0, 0]:+.3f}, {phases[0, 1]:+.3f}) +- {self.std:.1g} px from the centre of the sphere"
+                f"lie at ({phases[0, 0]:+.3f}, {phases[0, 1]:+.3f}) ± {self.std:.1g} px from the centre of the sphere"
             )
         return f"differ between the images, with a standard deviation of {self.std:.1g} px for each"
 
