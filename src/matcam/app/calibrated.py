@@ -72,7 +72,7 @@ def drawn_values(values: np.ndarray, *, linear: bool) -> tuple[np.ndarray, int]:
         values: (height, width) or (height, width, channel).
         linear: True if the values are proportional to the light.
     """
-    # largest number of pixels along a side of the image that is sent to the page; larger images are subsampled
+    # the page receives at most 1200 pixels along a side; larger images are subsampled
     step = max(1, -(-max(values.shape[:2]) // 1200))
     few = np.nan_to_num(np.asarray(values[::step, ::step], dtype=np.float32))
     grey = few.mean(axis=-1) if few.ndim == 3 else few
@@ -189,7 +189,7 @@ def profiles(found: Any) -> dict[str, bytes]:
     cameras = {"camera.json": found.camera}
     if len(found.channels) > 1:
         cameras |= {f"camera-{name}.json": camera for name, camera in found.cameras.items()}
-    return {name: json_text(camera.profile()).encode() for name, camera in cameras.items()}
+    return {name: json_text(camera.profile()).encode(errors="backslashreplace") for name, camera in cameras.items()}
 
 
 def opened_or_why(path: Path) -> OpenedPicture | tuple[Path, str] | MatcamError:
