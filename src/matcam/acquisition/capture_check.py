@@ -24,6 +24,7 @@ from matcam.acquisition.light.reference_patch import ReferencePatch, patch_geome
 from matcam.acquisition.merging import bracket_misfit, merge_position, misfit_remark
 from matcam.acquisition.mirror_ball import MirrorBall
 from matcam.acquisition.radiometry import Radiometry, capture_camera, measure_radiometry
+from matcam.core.arrays import evenly
 from matcam.core.errors import MatcamError
 from matcam.core.remark import Remark
 from matcam.files.capture import Capture
@@ -79,7 +80,7 @@ def check_capture(capture: Capture) -> CaptureCheck:
     """
     found: list[Remark] = []
     names = list(capture.lamps)
-    chosen = [names[i] for i in np.unique(np.linspace(0, len(names) - 1, min(_WHOLE, len(names))).round().astype(int))]
+    chosen = [names[i] for i in evenly(len(names), _WHOLE)]
     radiometry = None
     try:
         radiometry = measure_radiometry(capture, lamps=chosen)
@@ -178,6 +179,7 @@ def _lamp_remarks(capture: Capture, radiometry: Radiometry | None, sample: tuple
     # errors of the lamp directions also add to the scatter of a diffuse reference
     unknown = np.array([(out.std / out.value) ** 2 for out in seen.values()])
     scatter = math.sqrt(max(float(np.var(light, ddof=1)) - float(unknown.mean()), 0.0))
+    # 1e-5 keeps the weights of readings without noise finite
     weights = 1 / (unknown + max(stated, 1e-5) ** 2)
     chi2 = float(weights @ (light - np.average(light, weights=weights)) ** 2)
     if scatter <= 2 * stated + 0.002 or chdtrc(light.size - 1, chi2) > _CHANCE:

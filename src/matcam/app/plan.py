@@ -100,7 +100,7 @@ class PlanView:
     def _rest(self) -> None:
         if self._warm:
             planned = self.planned
-            # time without a change before the exact values are computed, s
+            # the exact values are computed after 0.5 s without a change
             self._exact.ask(lambda: self._at_rest(planned), lambda _: None, after=0.5)
 
     def _knobs(self) -> Any:
@@ -301,7 +301,7 @@ class PlanView:
         from matcam.forward.image import picture
 
         angle = float(rig.sample.lamp_angle(math.radians(planned.theta_d), rig.lamp.nearness))  # type: ignore[attr-defined]
-        # error of the exact image, as a share of its peak
+        # the error is a share of the peak of the image
         exact = picture(planned.material(), rig, angle, error=0.01)
         self._exact.show(lambda: self._show_exact(planned, exact))
 
@@ -350,7 +350,7 @@ def _close(planned: Planned) -> dict[str, Any]:
 def _sphere(planned: Planned) -> dict[str, Any]:
     from matcam.forward.previews import sphere_preview
 
-    # number of values along a side of the preview of the sphere
+    # 128 values along a side of the preview
     return {"sphere": sphere_preview(planned.material(), planned.rig(), math.radians(planned.theta_d), side=128)}
 
 

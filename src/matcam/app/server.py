@@ -57,8 +57,7 @@ class AppServer:
         self.port = int(sockets[0].getsockname()[1])
         self.downloads = Downloads()
         self.pages: set[Page] = set()
-        # Largest message from a browser, bytes. It exceeds the text of the largest file that can be dropped on the
-        # page.
+        # the largest message exceeds the text of the largest file that can be dropped on the page
         tornado = _Site(
             Application(FunctionHandler(self._page(tuple(files)))),
             extra_websocket_origins=["*"],  # the access control has checked the origin

@@ -31,7 +31,7 @@ class Downloads:
         """Register a file, and return an HTML link that saves it."""
         key = secrets.token_urlsafe(16)
         self._files[key] = (name, content)
-        # largest number of files that all pages offer at a time, which limits the memory of the app
+        # all pages together offer at most 64 files, which limits the memory of the app
         while len(self._files) > 64:
             del self._files[next(iter(self._files))]
         return f'<a href="/save/{key}" download="{escape(name, quote=True)}">{escape(words or name)}</a>'

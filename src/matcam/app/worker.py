@@ -97,7 +97,7 @@ class Newest:
             except AttributeError:  # the document has been destroyed in the meantime
                 self._ended = True
                 return
-            # time limit for showing a result, s, because a closed page shows no results
+            # wait for at most 5 s, because a closed page shows no results
             shown.wait(5.0)
 
     def _run(self) -> None:

@@ -60,7 +60,7 @@ class RunFolder:
         except NotImplementedError:
             pass  # the error of filelock for a file system without locks
         except OSError as error:
-            # error codes of some network file systems
+            # some network file systems have no locks
             if error.errno not in (errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP):
                 raise OutputError(f"output folder {self.path} cannot be written: {error.strerror}") from None
         try:

@@ -178,10 +178,10 @@ def fit_shared_camera(recipe: Recipe, inputs: Sequence[Path]) -> Camera:
     value, std = best.params[LENS], best.std[LENS]
     names = ", ".join(file.name for file, _ in chosen)
     camera = best.camera
-    # largest relative standard deviation of a usable fitted blur: a correction assumes that it is small
+    # a correction assumes that the relative standard deviation of the blur is small
     if camera is None or not std < 0.25 * value:
         raise FitError(
-            f"{names} do not determine the camera's blur ({value:.3g} +- {std:.2g} px): give the rig the camera's profile "
+            f"{names} do not determine the camera's blur ({value:.3g} ± {std:.2g} px): give the rig the camera's profile "
             "instead of fit_camera=True, or tables with narrower lobes"
         )
     source = Provenance(

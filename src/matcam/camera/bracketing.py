@@ -114,7 +114,7 @@ def merge_bracket(
     exposure, time = (jnp.asarray(a, dtype=jnp.float64).reshape(column) for a in (exposures, times))
     dark = time * sensor.dark_current
     electrons = sensor.electrons(pictures)
-    # shares of saturation between which the weight of an image decreases from 1 to 0
+    # the weight of an image decreases from 1 to 0 between these shares of saturation
     low, high = 0.85, 0.95
     share = jnp.clip((high - electrons / sensor.saturation) / (high - low), 0, 1)
     usable = share > 0
@@ -123,7 +123,7 @@ def merge_bracket(
     # the mean for shot noise alone requires no initial variance
     weight = share * exposure
     radiance = jnp.sum(share * (electrons - dark), axis=0) / _nan_where_zero(jnp.sum(weight, axis=0))
-    # number of updates of the weights, which depend on the radiance only through its shot noise
+    # three updates suffice, because the weights depend on the radiance only through its shot noise
     for _ in range(3):
         variance = _variance(sensor, radiance, exposure, dark)
         weight = share / variance

@@ -156,7 +156,7 @@ def _boxes(angle: jax.Array, half_width: jax.Array, std: jax.Array) -> tuple[jax
     """Compute the half width of the long box, px, a mask of very short boxes, and the half width of the short box, px."""
     a, b = half_width * xp.abs(xp.cos(angle)), half_width * xp.abs(xp.sin(angle))
     long, short = xp.maximum(a, b), xp.minimum(a, b)
-    # short half width / std below which quadrature replaces the second difference
+    # for a short half width below 0.05 standard deviations, quadrature replaces the second difference
     return long, short < 0.05 * std, short
 
 
@@ -192,7 +192,7 @@ def _first_remainder(x: jax.Array, std: jax.Array) -> jax.Array:
 
 def _second_remainder(x: jax.Array, std: jax.Array) -> jax.Array:
     """Evaluate the integral of H, less (x^2 + std^2) / 2 for x > 0."""
-    # distance beyond which the normal density underflows to 0, standard deviations
+    # beyond 40 standard deviations the normal density underflows to 0
     t = xp.minimum(xp.where(x > 0, x, -x) / std, 40.0)
     tail = std**2 / 2 * ((t**2 + 1) * special.ndtr(-t) - t * normal_density(t))
     return xp.where(x > 0, -tail, tail)

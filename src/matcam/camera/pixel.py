@@ -239,7 +239,7 @@ def gaussian_over_interval(x: jax.Array, half_width: ArrayLike, std: jax.Array) 
     """Average a unit-area Gaussian over [x - half_width, x + half_width], to 14 digits for any std."""
     x = xp.where(x < 0, -x, x)  # symmetric; in the right tail the difference loses no digits
     ratio = half_width / std
-    # half width / std below which a series is more accurate than differences of erf
+    # for half widths below 0.02 standard deviations, a series is more accurate than differences of erf
     wide = ratio > 0.02
     if xp.ndim(ratio):
         return xp.where(wide, _by_difference(x, xp.where(wide, half_width, std), std), _by_series(x, ratio, std))
@@ -262,7 +262,7 @@ def _by_difference(x: jax.Array, half_width: ArrayLike, std: jax.Array) -> jax.A
 
 def _by_series(x: jax.Array, ratio: AnyArray, std: jax.Array) -> jax.Array:
     # Taylor series of the mean about x, in Hermite polynomials; the next term is ratio^8 / 9! He8
-    # squared distance beyond which a Gaussian underflows to 0, squared standard deviations
+    # beyond 100 standard deviations a Gaussian underflows to 0
     z2, r2 = xp.minimum(xp.square(xp.divide(x, std)), 1e4), ratio**2
     series = 1 + r2 * ((z2 - 1) / 6 + r2 * (((z2 - 6) * z2 + 3) / 120 + r2 * (((z2 - 15) * z2 + 45) * z2 - 15) / 5040))
     return xp.exp(-z2 / 2) / (xp.sqrt(2 * xp.pi) * std) * series

@@ -277,7 +277,7 @@ class Sensor(Module):
     def _offsets(self, shape: tuple[int, ...]) -> jax.Array:
         from matcam.core.jax import jax
 
-        # index of the pattern of offsets; the patterns of sensitivity and dark current are the first two
+        # patterns 0 and 1 are those of sensitivity and dark current
         return jax.random.normal(jax.random.fold_in(jax.random.key(self.pattern_seed), 2), shape)
 
 
@@ -313,7 +313,7 @@ def random_key(seed: Seed) -> jax.Array:
 
     if isinstance(seed, jax.Array) and jax.numpy.issubdtype(seed.dtype, jax.dtypes.prng_key):
         return seed
-    # number of seeds: JAX takes a seed as a signed integer of 64 bits
+    # JAX takes a seed as a signed integer of 64 bits
     if not isinstance(seed, int | np.integer) or isinstance(seed, bool) or not 0 <= seed < (1 << 63):
         raise ArgumentError(f"seed must be a whole number in [0, 2^63) or a key of jax.random, got {seed!r:.60}")
     return jax.random.key(int(seed))

@@ -115,7 +115,7 @@ def command(
     check_outputs([sfr, table], force=force, inputs=pictures)
     if budget:
         check_budget(budget, force=force, inputs=pictures)
-    # largest frequency at which an MTF is tabulated, cycles/px
+    # the MTF of an edge is tabulated up to 1.25 cycles/px
     frequencies = tuple(float(checks.within("--at", f, 0, 1.25, "cycles/px")) for f in at or ())
 
     def measure(photograph: Any, region: Any, colour: Any) -> Any:

@@ -98,9 +98,8 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]], title: str = "") -
         drawn.add_row(*(Text(printable(cell)) for cell in row))
     with io.StringIO() as drawing:
         console = Console(file=drawing, highlight=False, force_terminal=sys.stdout.isatty(), width=_width())
-        whole = sum(column.min_width or 0 for column in drawn.columns) + 3 * len(
-            head
-        )  # two blanks and a separator each
+        # two blanks and a separator for each column
+        whole = sum(column.min_width or 0 for column in drawn.columns) + 3 * len(head)
         console.print(drawn, width=max(console.width, whole), crop=False)
         _print("\n".join(line.rstrip() for line in drawing.getvalue().split("\n")), end="")
 

@@ -39,12 +39,10 @@ def _unused(output: Path) -> str:
 
 def _camera(values: dict[str, Any]) -> list[Any]:
     found: list[Any] = ["--sample", values["sample"]] if values.get("sample", "sphere") != "sphere" else []
-    for parameter in ("camera", "radius", "distance", "lamp_distance", "sample_mm"):
-        option = f"--{parameter.replace('_', '-')}"
-        if values.get(parameter) is not None:
-            found += [option, f"{value:.12g}" if isinstance(value := values[parameter], float) else value]
-    if values.get("azimuth"):
-        found += ["--azimuth", values["azimuth"]]
+    for parameter in ("camera", "radius", "distance", "lamp_distance", "sample_mm", "azimuth"):
+        option, value = f"--{parameter.replace('_', '-')}", values.get(parameter)
+        if value is not None and (value or parameter != "azimuth"):  # "simulate" has an azimuth of 0
+            found += [option, f"{value:.12g}" if isinstance(value, float) else value]
     return found
 
 

@@ -89,7 +89,7 @@ def _cell_of(name: str, angle: ArrayLike, count: int) -> Any:
     end = np.pi if name == "phi_d" else np.pi / 2
     share = np.asarray(checks.within(name, angle, 0, end, "rad")) / end
     position = count * (np.sqrt(share) if name == "theta_h" else share)
-    # cells: an angle below a border by less than this is on the border, up to rounding
+    # an angle that is less than 1e-9 cells below a border is on the border, up to rounding
     cell = np.minimum(np.floor(position + 1e-9).astype(int), count - 1)
     return cell if cell.ndim else int(cell)
 

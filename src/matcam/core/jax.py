@@ -60,12 +60,12 @@ def has_gpu() -> bool:
 
     JAX does not start the GPU for this check, because the start takes seconds and memory.
     """
-    # modules with GPU support of JAX
+    # these modules add GPU support to JAX
     known = any(
         importlib.util.find_spec(plugin)
         for plugin in ("jax_cuda12_plugin", "jax_cuda13_plugin", "jax_rocm60_plugin", "jax_rocm7_plugin")
     )
-    # device files of GPUs: NVIDIA and AMD on Linux, and the file of the Windows subsystem for Linux
+    # NVIDIA and AMD on Linux, and the Windows subsystem for Linux
     return known and any(Path(device).exists() for device in ("/dev/nvidia0", "/dev/kfd", "/dev/dxg"))
 
 

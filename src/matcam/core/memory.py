@@ -34,8 +34,8 @@ def check_address_space() -> None:
     Raises:
         ArgumentError: the limit is too small.
     """
-    # address space, bytes, that NumPy, SciPy and JAX require to load, compile and run the smallest command, with a
-    # margin, and that OpenBLAS requires for the thread and the buffer of each further processor
+    # NumPy, SciPy and JAX require 2 GiB to load, compile and run the smallest command, with a margin; OpenBLAS requires
+    # 40 MiB for the thread and the buffer of each further processor
     least = (2 << 30) + (40 << 20) * ((os.cpu_count() or 1) - 1)
     limit = _own_limit()
     if limit < least:

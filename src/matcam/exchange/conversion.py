@@ -116,7 +116,7 @@ def resampling_error(before: Material, after: Material) -> dict[str, float]:
     random = np.random.default_rng(1)
     light, view = (_directions(random) for _ in range(2))
     at_peak, at_peak_after = (_brdf(material, *_mirrored()) for material in (before, after))
-    # Share of the peak below which a value is not used as a divisor. A camera of 16 bits resolves 1.5e-5.
+    # smaller values are not used as divisors; a camera of 16 bits resolves 1.5e-5 of the peak
     floor = 1e-6 * np.max(at_peak, axis=0, where=np.isfinite(at_peak), initial=0.0)
     relative = _differences(_brdf(before, light, view), _brdf(after, light, view), floor)
     peak = _differences(at_peak, at_peak_after, floor)

@@ -103,14 +103,14 @@ def camera_trace(table: xr.DataArray) -> dict[str, Any]:
     widths = lobe_widths(table)
     theta_d = table["theta_d"].values
     cos = np.cos(theta_d)
-    # largest theta_d, rad
+    # angles up to 75 degrees are used
     known = np.isfinite(widths.in_plane) & np.isfinite(widths.across) & (theta_d < np.radians(75))
     # broad lobes are cut at the horizon
     known &= theta_d + 3 * np.nan_to_num(widths.in_plane, nan=9.0) < np.pi / 2
-    # smallest number of angles with a lobe
+    # at least 20 angles with a lobe are required
     if known.sum() < 20:
         return {"visible": None, "kernel_rad": None, "lobe_rad": None, "significance": None, "widening": None}
-    # half width at half maximum over the standard deviation of a Gaussian
+    # a Gaussian has a half width at half maximum of sqrt(2 ln 2) standard deviations
     squares = (widths.in_plane[known] / np.sqrt(2 * np.log(2))) ** 2
     basis = np.stack([np.ones(known.sum()), cos[known] ** -2], axis=-1)
     (lobe2, kernel2), *_ = np.linalg.lstsq(basis, squares, rcond=None)

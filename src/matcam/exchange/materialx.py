@@ -79,7 +79,7 @@ def fit_openpbr(material: Material) -> OpenPBRSurface:
     """
     if not isinstance(material, Material):
         raise ArgumentError(f"material must be a Material such as Tabulated(table), got {type(material).__name__}")
-    # half angles of the fit, rad: dense about the peak, as in a MERL table
+    # the half angles are dense about the peak, as in a MERL table
     theta_h, theta_d, phi_d = np.meshgrid(
         np.linspace(0.0, 1.0, 28) ** 2 * np.radians(85), np.radians(np.arange(5.0, 76, 10)), _AZIMUTHS, indexing="ij"
     )
@@ -109,7 +109,7 @@ def fit_openpbr(material: Material) -> OpenPBRSurface:
         (_dielectric, [1.5, *[0.3] * 3], [_LIMITS["ior"][0], *[0.0] * 3], [_LIMITS["ior"][1], *[1.0] * 3]),
     ):
         residuals = residuals_of(build)
-        # initial values of alpha: the residual has several minima for narrow lobes
+        # the residual has several minima for narrow lobes, so the fit starts from several alphas
         for alpha in (0.003, 0.02, 0.1, 0.4):
             bounds = ([np.log(_LIMITS["alpha"][0]), *low], [np.log(_LIMITS["alpha"][1]), *high])
             found = least_squares(residuals, [np.log(alpha), *free], bounds=bounds, x_scale=[0.3, *[0.1] * len(free)])

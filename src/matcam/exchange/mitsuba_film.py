@@ -128,7 +128,7 @@ def _reach(camera: Camera) -> int:
     """Compute the distance that contains 99.9 % of the line spread function, px."""
     distance = np.arange(1, _FARTHEST + 1)
     enclosed = np.asarray(camera.esf(distance + 0.5)) - np.asarray(camera.esf(-distance - 0.5))
-    # Share of the kernel within its support radius. The weights within it are scaled to a sum of 1.
+    # the support contains 99.9 % of the kernel; the weights within it are scaled to a sum of 1
     enough = np.flatnonzero(enclosed >= 0.999)
     return int(distance[enough[0]]) if enough.size else _FARTHEST
 

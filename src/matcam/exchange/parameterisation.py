@@ -138,7 +138,7 @@ def resampled_grid(
     square, light_angles = size.square, _light_angles(*size.angles)
     if peak_error is not None:
         needed = peak_angles(material, peak_error)
-        # distance of two angles of the light below which one of them suffices, rad: less than a cell of a MERL table
+        # of two angles that are closer than a cell of a MERL table, one suffices
         apart = np.abs(light_angles[:, None] - needed).min(axis=1) > np.radians(0.75)
         light_angles = np.sort(np.concatenate([needed, light_angles[apart]]))
     u = np.linspace(0, 1, _nodes(material))

@@ -249,5 +249,5 @@ def _scene(
         return scene | {"environment": {"type": "envmap", "bitmap": mitsuba.Bitmap(light)}}
     towards = np.array([np.sin(lamp_angle), np.sin(lamp_angle) / 3, np.cos(lamp_angle)])
     lamp = {"type": "directional", "direction": (-towards).tolist(), "irradiance": {"type": "rgb", "value": np.pi}}
-    # radiance of the uniform sky, which makes the shadow side of the sphere visible
+    # a uniform sky makes the shadow side of the sphere visible
     return scene | {"lamp": lamp, "sky": {"type": "constant", "radiance": {"type": "rgb", "value": 0.2}}}

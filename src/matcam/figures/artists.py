@@ -203,7 +203,6 @@ def draw(kind: str, result: Any, ax: Axes | None, options: Mapping[str, Any]) ->
     import matplotlib.pyplot as plt
 
     with styled():
-        # size of a figure of one panel, inches
         figure, ax = plt.subplots(figsize=(7.5, 4.4), layout="constrained")
         try:
             artist(ax, result, **options)

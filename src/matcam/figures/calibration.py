@@ -204,7 +204,7 @@ def _draw_picture(axes: Axes, fit: CameraFit, picture: np.ndarray | None, channe
         axes.axis("off")
         return
     height, width = picture.shape[:2]
-    # largest side of the drawn image, px
+    # the drawn image has at most 900 px along a side
     step = max(1, int(np.ceil(max(height, width) / 900)))
     shown = picture[::step, ::step].astype(float)
     shown = shown if shown.ndim == 2 else shown.mean(-1)

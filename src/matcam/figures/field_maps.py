@@ -67,7 +67,7 @@ def draw_blur_map(axes: Axes, edges: EdgeTable, shape: tuple[int, int], channel:
         axes.text(0.5, 0.5, f"fewer than {_FEWEST} edges in every part", ha="center", transform=axes.transAxes)
         return
     low, high = np.nanmin(found.sigma), np.nanmax(found.sigma)
-    # smallest range of the colour scale, relative to the width: less would show only noise
+    # a range of the colour scale below 2 % of the width would show only noise
     more = max(0.02 * high - (high - low), 0.0) / 2
     drawn = axes.pcolormesh(
         found.x, found.y, np.ma.masked_invalid(found.sigma), cmap="cividis", vmin=low - more, vmax=high + more

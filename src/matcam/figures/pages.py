@@ -139,7 +139,7 @@ def sphere_figure(raw: xr.DataArray, done: Correction) -> Figure:
     Each row has one scale.
     """
     tables = raw.values, done.table["brdf"].values
-    # magnification if an image cannot contain the highlight completely
+    # 20 times, if an image cannot contain the highlight completely
     zoom = highlight_zoom(*tables) or 20.0
     before, after = (whole_sphere(values, _SPHERE) for values in tables)
     black, white = logarithmic_range(before, after)

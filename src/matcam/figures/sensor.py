@@ -94,11 +94,11 @@ def _draw_linearity(axes: Axes, result: SensorCharacteristics) -> None:
 
 
 def _draw_map(axes: Axes, values: np.ndarray, std: float, title: str) -> None:
-    # largest side of a drawn map, px
+    # a drawn map has at most 400 px along a side
     step = max(1, -(-max(values.shape) // 400))
     height, width = (n - n % step for n in values.shape)
     coarse = values[:height, :width].reshape(height // step, step, width // step, step).mean((1, 3))
-    # number of standard deviations that the grey levels of a map span on each side of the mean
+    # the grey levels extend to 3 standard deviations on each side of the mean
     limit = 3.0 * max(std, 1e-12)
     axes.grid(visible=False)
     drawn = axes.imshow(coarse, cmap="gray", vmin=-limit, vmax=limit, interpolation="nearest")

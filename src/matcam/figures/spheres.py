@@ -61,7 +61,7 @@ def whole_sphere(values: np.ndarray, size: int) -> np.ndarray:
     """
     picture = table_sphere(values, size)
     row, column = size // 2, int((np.sin(LAMP / 2) + 1) / 2 * size)
-    # number of points along each side of a pixel for its average
+    # the average over the pixel has 32 x 32 points
     picture[row, column] = table_sphere(values, 32, zoom=size).mean(axis=(0, 1))
     return picture
 
@@ -103,7 +103,7 @@ def logarithmic_range(*pictures: np.ndarray) -> tuple[float, float]:
     if not lit.size:
         return 1e-2, 1.0
     white = float(lit.max())
-    # quantile of the lit pixels that is drawn black, within the limits of the number of decades
+    # the dimmest 5 % of the lit pixels are drawn black, if this gives 2 to 8 decades
     decades = np.clip(np.log10(white / np.quantile(lit, 0.05)), 2.0, 8.0)
     return white * 10.0 ** -float(decades), white
 
@@ -143,12 +143,12 @@ def highlight_zoom(*tables: np.ndarray) -> float | None:
     Args:
         tables: values (theta_h, theta_d, phi_d, channel), 1/sr.
     """
-    # magnifications of a highlight, from the finest cells of a table, 2e-4 rad, to a lobe of about 10 degrees
+    # from the finest cells of a table, 2e-4 rad, to a lobe of about 10 degrees
     for zoom in (200.0, 60.0, 20.0, 6.0):
         pictures = [table_sphere(values, _INSET, zoom).max(axis=-1) for values in tables]
         border = np.ones((_INSET, _INSET), bool)
         border[1:-1, 1:-1] = False
-        # share of the peak to which a highlight must decrease at the border of an image that contains it completely
+        # an image contains a highlight completely if it decreases to 30 % of its peak at the border
         if all(one[border].max() < 0.3 * one.max() for one in pictures):
             return zoom
     return None

@@ -118,7 +118,7 @@ def fit_titles(figure: Figure) -> bool:
 def _end(figure: Figure, axes: Axes) -> float:
     """Compute the end of the space for the title of a panel, in dots: the next panel of its row, or the edge of the figure."""
     here = axes.get_window_extent()
-    # Label of the axes of a colour bar in Matplotlib. They lie beside the panel and below its title.
+    # colour bars, which Matplotlib labels so, lie beside the panel and below its title
     panels = [one.get_window_extent() for one in figure.axes if one.get_label() != "<colorbar>"]
     right = [box.x0 - _GAP for box in panels if box.x0 >= here.x1 and box.y0 < here.y1 < box.y1 + _GAP]
     return min([*right, figure.bbox.width])
@@ -130,7 +130,7 @@ def _fit(title: Text, room: float) -> bool:
     if width <= room:
         return False
     size = float(title.get_fontsize())
-    # smallest size of a title, points: the size of the smallest labels
+    # a title is not smaller than the smallest labels, 7 points
     smaller = max(size * 0.98 * room / width, min(size, 7.0))
     title.set_fontsize(smaller)
     if (needed := width * smaller / size) > room and title.get_text().count("$") < 2:  # a formula cannot be broken

@@ -86,7 +86,7 @@ def read_bird(path: str | Path) -> xr.DataArray:
     pairs = np.stack([np.mod(a, 2 * np.pi) for a in angles], axis=1).round(9)
     unique, first, position = np.unique(pairs, axis=0, return_index=True, return_inverse=True)
     order = np.argsort(np.argsort(first))  # pairs of directions in the order of the file
-    # Largest number of cells of the resulting table per reading. The table grows with the square of the number of
+    # At most 1000 cells of the resulting table per reading are accepted. The table grows with the square of the number of
     # readings if each reading has its own pair of directions and its own channel. The 50,000 readings of the largest
     # document then take 400 MB.
     if len(unique) * len(names) > 1000 * len(values):

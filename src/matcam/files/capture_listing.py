@@ -144,8 +144,7 @@ def _exposure_names(times: Sequence[float]) -> list[tuple[float, str]]:
     """Compute the smallest time, s, and the name of each exposure, in ascending order."""
     least: list[float] = []
     for time in sorted(times):
-        # Ratio of two exposure times below which they belong to one exposure. Steps of a third of a stop have a ratio
-        # of 1.26.
+        # times with a ratio below 1.1 belong to one exposure; steps of a third of a stop have a ratio of 1.26
         if not least or time > 1.1 * least[-1]:
             least.append(time)
     return [(time, f"E{number}") for number, time in enumerate(least, 1)]
@@ -184,7 +183,7 @@ def _lamp_names(
         found = {}
         for path, one in stated.items():
             towards = one.position / np.linalg.norm(one.position)
-            # angle between two directions of a light position file below which they belong to one lamp position, rad
+            # directions that differ by less than 0.01 degrees belong to one lamp position
             same = [k for k, other in enumerate(seen) if np.linalg.norm(towards - other) < math.radians(0.01)]
             if not same:
                 seen.append(towards)

@@ -51,7 +51,7 @@ def check_stored_sizes(path: Path, size: int, variables: Mapping[str, tuple[tupl
     for name, (shape, kind) in variables.items():
         check_lengths(path, name, shape)
         # text of variable length has no given size
-        # memory of a string of variable length, bytes, for a Python object and the pointers to it
+        # a Python string and the pointers to it take 64 bytes
         each = kind.itemsize if isinstance(kind, np.dtype) and kind.kind != "O" else 64
         total += math.prod(shape) * max(each, 1)
         if total > _MOST_TIMES * size + _SPARE:
@@ -281,7 +281,7 @@ def _check_members(path: Path, size: int, members: list[zipfile.ZipInfo]) -> Non
     for member in sorted(members, key=lambda m: m.header_offset):
         if member.header_offset < end:
             raise FileFormatError(f"{path}: damaged: member {member.filename!r:.60} overlaps the previous member")
-        # bytes, without its name and extra field
+        # a local header takes 30 bytes, without its name and extra field
         end = member.header_offset + 30 + len(member.filename.encode()) + member.compress_size
     if end > size:
         raise FileFormatError(f"{path}: damaged: its members end at byte {end} of {size}")
@@ -293,7 +293,7 @@ def _check_members(path: Path, size: int, members: list[zipfile.ZipInfo]) -> Non
 def _check_directory(path: Path, size: int) -> None:
     """Check that the directory of a zip lies within the file, because `zipfile` allocates the size that the file specifies."""
     with path.open("rb") as file:
-        # bytes: end of a zip, with its comment
+        # the end of a zip takes 22 bytes, and its comment at most 64 KiB
         file.seek(max(0, size - (22 + (1 << 16))))
         end = file.read()
     at = end.rfind(b"PK\5\6")

@@ -213,7 +213,7 @@ class _RemoteFile(io.RawIOBase):
         self.end, self._at, self._stream_at = self.size, 0, -1
         self._stream: Iterator[bytes] = iter(())
         self._waiting = b""
-        # bytes at the end of an archive that contain its directory
+        # the last 128 KiB of an archive contain its directory
         self._tail_at = max(0, self.size - (1 << 17))
         self._tail = b"".join(web.stream(address, (self._tail_at, self.size - 1))) if self.size else b""
 
@@ -232,7 +232,7 @@ class _RemoteFile(io.RawIOBase):
 
     def read(self, size: int = -1) -> bytes:
         size = max(0, self.size - self._at) if size < 0 else size
-        # largest size of a directory, bytes
+        # a directory of more than 16 MiB indicates damage
         if size > (16 << 20):
             raise DownloadError(f"{self.address}: the list of members has {size} bytes: the archive is damaged")
         position = self._at - self._tail_at

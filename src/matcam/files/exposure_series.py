@@ -138,7 +138,7 @@ def _described(path: Path) -> ExposureSeries:
         try:
             if key == "n" and len(cells) == 3:
                 bits = int(cells[0])
-                # bits of a code
+                # no code has more than 32 bits
                 if not 0 < bits <= 32:
                     raise ValueError
             elif key == "b" and len(cells) == 2:

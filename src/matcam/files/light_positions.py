@@ -117,8 +117,7 @@ def are_unit_vectors(positions: list[LightPosition]) -> bool:
 
     They are then directions without distances.
     """
-    # Deviation of lengths from 1 below which vectors are treated as unit vectors, in the unit of the file. Files are
-    # rounded to two or more digits.
+    # files are rounded to two or more digits
     return all(abs(float(np.linalg.norm(one.position)) - 1) < 0.02 for one in positions)
 
 

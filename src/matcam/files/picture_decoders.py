@@ -24,7 +24,7 @@ def decode_photograph(path: Path, *, there: int, region: Sequence[int] | None = 
     The result has shape (height, width) or (height, width, 3). An alpha channel is omitted.
     """
     with path.open("rb") as file:
-        # bytes of a PNG up to the end of its size
+        # the size of a PNG ends at byte 26
         start = file.read(26)
     picture = _decoded(path, start, there, in_part=region is not None)
     if picture.ndim == 3 and picture.shape[2] in (2, 4):

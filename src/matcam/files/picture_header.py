@@ -38,7 +38,6 @@ def picture_memory() -> int:
 
     This is half of the available memory.
     """
-    # share of the available memory for one image
     return int(0.5 * available_memory())
 
 
@@ -49,7 +48,7 @@ def check_memory(path: Path, height: int, width: int, channels: int, depth: int,
     large image of more than 100 times the size of its file is also rejected, because no camera writes such a file.
     """
     decoded = height * width * channels * depth
-    # bytes per pixel: a plane of float64, its mask, and two temporary copies
+    # a plane of float64, its mask, and two temporary copies take 24 bytes per pixel
     needed = decoded + height * width * 24
     if needed > there:
         raise FileFormatError(
@@ -100,7 +99,7 @@ def png_size(start: bytes) -> tuple[int, int, int, int]:
     start: the first 26 bytes of the file.
     """
     width, height, bits, colours = struct.unpack_from(">IIBB", start, 16)
-    # number of channels by colour type of PNG
+    # a PNG specifies its number of channels by a colour type
     return height, width, {0: 1, 2: 3, 3: 3, 4: 2, 6: 4}.get(colours, 4), max(bits // 8, 1)
 
 

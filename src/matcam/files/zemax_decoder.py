@@ -65,7 +65,7 @@ def _head(path: Path, words: list[str]) -> tuple[dict[str, str], dict[str, np.nd
                 axes[key] = np.array([float(word) for word in words[at + 2 : at + 2 + count]])
             except ValueError:
                 count = -1
-            # largest number of angles along one axis; more indicate damage
+            # more than 100,000 angles along one axis indicate damage
             if not 0 < count <= 100_000 or len(axes.get(key, ())) != count or not np.isfinite(axes[key]).all():
                 raise FileFormatError(f"{path}: {key} must have a count, followed by as many angles in degrees")
             at += 2 + count

@@ -56,9 +56,7 @@ _NEGLIGIBLE = 1e-3
 than 0.1 % of the difference between the two fits.
 """
 _SHARP_LENS = 0.05
-"""Smallest lens width for which exact peaks are computed, px. No pixel resolves a lens of this width."""
-_PARTS = 5
-"""Number of parts into which the angles of exact peaks are divided, so that several cores compute them in parallel."""
+"""Smallest lens width for which the responses at the peak are computed, px. No pixel resolves a lens of this width."""
 _QUIET = np.radians(np.arange(6, 60, 3))  # theta_d at which the lobes of real tables are complete, rad
 _NAMES = {
     "raw": "F from the recorded peak",

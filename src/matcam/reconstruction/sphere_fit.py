@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from matcam.acquisition.merged_picture import MergedPicture
+from matcam.core.arrays import evenly
 from matcam.core.errors import ArgumentError
 from matcam.core.registry import WITH_POWER
 from matcam.forward.integral.blur import blur_of
@@ -270,7 +271,7 @@ def _searched(
     observe: Observe,
 ) -> tuple[float, np.ndarray]:
     """Find the lobe of a lattice that fits few images best, with strengths solved for. Returns: cost and lobe."""
-    few = np.unique(np.linspace(0, len(pictures) - 1, min(_FEW, len(pictures))).round().astype(int))
+    few = evenly(len(pictures), _FEW)
     some = [pictures[k] for k in few]
     part = part_of(scene, few.tolist())
     layout = JointLayout(kind.size, len(pictures[0].channels), len(some))

@@ -234,10 +234,8 @@ def joint_problem(
     for index in range(len(FIELD)):
         fixed[layout.field.start + index] = known_field is None or (known_field.k1, known_field.growth)[index].std == 0
     rows, values, sources = prior_of(layout, scene, frames, spline, len(kind.family_names))
-    for position in (
-        layout.of("lens"),
-        layout.sample_radius,
-    ):  # an exact lens, or a radius without distances relative to it
+    # an exact lens, or a radius without distances relative to it
+    for position in (layout.of("lens"), layout.sample_radius):
         fixed[position] |= not rows[:, position].any()
     for k, one in enumerate(pixels):  # a colour without pixels in an image
         for c in range(layout.channels):

@@ -290,7 +290,7 @@ class ExploreView:
                     middle = table.pictures[len(table.pictures) // 2]
                     self._controls["theta_d"].set(float(f"{np.degrees(middle.theta_d):.3g}"))
         shown = {self._index(select) for select in self._chosen}
-        # number of tables that stay in memory
+        # at most 8 tables stay in memory
         for index in [one for one in self._read if one not in shown][: max(0, len(self._read) - 8)]:
             del self._read[index]
         self.refresh()

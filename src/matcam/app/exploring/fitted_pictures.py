@@ -64,7 +64,7 @@ def fitted_pictures(name: str, data: xr.Dataset) -> list[FittedPicture]:
         places = np.stack([np.asarray(data[key].values, dtype=float) for key in _PLACES], axis=-1)
         windows = {key: np.asarray(data[key].values, dtype=np.float32) for key in WINDOWS}
         count, rows, columns = windows[WINDOWS[0]].shape
-        # largest number of images
+        # at most 10,000 images are read
         if not (
             1 <= count <= 10_000 and rows > 1 and columns > 1 and len(names) == count
             and places.shape == (count, len(_PLACES)) and np.isfinite(places).all()
@@ -124,7 +124,7 @@ class Shot:
         values = self.capture.read(self.frame).values
         height, width = values.shape[:2]
         column, row, radius = outline
-        # half the side of the displayed area about the outline, in radii of the outline, which lies inside the area
+        # the displayed area extends 12 % beyond the outline
         reach = 1.12 * radius
         left, right = (int(np.clip(edge, 0, width)) // 2 * 2 for edge in (column - reach, column + reach + 2))
         top, bottom = (int(np.clip(edge, 0, height)) // 2 * 2 for edge in (row - reach, row + reach + 2))

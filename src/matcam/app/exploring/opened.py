@@ -154,7 +154,7 @@ def _of_run(table: Path, record: Path) -> Openable:
 
 
 def _record(path: Path) -> dict[str, Any]:
-    # largest record of a material that is read, bytes
+    # records of more than 4 MiB are not read
     if path.stat().st_size > (4 << 20):
         return {}
     try:

@@ -104,7 +104,7 @@ class ClusterExecutor(Executor):
                 job_of[future] = job
                 return future
 
-            # number of submitted tasks per worker: enough that none is idle, and few to store
+            # three submitted tasks per worker: enough that none is idle, and few to store
             first = [submit_next() for _ in range(min(len(jobs), 3 * count))]
             coming = as_completed([future for future in first if future is not None])
             for future in coming:

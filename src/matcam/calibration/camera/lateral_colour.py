@@ -89,7 +89,5 @@ def lateral_remark(found: LateralColour, channel: str, reference: str) -> Remark
     if abs(found.corner) < max(_REMARKABLE, _SURE * found.corner_std):
         return None
     where = "further out" if found.corner > 0 else "further in"
-    text = (
-        f"{channel} lies {abs(found.corner):.2f} +- {found.corner_std:.2f} px {where} than {reference} in the corners"
-    )
+    text = f"{channel} lies {abs(found.corner):.2f} ± {found.corner_std:.2f} px {where} than {reference} in the corners"
     return Remark("lateral-colour", f"{text}, because of lateral colour")

@@ -114,7 +114,7 @@ class HaloOptics(Optics):
         The widths of the panels halve towards 0, so that they resolve the spike of the halo.
         """
         known = all(map(is_concrete, leaves_of(self)))
-        # number for traced parameters: resolves the spike of a halo of 1000 px in a band of 40 cycles/px
+        # for traced parameters, 18 octaves resolve the spike of a halo of 1000 px in a band of 40 cycles/px
         octaves = 2 + max(0, int(np.log2(self.core.band() / self.halo.band()))) if known else 18
         rule = self.core.rule_on(np.union1d(borders, 2.0 ** -np.arange(octaves + 2)))
         if known and self.halo.band() <= self.core.band():

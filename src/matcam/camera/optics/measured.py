@@ -73,10 +73,9 @@ class MeasuredOptics(Optics):
                 raise ArgumentError(
                     f"mtf must not exceed 1 (1.05 with noise), got {largest:g}: use an image without sharpening"
                 )
-            # largest modulus of the last sample, no unit, at which a curve ends at 0 to rounding
+            # a last sample of at most 1e-9 is 0 to rounding
             ends_at_zero = bool(abs(samples[-1]) <= 1e-9)
-            # MTF, no unit, below which a frequency does not affect the scale of the PSF: no measurement determines
-            # smaller values
+            # frequencies with an MTF below 1e-4, which no measurement determines, do not affect the scale of the PSF
             resolved = min(int(np.flatnonzero(np.abs(samples) > 1e-4)[-1]) + 1, resolved)
         self.frequency = tuple(f.tolist())
         self.values = values

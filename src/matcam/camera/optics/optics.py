@@ -81,7 +81,7 @@ def reach_of(*positions: jax.Array) -> float:
     Traced positions have a default distance.
     """
     if not all(is_concrete(p) for p in positions):
-        # assumed largest distance of traced positions, px
+        # traced positions are assumed to lie within 64 px
         return 64.0
     return float(max((np.max(np.abs(p)) for p in positions if p.size), default=0.0))
 
@@ -196,7 +196,7 @@ def _directed_plane_sum(fx: jax.Array, fy: jax.Array, amplitude: jax.Array, x: j
 def _at_each(function: Callable[..., jax.Array], *positions: jax.Array) -> jax.Array:
     """Apply a function of positions (n,) to positions of any shape."""
     flat = tuple(p.ravel() for p in positions)
-    # number of positions that are evaluated at once, which limits memory
+    # 64 positions are evaluated at once, which limits memory
     return first_axis_map(function, flat, 64).reshape(positions[0].shape)
 
 

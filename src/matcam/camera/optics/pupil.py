@@ -92,7 +92,7 @@ class DiffractionOptics(Optics):
 
     def band(self) -> float:
         """Return the cutoff, cycles/px."""
-        # assumed cutoff of a traced lens, cycles/px
+        # a traced lens is assumed to have a cutoff of 8 cycles/px
         return float(self.cutoff) if is_concrete(self.cutoff) else 8.0
 
     def rule_on(self, borders: np.ndarray) -> Rule:
@@ -148,7 +148,7 @@ class DefocusOptics(Optics):
 
     def __init__(self, f_number: ArrayLike, wavelength: ArrayLike, pixel_pitch: ArrayLike, blur_diameter: ArrayLike):
         self.focused = DiffractionOptics(f_number, wavelength, pixel_pitch)
-        # largest circle of confusion, px
+        # circles of confusion up to 1000 px are accepted
         self.blur_diameter = checks.scalar(
             "blur_diameter", checks.within("blur_diameter", blur_diameter, 0, 1000.0, "px")
         )
@@ -199,5 +199,5 @@ def _overlap(
         wave = xp.cos(xp.pi * blur_diameter * frequency[:, None] * (xp.cos(t) - nu[:, None]))
         return xp.where(inside, 4 / xp.pi * end * ((wave * xp.sin(t) ** 2) @ weight), 0.0)
 
-    # number of frequencies that are evaluated at once, which limits memory
+    # 1024 frequencies are evaluated at once, which limits memory
     return first_axis_map(at, (f.ravel(),), 1024).reshape(f.shape)

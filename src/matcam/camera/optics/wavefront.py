@@ -82,7 +82,7 @@ def amplitude(terms: jax.Array, x: jax.Array, y: jax.Array, sizes: tuple[int, in
     def at(x: jax.Array, y: jax.Array) -> jax.Array:
         return xp.exp(2j * np.pi * (error + x[:, None] * at_x + y[:, None] * at_y)) @ share
 
-    # number of positions times nodes that are evaluated at once, which limits memory
+    # 2^20 positions times nodes are evaluated at once, which limits memory
     return first_axis_map(at, (x, y), max(1, (1 << 20) // error.size))
 
 
@@ -127,7 +127,7 @@ def overlap(terms: AnyArray, end: AnyArray, angle: AnyArray, order: int) -> jax.
         wave = xp.exp(2j * np.pi * (pupil(nu) - pupil(-nu))) @ weight
         return ends / np.pi * xp.sum(weight * (xp.cos(stop * s) * half)[..., 0] * wave, axis=-1)
 
-    # number of frequencies that are evaluated at once, which limits memory
+    # 128 frequencies are evaluated at once, which limits memory
     return first_axis_map(at, (end, angle), 128)
 
 

@@ -220,7 +220,7 @@ class ZernikeOptics(Optics):
 
     def _phase(self) -> int:
         terms = constant(self.terms)
-        # assumed wavefront error of traced coefficients, rad
+        # traced coefficients are assumed to have the largest wavefront error
         return phase_of(np.asarray(terms)) if is_concrete(terms) else LARGEST_PHASE
 
 
@@ -241,7 +241,7 @@ def _refuse_metres(terms: jax.Array, wavelength: jax.Array) -> None:
     if not is_concrete(terms):
         return
     largest = float(np.max(np.abs(terms)))
-    # waves rms; smaller aberrations are invisible, and the value is probably in metres
+    # aberrations below 1e-5 waves rms are invisible, so the value is probably in metres
     if 0 < largest < 1e-5:
         waves = f": {largest:g} m are {largest / float(wavelength):.3g} waves" if is_concrete(wavelength) else ""
         raise ArgumentError(

@@ -83,8 +83,7 @@ def _in_words(value: Any) -> str:
     if not is_concrete(value):
         return str(value)
     array = np.asarray(value)
-    # Largest number of entries of an array that a `repr` contains: four rows of four. A larger array is described by
-    # its shape and range.
+    # an array of more entries than four rows of four is described by its shape and range
     if array.size <= 16 or array.dtype.kind not in "biuf":
         return repr(array.tolist())
     shape, finite = " x ".join(map(str, array.shape)), array[np.isfinite(array)]

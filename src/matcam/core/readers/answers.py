@@ -67,7 +67,7 @@ def read_answer(take: Callable[[int], bytearray], path: Path, memory: int) -> An
     take: function that returns the given number of further bytes. memory: largest size of the arrays, bytes.
     """
     (length,) = struct.unpack("<Q", take(8))
-    # bytes of JSON
+    # more than 64 MiB of JSON indicate damage
     if length > (64 << 20):
         raise FileFormatError(f"{path}: the file is damaged: its metadata take {length} bytes")
     message = json.loads(bytes(take(length)))

@@ -125,7 +125,7 @@ def read_apart(
             return called(module, name, path, options)
     # the slowest decoder (PNG) reads 30 MB in 1 s
     seconds = 2.0 + size / 5e6 if limits.seconds is None else limits.seconds
-    # Largest allowed ratio of wall-clock time to processor time. The machine may be busy, or the disk slow.
+    # the wall-clock time may exceed the processor time, because the machine may be busy, or the disk slow
     wall = 30.0 * seconds if limits.wall is None else limits.wall
     # parsers of text need up to 25 times the size, deflated images 10; at most half of the memory, because this process
     # also requires memory for the answer

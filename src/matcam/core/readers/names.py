@@ -98,7 +98,7 @@ def listed_file(folder: Path, name: str, what: str) -> Path:
     """
     pure = PurePosixPath(name)
     path = folder / name
-    # largest number of characters of a name in a document: file systems allow 255 bytes for each part of a path
+    # file systems allow 255 bytes for each part of a path
     if not pure.parts or not name.isprintable() or len(name) > 200:
         raise FileFormatError(f"{folder}: file {name[:40]!r} has a name that is not plain text: rename it")
     if pure.is_absolute() or ".." in pure.parts or "\\" in name or re.match(r"[A-Za-z]:", name):

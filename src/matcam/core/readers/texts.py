@@ -83,7 +83,7 @@ def decode_json(path: Path, *, title: str) -> np.ndarray:
     def refuse(constant: str) -> None:
         raise ValueError(f"{constant} is not a number")
 
-    # bytes; a measured curve of 100,000 samples takes 4 MiB
+    # a measured curve of 100,000 samples takes 4 MiB
     content = _bytes_of(path, title, 16 << 20)
     values = content.count(b",") + content.count(b"[") + content.count(b"{")
     if values > _MOST_VALUES:
@@ -99,7 +99,7 @@ def decode_json(path: Path, *, title: str) -> np.ndarray:
 
 def decode_lines(path: Path, *, title: str) -> np.ndarray:
     """Read the bytes of a text file, and check the limits of lines."""
-    # bytes; 65,536 lines of three numbers take 3 MiB
+    # 65,536 lines of three numbers take 3 MiB
     return np.frombuffer(_checked_text(path, title, 4 << 20), np.uint8)
 
 

@@ -168,7 +168,7 @@ def correlations(names: Iterable[str], covariance: np.ndarray) -> list[Quantity]
     names = list(names)
     scale = np.sqrt(np.diag(covariance))
     correlation = covariance / np.maximum(np.outer(scale, scale), 1e-300)
-    # smallest correlation that is listed, as in lmfit: a smaller one changes a standard deviation by less than 1 %
+    # as in lmfit, smaller correlations are not listed: they change a standard deviation by less than 1 %
     pairs = [(i, j) for i in range(len(names)) for j in range(i) if abs(correlation[i, j]) >= 0.1]
     pairs.sort(key=lambda pair: -abs(correlation[pair]))
     return [Quantity(f"C({names[j]}, {names[i]})", f"{correlation[i, j]:+.3f}") for i, j in pairs]

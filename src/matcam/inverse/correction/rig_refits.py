@@ -66,11 +66,11 @@ class RigRefit(NamedTuple):
         """Build the remark that the fitted value contradicts the rig."""
         if self.axis.name == LENS:
             code = "lens-contradicts-data"
-            found = f"a fit with free lens width gives {self.value:.3f} +- {self.std:.1g} px instead of {self.axis.base:.3f} px"
+            found = f"a fit with free lens width gives {self.value:.3f} ± {self.std:.1g} px instead of {self.axis.base:.3f} px"
         else:
             code = "lamp-contradicts-data"
             radius, std, base = (float(np.degrees(v)) for v in (self.value, self.std, self.axis.base))
-            found = f"a fit with free lamp radius gives {radius:.3f} +- {std:.1g} degrees instead of {base:.3f} degrees"
+            found = f"a fit with free lamp radius gives {radius:.3f} ± {std:.1g} degrees instead of {base:.3f} degrees"
         return Remark(
             code,
             f"{found}: the camera, the lamp or the family contradicts the data; the uncertainty includes "

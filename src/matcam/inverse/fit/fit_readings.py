@@ -259,7 +259,7 @@ def fit_remarks(
     for axis, coordinate, own in zip(prior.axes, solution.p[position], stds, strict=True):
         square, std = axis.square(coordinate, own)
         if axis.softening and square < _UNSEEN * std:
-            text = f"{axis.name} is compatible with 0: its square is {square:.2g} +- {std:.2g}"
+            text = f"{axis.name} is compatible with 0: its square is {square:.2g} ± {std:.2g}"
             remarks.append(Remark("compatible-with-zero", text))
     if not verdict.resolved:
         remarks.append(

@@ -13,6 +13,7 @@ import numpy as np
 from scipy.spatial.distance import pdist
 from scipy.special import log_ndtr
 
+from matcam.core.arrays import evenly
 from matcam.reconstruction.joint.joint_problem import JointProblem
 from matcam.reconstruction.observed_pixels import ObservedPixels
 
@@ -108,8 +109,7 @@ def likelihood_at(problem: JointProblem, p: np.ndarray) -> Likelihood:
     share = _share(bright)
     if share == 0:
         return Likelihood(share)
-    some = np.unique(np.linspace(0, len(bright) - 1, min(_LOOKED_AT, len(bright))).round().astype(int))
-    return Likelihood(share, _correlated_pixels([bright[k] for k in some], share))
+    return Likelihood(share, _correlated_pixels([bright[k] for k in evenly(len(bright), _LOOKED_AT)], share))
 
 
 class _Bright(NamedTuple):
