@@ -64,7 +64,7 @@ def test_a_blur_that_does_not_show_is_not_used(tmp_path, here, monkeypatch):
     start = functools.partial(
         correct_all, [tmp_path / "in"], rigs.merl(), tmp_path / "out", corrector=simple.records_lens
     )
-    with pytest.raises(FitError, match=r"a\.binary do not determine the camera's blur \(0\.01 \+- 0\.02 px\)"):
+    with pytest.raises(FitError, match=r"a\.binary do not determine the camera's blur \(0\.01 ± 0\.02 px\)"):
         start(fit_camera=True)
     assert len(start().corrected) == 1
 
