@@ -54,8 +54,6 @@ _MOST_REPEATS = 0.95
 """Share of equal neighbours above which the table is treated as a constant, which has no highlight."""
 _MOST_WRONG = 0.1
 """Largest share of the borders between values that a grid may leave unexplained."""
-_STRIDE = 1 << 16
-"""Difference between the numbers of neighbouring pixels in a row. It exceeds the height of any image."""
 _FEW_RINGS, _FEW_AZIMUTHS = 7, 6
 """Number of rings, and step in azimuths, of the cells that determine the phase of an interpolated table."""
 _SIGN_RINGS, _SIGN_AZIMUTHS = 11, 4
@@ -332,10 +330,12 @@ def _interpolation_residual(rule: CellValue, cells: _NearCells, phase: tuple[flo
     """Compute the share of the variance of a slice that a grid does not explain."""
     values = cells.values
     found = looked_up(rule, np.asarray(phase), cells.x, cells.y)
-    number = np.rint(found.x - phase[0]) * _STRIDE + np.rint(found.y - phase[1])
-    pixels, index = np.unique(number, return_inverse=True)
-    shape = len(values), pixels.size
-    entry = index.reshape(len(values), -1) + np.arange(len(values))[:, None] * pixels.size
+    column, row = (np.rint(at - start).astype(int) for at, start in ((found.x, phase[0]), (found.y, phase[1])))
+    row -= row.min()
+    number = (column - column.min()) * (row.max() + 1) + row
+    seen = np.bincount(number.ravel()) > 0  # far faster than np.unique
+    index, shape = (np.cumsum(seen) - 1)[number], (len(values), int(seen.sum()))
+    entry = index.reshape(len(values), -1) + np.arange(len(values))[:, None] * shape[1]
     matrix = np.bincount(entry.ravel(), found.weight.ravel() / 2, shape[0] * shape[1]).reshape(shape)
     best, *_ = lstsq(matrix, values, cond=1e-10, lapack_driver="gelsy", check_finite=False)
     left, own = values - matrix @ best, values - values.mean()
