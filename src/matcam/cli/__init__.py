@@ -91,8 +91,9 @@ def _warning_as_line(message: Any, *where: Any, **line: Any) -> str:
 def _interrupted() -> int:
     options: Any = sys.modules.get("matcam.cli.options")  # the commands may still be loading
     late = options is not None and options.files_are_written()
-    message = "after the files were written; they are complete" if late else "no incomplete file was left"
-    return _complain(f"interrupted{' ' if late else '; '}{message}", 128 + _ended_by[0] if _ended_by else INTERRUPTED)
+    written = "interrupted after the files were written; they are complete"
+    message = written if late else "interrupted; no incomplete file was left"
+    return _complain(message, 128 + _ended_by[0] if _ended_by else INTERRUPTED)
 
 
 def _unwritable() -> OSError | None:

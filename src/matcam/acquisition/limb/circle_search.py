@@ -39,7 +39,9 @@ class FoundCircle(NamedTuple):
 
 
 def find_circles(values: np.ndarray, std: np.ndarray, *, bright_inside: bool, mosaic: bool) -> list[FoundCircle]:
-    """Find at most two circles in an image, neither of which contains the centre of the other.
+    """Find at most two circles in an image.
+
+    The centre of each lies outside the other.
 
     Args:
         values: linear radiance (height, width); NaN for missing values.

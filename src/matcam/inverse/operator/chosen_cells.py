@@ -31,7 +31,7 @@ NEAR_COSINE, FAR_COSINE = 0.06, 0.17
 them. Cells with smaller cosines depend on the pixels at the limb.
 """
 
-_CELLS = 112
+SLICE_CELLS = 112
 """Largest number of cells of a slice. The arrays of all slices are padded to this length."""
 _RINGS = np.concatenate([np.arange(12), np.arange(12, 26, 2), np.arange(26, 90, 5)])
 _MOST_IN_RING = 4
@@ -231,13 +231,13 @@ def _slice_cells(view: SampleView, sampling: Sampling, slice_: int, pixels: Pixe
         # in an order in which any first few cells are spread over the ring
         for n in first + np.argsort((np.arange(azimuths.size) * 0.618) % 1):
             own = set(numbers[n])
-            if wanted and seen[n] and not own & occupied and len(chosen) < _CELLS:
+            if wanted and seen[n] and not own & occupied and len(chosen) < SLICE_CELLS:
                 occupied |= own
                 chosen.append(int(n))
                 wanted -= 1
         first += azimuths.size
-    valid = np.arange(_CELLS) < len(chosen)
-    rows = np.array(chosen + [0] * (_CELLS - len(chosen)))
+    valid = np.arange(SLICE_CELLS) < len(chosen)
+    rows = np.array(chosen + [0] * (SLICE_CELLS - len(chosen)))
     if behind is not None:
         behind = PixelsBehind(*(part[rows] for part in behind))
     return _SliceCells(np.where(valid, i[rows], 0), np.where(valid, k[rows], 0), valid, behind)

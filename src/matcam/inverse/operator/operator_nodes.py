@@ -13,16 +13,17 @@ import numpy.typing as npt
 
 from matcam.core.jax import jax, jnp, placed
 from matcam.core.programs import kept_program
+from matcam.inverse.operator.chosen_cells import SLICE_CELLS
 from matcam.material.lambda_table import has_closed_lambda, lambda_at, quick_table
 from matcam.material.masking import Masking, g2
 from matcam.material.ndf.distribution import NDF
 from matcam.material.ndf.free_lobe import spline_sums
 from matcam.numerics.approximation import lagrange_basis
 
-CELLS = 560
-"""Number of cells in each call of a program: five slices of a table."""
-_STEP = 112
-"""Number of cells in each step of a call. Their arrays fit into the cache of the processor."""
+CELLS = 5 * SLICE_CELLS
+"""Number of cells in each call of a program: five slices of a table, because fits use 5, 15 or 90 slices."""
+_STEP = SLICE_CELLS
+"""Number of cells in each step of a call: one slice of a table, whose arrays fit into the cache of the processor."""
 
 
 class NodeArrays(NamedTuple):
