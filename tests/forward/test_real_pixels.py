@@ -7,6 +7,7 @@ from matcam import GGX, Camera, GaussianOptics, Microfacet, Rig, Sphere, measure
 from matcam.camera import PixelNoise
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import GRID_SHAPE, brdf_table, merl_grid
+from matcam.core.jax import jnp, transferred
 from matcam.forward import with_pixel_noise
 from matcam.forward.cells_in_pictures import CellChoice, cell_means
 from matcam.forward.pixel_grid import slice_pixels
@@ -124,6 +125,16 @@ def test_a_picture_that_is_a_plane():
     seen = (np.diff(own.share.indptr) > 0).reshape(90, 180)
     np.testing.assert_allclose(table[:, 70][seen], (own.share @ own.x).reshape(90, 180)[seen], atol=1e-9)
     assert np.isnan(table[:, 70][~seen]).all()
+
+
+@pytest.mark.parametrize("rule", ["centre", "mean", "nearest"])
+def test_means_on_a_gpu(rule, monkeypatch):
+    """A GPU averages the cells in a compiled program instead of NumPy."""
+    cells = CellChoice(rule, pixel_phase=PHASE if rule == "nearest" else None, finest=0.5).cells(rigs.merl().sample)
+    radiance = jnp.asarray(np.random.default_rng(1).random((cells.positions.x.size, 1)))
+    by_numpy = np.asarray(cell_means(radiance, cells))
+    monkeypatch.setattr("matcam.forward.cells_in_pictures.computes_on_gpu", lambda: True)
+    np.testing.assert_allclose(cell_means(radiance, transferred(cells)), by_numpy, rtol=1e-12)
 
 
 @pytest.mark.slow

@@ -79,3 +79,17 @@ def test_any_rig(seed):
     truth = np.array([brute(scene, imaging.blur, *at, reach) for at in zip(x, y, strict=True)])
     allowed = np.maximum(limit("recorded-cells") * truth, 1e-6 * truth.max())
     assert (np.abs(found - truth) < allowed).all(), (found, truth)
+
+
+def test_tiles_of_a_gpu(monkeypatch):
+    """A GPU computes all rows in one tile per kind, and adds them itself: the record is the same as in small tiles."""
+    rig, material, angle, _, x, y = drawn(0)
+    imaging = imaging_of(rig)
+    positions = RecordPositions(x, y, np.full(x.size, angle))
+    plan = record_plan(imaging, positions, float(material.finest))
+    in_small_tiles = np.asarray(record(material, imaging, plan))
+    monkeypatch.setattr("matcam.forward.sampler.record.computes_on_gpu", lambda: True)
+    monkeypatch.setattr("matcam.forward.sampler.record._ROWS_ON_GPU", 1 << 12)
+    in_large_tiles = record(material, imaging, plan)
+    # arcs of one tile have the largest number of nodes of any of them
+    np.testing.assert_allclose(in_large_tiles, in_small_tiles, rtol=limit("recorded-cells"), atol=1e-9)

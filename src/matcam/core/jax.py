@@ -30,6 +30,7 @@ __all__ = [
     "Device",
     "FloatArray",
     "Runs",
+    "computes_on_gpu",
     "has_gpu",
     "is_concrete",
     "jax",
@@ -38,6 +39,7 @@ __all__ = [
     "placed",
     "plainly_compiled",
     "program_folder",
+    "transferred",
     "use_compilation_cache",
     "use_device",
     "without_derivatives",
@@ -67,6 +69,11 @@ def has_gpu() -> bool:
     )
     # NVIDIA and AMD on Linux, and the Windows subsystem for Linux
     return known and any(Path(device).exists() for device in ("/dev/nvidia0", "/dev/kfd", "/dev/dxg"))
+
+
+def computes_on_gpu() -> bool:
+    """Check whether JAX computes on a GPU. This starts its backend."""
+    return bool(jax.default_backend() != "cpu")
 
 
 def use_device(device: Device) -> None:
@@ -102,6 +109,11 @@ def placed(array: npt.ArrayLike) -> jax.Array:
     """
     with jax.ensure_compile_time_eval():  # concrete inside a transformation, too
         return jax.device_put(np.asarray(array))
+
+
+def transferred(tree: T) -> T:
+    """Transfer the NumPy arrays of a tree to the device on which JAX computes."""
+    return jax.tree.map(lambda leaf: placed(leaf) if isinstance(leaf, np.ndarray) else leaf, tree)
 
 
 def plainly_compiled(runs: Runs = "some") -> dict[str, Any] | None:

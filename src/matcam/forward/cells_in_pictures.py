@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import equinox as eqx
 import numpy as np
 
 from matcam.core.arrays import xp
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import GRID_SHAPE, Sampling, cosines, merl_grid, theta_h_edges
-from matcam.core.jax import AnyArray, is_concrete, jax, jnp
+from matcam.core.jax import AnyArray, computes_on_gpu, is_concrete, jax, jnp
 from matcam.forward.pixel_grid import phase_of_slices, slice_pixels, turned
 from matcam.forward.sampler.cell_rings import Rings, rings_of
 from matcam.forward.sampler.plan import RecordPositions
@@ -213,7 +214,12 @@ def cell_means(radiance: jax.Array, cells: TableCells | RealCells) -> AnyArray:
     radiance: radiance at the positions of the cells, 1/sr, (positions, channels).
     """
     # concrete values are averaged by NumPy, because JAX would compile a program for every shape
-    known: AnyArray = np.asarray(radiance) if is_concrete(radiance) else radiance
+    if not is_concrete(radiance):
+        return _means(radiance, cells)
+    return _means_on_gpu(radiance, cells) if computes_on_gpu() else _means(np.asarray(radiance), cells)
+
+
+def _means(known: AnyArray, cells: TableCells | RealCells) -> AnyArray:
     channels = known.shape[-1]
     if isinstance(cells, RealCells):
         n_h, n_d, n_p = GRID_SHAPE
@@ -222,15 +228,23 @@ def cell_means(radiance: jax.Array, cells: TableCells | RealCells) -> AnyArray:
         summed = summed.reshape(n_d, n_h, n_p, channels).transpose(1, 0, 2, 3)
         return xp.where((cells.pixels > 0)[..., None], summed, np.nan)
     direct = cells.flat_index.size
-    index = np.concatenate([cells.flat_index, *(ring.cells for ring in cells.rings)])
+    index = _joined([cells.flat_index, *(ring.cells for ring in cells.rings)])
     values = [known[:direct], *(ring.interpolated(known[direct:]) for ring in cells.rings)]
-    joined = np.concatenate(values) if isinstance(known, np.ndarray) else jnp.concatenate(values)
-    spread = _summed(cells.irradiance.size, index, joined).reshape(*cells.irradiance.shape, channels)
-    weighted = spread * (cells.weight / np.where(cells.weight > 0, cells.irradiance, 1.0))[..., None]
+    spread = _summed(cells.irradiance.size, index, _joined(values)).reshape(*cells.irradiance.shape, channels)
+    weighted = spread * (cells.weight / xp.where(cells.weight > 0, cells.irradiance, 1.0))[..., None]
     total = (weighted + _other_way(weighted, cells.mirrored)).sum(axis=(3, 4))
-    weight = np.sum(cells.weight + _other_way(cells.weight, cells.mirrored), axis=(3, 4))[..., None]
-    mean = xp.where(weight > 0, total / np.where(weight > 0, weight, 1.0), np.nan)
+    weight = (cells.weight + _other_way(cells.weight, cells.mirrored)).sum(axis=(3, 4))[..., None]
+    mean = xp.where(weight > 0, total / xp.where(weight > 0, weight, 1.0), np.nan)
     return mean[:, :, : GRID_SHAPE[2]].transpose(1, 0, 2, 3)
+
+
+_means_on_gpu = eqx.filter_jit(_means)
+
+
+def _joined(parts: list[AnyArray], axis: int = 0) -> AnyArray:
+    """Concatenate arrays of NumPy, or arrays of JAX."""
+    in_numpy = all(isinstance(part, np.ndarray) for part in parts)
+    return np.concatenate(parts, axis) if in_numpy else jnp.concatenate(parts, axis)
 
 
 def _summed(size: int, index: np.ndarray, values: AnyArray) -> AnyArray:
@@ -244,5 +258,4 @@ def _other_way(one_way, mirrored):  # type: ignore[no-untyped-def]
     if mirrored:
         return one_way[:, :, ::-1, :, ::-1]
     half = one_way.shape[2] // 2
-    join = np.concatenate if isinstance(one_way, np.ndarray) else jnp.concatenate
-    return join([one_way[:, :, half:], one_way[:, :, :half]], axis=2)
+    return _joined([one_way[:, :, half:], one_way[:, :, :half]], axis=2)

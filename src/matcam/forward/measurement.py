@@ -32,7 +32,7 @@ from matcam.core.grid import (
     merl_grid,
     sampling_of,
 )
-from matcam.core.jax import AnyArray, is_concrete, jax, jnp
+from matcam.core.jax import AnyArray, computes_on_gpu, is_concrete, jax, jnp, transferred
 from matcam.core.workspace import Workspace, default_workspace
 from matcam.forward.cells_in_pictures import CellChoice, RealCells, TableCells, cell_means, cell_sampling
 from matcam.forward.cylinder_cells import check_cylinder, cylinder_table
@@ -263,7 +263,10 @@ def _table_plan(imaging: Imaging, chosen: CellChoice, lobe: tuple[float, float],
 
     def plan() -> TablePlan:
         cells = chosen.cells(imaging.sample, imaging.lamp_nearness)
-        return TablePlan(cells, record_plan(imaging, cells.positions, *lobe))
+        plan = record_plan(imaging, cells.positions, *lobe)
+        if computes_on_gpu():
+            cells = transferred(cells)._replace(pixels=cells.pixels)
+        return TablePlan(cells, plan)
 
     key = tree, tuple(np.asarray(leaf).tobytes() for leaf in leaves), chosen, lobe
     return workspace.remember("table plan", key, plan, most=1)

@@ -6,6 +6,7 @@ function of their parameters. A plan is therefore constant: with one plan, a rec
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -123,7 +124,8 @@ class PlanPart(NamedTuple):
     arcs: ArcRows | CrossArcs
 
 
-class RecordPlan(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class RecordPlan:
     """Integration plan of a record: its positions, and one part for each scale of the blur."""
 
     positions: RecordPositions

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
+from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from matcam.core.jax import AnyArray, is_concrete, jax, jnp
+from matcam.core.jax import AnyArray, computes_on_gpu, is_concrete, jax, jnp, transferred
 from matcam.core.programs import kept_program
 from matcam.core.threads import available_cores, in_order
 from matcam.forward.integral.blur import BlurTerms, Imaging
@@ -24,9 +25,11 @@ from matcam.material.material import Material
 from matcam.numerics.blocks import in_blocks, repeated_sum, shaped
 
 _BLOCKS, _ARCS, _SMOOTH = 32, 512, 256
-"""Number of blocks of one call, and numbers of arcs and of pixels with smooth radiance in a block. The arrays of a block fit
-into the cache of a processor.
+"""Number of blocks of a tile, and numbers of arcs and of pixels with smooth radiance in a block, on a processor. The arrays
+of a block fit into its cache.
 """
+_ROWS_ON_GPU = 1 << 20
+"""Rows of a tile on a GPU, in a single block. All rows of a block are computed in parallel."""
 _RULES = 32, MOST_NODES
 """Largest numbers of nodes on an arc, with a program for each. A program skips unused nodes."""
 
@@ -49,10 +52,6 @@ class Subject(NamedTuple):
         """Check whether all parameters are concrete, which excludes differentiation."""
         return all(map(is_concrete, jax.tree.leaves(tuple(self))))
 
-    def computed(self, values: jax.Array) -> Any:
-        """Convert values to an array of NumPy, unless parameters are traced."""
-        return np.asarray(values) if self.known else values
-
     def under(self, lamp_angle: AnyArray, turn: Turn | None = None) -> Scene:
         """Build the scene under lamps. lamp_angle: angle between lamp and optical axis, rad."""
         angle = jnp.asarray(lamp_angle) + self.turning
@@ -72,43 +71,105 @@ def record(material: Material, imaging: Imaging, plan: RecordPlan, turning: jax.
         Radiance under unit irradiance, 1/sr, (positions, channels). Differentiable in material, sample, blur and turning.
     """
     subject = Subject(material, imaging, jnp.asarray(turning, dtype=float))
-    calls: list[_Call] = []
-    for part in plan.parts:
-        blur = BlurTerms(imaging.blur, part.terms)
-        for index, rule in ((part.smooth, None), (part.limb, part.limb_rule)):
-            calls += [
-                partial(_record_smooth, subject, blur, rule, plan.positions, index[begin : begin + _BLOCKS * _SMOOTH])
-                for begin in range(0, index.size, _BLOCKS * _SMOOTH)
-            ]
-        calls += [
-            partial(_record_arcs, subject, blur, plan.positions, part, slice(begin, begin + _BLOCKS * _ARCS))
-            for begin in range(0, part.arcs.position.size, _BLOCKS * _ARCS)
-        ]
-    total: Any = np.zeros((plan.positions.x.size, subject.under(jnp.zeros(())).channels()))
-    for position, values in in_order(lambda call: call(), calls, available_cores() if subject.known else 1):
-        total = _added(total, position, values.reshape(-1, total.shape[1])[: position.size])
+    on_gpu = computes_on_gpu()
+    tiles = _tiles_on_gpu(plan) if on_gpu else _tiles(plan)
+    workers = available_cores() if subject.known and not on_gpu else 1
+    shape = plan.positions.x.size, subject.under(jnp.zeros(())).channels()
+    total: Any = jnp.zeros(shape) if on_gpu else np.zeros(shape)
+    for position, values in in_order(lambda tile: _recorded(subject, tile()), tiles, workers):
+        total = _added(total, position, values)
     return jnp.asarray(total)
 
 
-_Call = Callable[[], tuple[np.ndarray, Any]]
-"""Function that returns indices of pixels, and values to be added to their records, (blocks, rows, channels)."""
+class _Tile(NamedTuple):
+    """Rows that one call of a program computes: arcs, or pixels with smooth radiance.
+
+    Attributes:
+        terms: indices of the terms of the blur.
+        position: index of the position of each row.
+        used: number of blocks with rows.
+        rows: the rows, in arrays of shape (blocks, rows).
+        counts: number of nodes in each block of arcs; None: the rows are pixels.
+        rules: Gauss-Legendre rules for arcs; for pixels, the rule for the residual of a lens at the limb, or None.
+    """
+
+    terms: tuple[int, ...]
+    position: AnyArray
+    used: AnyArray
+    rows: Any
+    counts: AnyArray | None
+    rules: Any
 
 
-def _added(total: Any, position: np.ndarray, values: Any) -> Any:
-    """Add values, (rows, channels), to the records of pixels."""
-    if not is_concrete(values):
-        return jnp.asarray(total).at[position].add(values)
-    columns = (np.bincount(position, column, total.shape[0]) for column in np.asarray(values).T)
+def _tiles(plan: RecordPlan) -> list[Callable[[], _Tile]]:
+    """List the tiles of a plan, as functions because the rows of all tiles would occupy several GB."""
+    on_gpu = computes_on_gpu()
+    pixels, arcs = ((1, _ROWS_ON_GPU),) * 2 if on_gpu else ((_BLOCKS, _SMOOTH), (_BLOCKS, _ARCS))
+    tiles: list[Callable[[], _Tile]] = []
+    for part in plan.parts:
+        for index, rule in ((part.smooth, None), (part.limb, part.limb_rule)):
+            some = (index[begin : begin + math.prod(pixels)] for begin in range(0, index.size, math.prod(pixels)))
+            tiles += [partial(_pixel_tile, plan.positions, part.terms, rule, one, pixels) for one in some]
+        count = part.arcs.position.size
+        parts = (slice(begin, begin + math.prod(arcs)) for begin in range(0, count, math.prod(arcs)))
+        tiles += [partial(_arc_tile, plan.positions, part, one, arcs) for one in parts]
+    return tiles
+
+
+@lru_cache(maxsize=1)
+def _tiles_on_gpu(plan: RecordPlan) -> list[Callable[[], _Tile]]:
+    """Transfer all tiles of a plan to the GPU once, because the transfer takes longer than the computation."""
+    return [partial(lambda tile: tile, transferred(tile())) for tile in _tiles(plan)]
+
+
+def _pixel_tile(
+    positions: RecordPositions,
+    terms: tuple[int, ...],
+    rule: LimbRule | None,
+    index: np.ndarray,
+    shape: tuple[int, int],
+) -> _Tile:
+    """Collect pixels with smooth radiance, or at the limb with a rule for the residual of a lens."""
+    pixels = positions.at(index)
+    used, rows = shaped((*pixels[:3], pixels.turn), *shape)
+    return _Tile(terms, index, used, rows, None, rule)
+
+
+def _arc_tile(positions: RecordPositions, part: PlanPart, some: slice, shape: tuple[int, int]) -> _Tile:
+    """Collect some arcs with the pixels to whose records they contribute."""
+    own = part.arcs.at(some)
+    pixels = positions.at(own.position)
+    arcs = own if isinstance(own, CrossArcs) else own.on_circles(part.frames)
+    used, rows = shaped(_ArcInputs(*pixels[:3], pixels.turn, arcs), *shape)
+    counts = np.resize(own.nodes, shape).max(axis=1)
+    # on a GPU, the compilation of a second program takes longer than all of its runs
+    lengths = _RULES[-1:] if computes_on_gpu() else _RULES
+    rules = next(rules for rules in map(gauss_rules, lengths) if counts.max() < rules.shape[1])
+    return _Tile(part.terms, own.position, used, rows, counts, rules)
+
+
+def _recorded(subject: Subject, tile: _Tile) -> tuple[AnyArray, Any]:
+    """Compute the contributions of a tile to the records, with the indices of their positions."""
+    blur, used = BlurTerms(subject.imaging.blur, tile.terms), tile.used if subject.known else None
+    if tile.counts is None:
+        values = _smooth_blocks(subject, blur, tile.rules, used, tile.rows)
+    else:
+        values = _arc_blocks(subject, blur, used, tile.counts, tile.rules, tile.rows)
+    return tile.position, np.asarray(values) if subject.known and not computes_on_gpu() else values
+
+
+def _added(total: Any, position: AnyArray, values: Any) -> Any:
+    """Add the values of a tile to the records of its positions."""
+    if isinstance(values, jax.Array):
+        return _added_by_jax(total, position, values)
+    own = values.reshape(-1, total.shape[1])[: position.size]
+    columns = (np.bincount(position, column, total.shape[0]) for column in own.T)
     return total + np.stack(list(columns), axis=-1)
 
 
-def _record_smooth(
-    subject: Subject, blur: BlurTerms, rule: LimbRule | None, positions: RecordPositions, index: np.ndarray
-) -> tuple[np.ndarray, Any]:
-    """Compute the record of pixels with smooth radiance, or at the limb with a rule for the residual of a lens."""
-    pixels = positions.at(index)
-    used, rows = shaped((*pixels[:3], pixels.turn), _BLOCKS, _SMOOTH)
-    return index, subject.computed(_smooth_blocks(subject, blur, rule, used if subject.known else None, rows))
+@jax.jit
+def _added_by_jax(total: jax.Array, position: jax.Array, values: jax.Array) -> jax.Array:
+    return total.at[position].add(values.reshape(-1, total.shape[1])[: position.size])
 
 
 @kept_program
@@ -129,20 +190,6 @@ class _ArcInputs(NamedTuple):
     lamp_angle: AnyArray
     turn: Turn | None
     arcs: CircleArcs | CrossArcs
-
-
-def _record_arcs(
-    subject: Subject, blur: BlurTerms, positions: RecordPositions, part: PlanPart, some: slice
-) -> tuple[np.ndarray, Any]:
-    """Compute the contributions of some arcs to the records of their pixels."""
-    own = part.arcs.at(some)
-    pixels = positions.at(own.position)
-    arcs = own if isinstance(own, CrossArcs) else own.on_circles(part.frames)
-    used, rows = shaped(_ArcInputs(*pixels[:3], pixels.turn, arcs), _BLOCKS, _ARCS)
-    counts = np.resize(own.nodes, _BLOCKS * _ARCS).reshape(_BLOCKS, _ARCS).max(axis=1)
-    rules = next(rules for rules in map(gauss_rules, _RULES) if counts.max() < rules.shape[1])
-    values = _arc_blocks(subject, blur, used if subject.known else None, counts, rules, rows)
-    return own.position, subject.computed(values)
 
 
 @kept_program

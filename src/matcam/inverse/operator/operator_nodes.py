@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from matcam.core.jax import jax, jnp, placed
+from matcam.core.jax import computes_on_gpu, jax, jnp, placed
 from matcam.core.programs import kept_program
 from matcam.inverse.operator.chosen_cells import SLICE_CELLS
 from matcam.material.lambda_table import has_closed_lambda, lambda_at, quick_table
@@ -102,7 +102,7 @@ class OperatorNodes(NamedTuple):
 
         steps = jax.tree.map(lambda array: array.reshape(-1, _STEP, *array.shape[1:]), self.at)
         # a GPU is faster if it processes all cells at once
-        found = jax.lax.map(one, steps) if jax.default_backend() == "cpu" else jax.vmap(one)(steps)
+        found = jax.vmap(one)(steps) if computes_on_gpu() else jax.lax.map(one, steps)
         return jnp.moveaxis(found, 0, -2).reshape(*found.shape[1:-1], -1)
 
     def weighted(self, ndf: NDF, masking: Masking, table: jax.Array | None) -> jax.Array:
