@@ -247,7 +247,7 @@ def _joined(parts: list[AnyArray], axis: int = 0) -> AnyArray:
     return np.concatenate(parts, axis) if in_numpy else jnp.concatenate(parts, axis)
 
 
-def _summed(size: int, index: np.ndarray, values: AnyArray) -> AnyArray:
+def _summed(size: int, index: AnyArray, values: AnyArray) -> AnyArray:
     """Add values, (positions, channels), to the entries of an array of zeros."""
     if not isinstance(values, np.ndarray):
         return jnp.zeros((size, values.shape[1])).at[index].add(values)
