@@ -83,21 +83,36 @@ def test_near_rigs_and_discs_are_an_independent_quadrature(geometry, count, alph
         assert missed.max() < 1
 
 
-@pytest.mark.slow
-def test_a_lobe_is_found_before_a_near_camera_and_under_a_lamp_with_a_disc():
-    """The table is measured: what is fitted is the rule of another quadrature."""
-    rig = Rig(RIG.camera, Cylinder(256.0, 30.0), matcam.NearLamp(28.0, 0.1))
-    cells, _ = lobe_operator(rig, "centre", 30)
-    table = np.full((90, 90, 180, 3), np.nan)
+def simulated_cells(material, rig, cells):
+    """The valid cells, simulated by `measure`, whose quadrature is not that of the operator."""
     at = np.nonzero(cells.valid)
     angles = cells.theta_h[at], cells.theta_d[at[0]], cells.phi_d[at]
     directions = []
     for way in (0, np.pi):
         shown = (*angles[:2], angles[2] + way)
         cos_i = np.asarray(cosines(*shown)[0])
-        radiance = record_cells(matcam.Microfacet(GGX(0.01), 0.8), rig, line_positions(rig, *shown))
+        radiance = record_cells(material, rig, line_positions(rig, *shown))
         directions.append(np.asarray(radiance)[:, 0] / cos_i / np.asarray(closeness(rig.lamp.nearness, cos_i)) ** 2)
-    table[cells.i_theta_h[at], cells.slices[at[0]], cells.i_phi_d[at]] = np.mean(directions, axis=0)[:, None]
+    return at, np.mean(directions, axis=0)
+
+
+def test_a_sharp_highlight_just_outside_the_window():
+    """The smallest theta_h in a window exceeds the width of the lobe, whose peak the nodes therefore need not resolve."""
+    rig = Rig(Camera(GaussianOptics(1.5), BoxPixel(0.4)), Cylinder(60.0, 200.0), matcam.NearLamp(150.0, 0.0))
+    cells, operator = lobe_operator(rig, "centre", 15)
+    at, truth = simulated_cells(matcam.Microfacet(GGX(0.001), 1.0), rig, cells)
+    found = np.asarray(operator.record(GGX(0.001), "smith", np.zeros(0)))[at]
+    assert np.all(np.abs(found - truth) < np.maximum(1e-3 * truth, 1e-6 * truth.max()))
+
+
+@pytest.mark.slow
+def test_a_lobe_is_found_before_a_near_camera_and_under_a_lamp_with_a_disc():
+    """The table is measured: what is fitted is the rule of another quadrature."""
+    rig = Rig(RIG.camera, Cylinder(256.0, 30.0), matcam.NearLamp(28.0, 0.1))
+    cells, _ = lobe_operator(rig, "centre", 30)
+    table = np.full((90, 90, 180, 3), np.nan)
+    at, values = simulated_cells(matcam.Microfacet(GGX(0.01), 0.8), rig, cells)
+    table[cells.i_theta_h[at], cells.slices[at[0]], cells.i_phi_d[at]] = values[:, None]
     drawn = matcam.core.grid.brdf_table(table, "centre")
     found = matcam.fit(drawn, rig, "ggx", fresnel="free", noise=PixelNoise(0.01, 0.0), slice_step=30)
     wrong = matcam.fit(drawn, RIG, "ggx", fresnel="free", noise=PixelNoise(0.01, 0.0), slice_step=30)

@@ -75,7 +75,7 @@ def record(material: Material, imaging: Imaging, plan: RecordPlan, turning: jax.
     tiles = _tiles_on_gpu(plan) if on_gpu else _tiles(plan)
     workers = available_cores() if subject.known and not on_gpu else 1
     shape = plan.positions.x.size, subject.under(jnp.zeros(())).channels()
-    total: Any = jnp.zeros(shape) if on_gpu else np.zeros(shape)
+    total: Any = jnp.zeros(shape) if on_gpu else np.zeros(shape, order="F")
     for position, values in in_order(lambda tile: _recorded(subject, tile()), tiles, workers):
         total = _added(total, position, values)
     return jnp.asarray(total)
@@ -163,8 +163,9 @@ def _added(total: Any, position: AnyArray, values: Any) -> Any:
     if isinstance(values, jax.Array):
         return _added_by_jax(total, position, values)
     own = values.reshape(-1, total.shape[1])[: position.size]
-    columns = (np.bincount(position, column, total.shape[0]) for column in own.T)
-    return total + np.stack(list(columns), axis=-1)
+    for column, value in zip(total.T, own.T, strict=True):
+        np.add.at(column, position, value)
+    return total
 
 
 @jax.jit

@@ -31,10 +31,8 @@ _BLOCK = 8
 _LEAST = 1e-12
 """Smallest length of an arm, rad. An arm outside the window has this length, and weights of 0."""
 _FINEST = 25.0
-_MEETS, _SLACK = 0.02, 0.02
-"""Share of the largest angle from the half vector below which the smallest angle is treated as 0, and share by which the
-range between them is widened, because it is computed from single points.
-"""
+_SLACK = 0.02
+"""Share by which the range of theta_h is widened, because it is computed from single points."""
 _SHORT = 1e-3
 """Length of the image of a chord, in standard deviations of the blur, below which the image is treated as a point. The
 closed form would lose digits.
@@ -104,9 +102,8 @@ def line_window(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Compute the range of theta_h in the window of each pixel, rad.
 
-    The result is the smallest and the largest angle, (pixels,) each. A smallest angle that is small compared with the
-    largest is set to 0. nearness: inverse distance of the lamps, 1/radii; 0: distant. reach: support radius of the
-    kernel, (pixels,), px. disc: angular radius of the source disc, rad.
+    The result is the smallest and the largest angle, (pixels,) each. nearness: inverse distance of the lamps, 1/radii; 0:
+    distant. reach: support radius of the kernel, (pixels,), px. disc: angular radius of the source disc, rad.
     """
     turns = np.linspace(-1, 1, 9)
     light, bound = lamp_of(pixels, nearness), jnp.asarray(reach)[:, None]
@@ -128,8 +125,8 @@ def line_window(
     meets = np.asarray((miss.min(1) <= 0) & (miss.max(1) >= 0) & jnp.any((closest > first) & (closest < last), axis=1))
     low, high = angle.min(1), angle.max(1)
     slack = _SLACK * (high - low) + _LEAST
-    low = np.maximum(low - slack, 0.0)
-    return np.where(meets | (low < _MEETS * high), 0.0, low), np.minimum(high + slack, np.pi / 2)
+    # nodes below the smallest angle would have to resolve the peak of the lobe, which is not in the window
+    return np.where(meets, 0.0, (1 - _SLACK) * low), np.minimum(high + slack, np.pi / 2)
 
 
 @partial(jit_plainly, static=("terms", "arm", "discs"))

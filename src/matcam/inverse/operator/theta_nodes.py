@@ -134,8 +134,7 @@ def stretched(low, high, finest=np.inf):  # type: ignore[no-untyped-def]
         the limit.
     """
     xp = np if isinstance(low, np.ndarray) else jnp
-    # the range includes the highlight only if it begins at 0
-    scale = xp.where(low > 0, xp.maximum(high / _FINEST, 0.15 * (high - low)), high / _FINEST)
+    scale = xp.maximum(high / _FINEST, xp.minimum(0.15 * (high - low), low))
     scale = xp.minimum(scale, xp.maximum(low, finest))
     return scale, xp.arcsinh(low / scale), xp.arcsinh(high / scale)
 
