@@ -33,7 +33,7 @@ from matcam.inverse.normalised_fresnel import (
 from matcam.inverse.operator.chosen_cells import peak_cells
 from matcam.inverse.operator.lobe_operator import check_rig, operator_in, point_operator, rig_key
 from matcam.inverse.operator.pixel_phase import located_rig
-from matcam.inverse.operator.rig_axes import LENS, known_lens, rig_with
+from matcam.inverse.operator.rig_axes import known_lens
 from matcam.inverse.operator.sample_view import sample_view
 from matcam.inverse.peak_curve import recorded_peak
 from matcam.inverse.picture_gain import gain_remarks, picture_gain
@@ -55,8 +55,6 @@ _NEGLIGIBLE = 1e-3
 """Probability of the explanation without a camera below which its fit is not repeated in all slices. F would change by less
 than 0.1 % of the difference between the two fits.
 """
-_SHARP_LENS = 0.05
-"""Smallest lens width for which the responses at the peak are computed, px. No pixel resolves a lens of this width."""
 _QUIET = np.radians(np.arange(6, 60, 3))  # theta_d at which the lobes of real tables are complete, rad
 _NAMES = {
     "raw": "F from the recorded peak",
@@ -156,11 +154,10 @@ def fresnel(
     checks.choice("masking", masking, MASKINGS)
     checks.flag("force_correction", force_correction)
     _check_highlight(brdf, normalise)
-    located = located_rig(rig, brdf)
+    located, workspace = located_rig(rig, brdf), workspace or default_workspace()
     setup = first_setup(
-        brdf, located.rig, masking=masking, noise=noise, workspace=workspace or default_workspace(),
-        slice_step=max(slice_step, SEARCH_STEP),
-    )  # fmt: skip
+        brdf, located.rig, masking=masking, noise=noise, workspace=workspace, slice_step=max(slice_step, SEARCH_STEP)
+    )
     setup.rule()  # computed alone, because the other fits use the programs that it compiles
     with done_behind(setup.with_(slice_step=slice_step).rule):
         explained = explain(setup, located, ndf)
@@ -191,8 +188,7 @@ def fresnel(
     if explained.no_blur:
         remarks = (*remarks, explained.no_blur_remark)
     angles = np.append(theta_d, 0.0)
-    fitted, log_slope = _fitted_rig(explained.located.rig, found), found.log_slope(angles)
-    peaks = _peak_responses(fitted, lobe, angles, masking, log_slope)
+    peaks = _peak_responses(explained.located.rig, found, masking, angles, workspace)
     *response, centre = np.ones(theta_d.size + 1) if held_back else peaks
     peak_terms = fresnel_of_peaks(brdf, theta_d, lobe, masking, np.array(response) / centre, term.used)
     width = next(iter(found.params))
@@ -320,22 +316,13 @@ def fresnel_budget(result: xr.Dataset, theta_d: float, channel: str | None = Non
     return parts_budget(f"F({degrees:.1f} deg), {channel}", value, budget_parts(result), at)
 
 
-def _fitted_rig(rig: Rig, found: MaterialFit) -> Rig:
-    """Return the rig with its fitted lens. A width below `_SHARP_LENS` is replaced by `_SHARP_LENS`."""
-    if LENS not in found.params:
-        return rig
-    return rig_with(rig, {LENS: max(found.params[LENS], _SHARP_LENS)})
-
-
-def _peak_responses(rig: Rig, lobe: NDF, theta_d: np.ndarray, masking: Masking, log_slope: np.ndarray) -> np.ndarray:
-    """Compute the ratio of recorded to true peak, (n,).
-
-    log_slope: derivative of ln F with respect to theta_d, 1/rad, (n,). It is used if camera or lamp are near.
-    """
-    cells = peak_cells(sample_view(rig), theta_d)
-    recorded = operator_in(rig, cells, (), repr((rig_key(rig), theta_d.tobytes())), Workspace()).leaning(log_slope)
-    through, true = (one.record(lobe, masking, ())[:, 0] for one in (recorded, point_operator(cells)))
-    return through / true
+def _peak_responses(rig: Rig, found: MaterialFit, masking: Masking, angles: np.ndarray, store: Workspace) -> np.ndarray:
+    """Compute the ratio of recorded to true peak at angles theta_d, rad, through the fitted lens, (n,)."""
+    cells, at = peak_cells(sample_view(rig), angles), found.coordinates
+    recorded = operator_in(rig, cells, at.axes, repr(("peaks", rig_key(rig), at.axes, angles.tobytes())), store)
+    recorded = recorded.leaning(found.log_slope(angles))
+    through = recorded.record(found.ndf, masking, at.rig)[:, 0]
+    return through / point_operator(cells).record(found.ndf, masking, ())[:, 0]
 
 
 @kept_program
