@@ -17,7 +17,7 @@ the variation of F over the nodes.
 
 from __future__ import annotations
 
-from functools import partial
+from functools import cache, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -37,12 +37,13 @@ from matcam.inverse.operator.theta_nodes import (
     rise_of,
     stretched,
 )
+from matcam.numerics.blocks import in_blocks
 from matcam.numerics.elementary import sine
 
-_ARC = np.polynomial.legendre.leggauss(24)
-"""Gauss-Legendre nodes and weights on an arc."""
-_ARC_OF_RINGS = np.polynomial.legendre.leggauss(48)
-"""Gauss-Legendre nodes and weights on an arc that resolve the diffraction rings of a lens."""
+_ON_ARCS = ((0.25, 8), (0.75, 16), (np.inf, 24))
+"""Pairs (largest length of an arc in sides of its window, number of nodes). Each number of nodes requires a program."""
+_OF_RINGS = 2
+"""Factor of the number of nodes on an arc for the diffraction rings of a lens."""
 _CALL, _BLOCK = 4096, 256
 """Number of arcs in one call of the compiled program, and in one of its blocks. The arrays of a block fit into the cache of
 a processor.
@@ -196,21 +197,32 @@ def sphere_rule(
     per_pixel = (
         windows.x, windows.y, windows.cosine, windows.sine, windows.lamp, windows.peak, theta_d, scale, first, last,
     )  # fmt: skip
-    sums, near = [], not view.distant
-    for begin in range(0, pixel.size, _CALL):
-        part = Arcs(*(_filled(a[begin : begin + _CALL]) for a in arcs))
-        seen_by = part.circle // NODES[0].size
-        variances, disc = kernel.at(seen_by)
-        of_pixel = np.stack([*(a[seen_by] for a in per_pixel), *variances])
-        of_arc = np.stack([angle.ravel()[part.circle], part.middle, part.half])
-        of_view = np.array(view)
-        used = min(_CALL, pixel.size - begin)
-        program = _arc_sums if disc is None else _arc_sums_of_disc
-        found = program(of_view, of_pixel, of_arc, kernel.blur, disc, kernel.terms, near, kernel.pixel_nodes)
-        sums.append([np.asarray(a)[:, :used] for a in found])
+    near, rings = not view.distant, _OF_RINGS if kernel.blur.residual is not None else 1
+    length = 2 * arcs.half * np.sin(angle.ravel()[arcs.circle]) * view.radius
+    sides = length / (2 * windows.half.min(axis=0)[pixel])
+    # the image of a disc has borders, which require all nodes on short arcs, too
+    on_arcs = _ON_ARCS if kernel.disc is None else _ON_ARCS[-1:]
+    classes = np.searchsorted([most for most, _ in on_arcs[:-1]], sides)
+    order, sums = np.argsort(classes, kind="stable"), []
+    for number, (_, count) in enumerate(on_arcs):
+        rule, own = _gauss_rule(rings * count), order[classes[order] == number]
+        for begin in range(0, own.size, _CALL):
+            some = own[begin : begin + _CALL]
+            used, part = -(-some.size // _BLOCK), Arcs(*(_filled(a[some]) for a in arcs))
+            seen_by = part.circle // NODES[0].size
+            variances, disc = kernel.at(seen_by)
+            of_pixel = np.stack([*(a[seen_by] for a in per_pixel), *variances])
+            of_arc = np.stack([angle.ravel()[part.circle], part.middle, part.half])
+            program = _arc_sums if disc is None else _arc_sums_of_disc
+            found = program(
+                np.array(used), np.array(view), of_pixel, of_arc, rule, kernel.blur, disc, kernel.terms, near,
+                kernel.pixel_nodes,
+            )  # fmt: skip
+            sums.append([np.asarray(a)[:, : some.size] for a in found])
     if not sums:
         return _nothing(angle, near)
-    powers, *moments = (np.concatenate(parts, axis=1) for parts in zip(*sums, strict=True))
+    back = np.argsort(order)
+    powers, *moments = (np.concatenate(parts, axis=1)[:, back] for parts in zip(*sums, strict=True))
     total, *others = (np.bincount(arcs.circle, power, angle.size).reshape(angle.shape) for power in powers)
     if not near:
         others += [total * position, total * theta_d[:, None], others[0] * theta_d[:, None]]
@@ -222,6 +234,9 @@ def sphere_rule(
         by_pixel = np.add.reduceat(moment * through.ravel()[arcs.circle], begins, axis=1)
         weight[pixel[begins]] = (FROM_MOMENTS @ by_pixel).T
     return SphereRule(own[0], seen, own[1])
+
+
+_gauss_rule = cache(np.polynomial.legendre.leggauss)
 
 
 def _circle_arcs(view: SphereView, windows: Windows, circles: np.ndarray) -> Arcs:
@@ -251,9 +266,11 @@ def _filled(array: np.ndarray) -> np.ndarray:
 
 @partial(jit_plainly, static=("terms", "near", "pixel_nodes"))
 def _arc_sums(
+    used: Any,
     of_view: Any,
     of_pixel: Any,
     of_arc: Any,
+    rule: tuple[np.ndarray, np.ndarray],
     blur: Blur,
     disc: LampDisc | None,
     terms: tuple[int, ...],
@@ -263,10 +280,11 @@ def _arc_sums(
     """Compute the sums over the nodes of each arc.
 
     The first array, (4, arcs), or (7, arcs) in a near rig, contains the sums of `CircleSums`. A near rig also has sums of
-    Legendre polynomials for weights and for moments, (40, arcs) each.
+    Legendre polynomials for weights and for moments, (40, arcs) each. used: number of blocks with arcs.
+    rule: nodes on each arc, and their weights.
     """
     view = SphereView(*of_view) if near else SphereView(of_view[0], 0.0, 0.0)
-    node, node_weight = _ARC if blur.residual is None else _ARC_OF_RINGS
+    node, node_weight = rule
 
     def block(arguments):  # type: ignore[no-untyped-def]
         of_pixel, of_arc, disc = arguments
@@ -319,7 +337,7 @@ def _arc_sums(
         return array.reshape(-1, _BLOCK, *array.shape[1:])
 
     of_blocks = jax.tree.map(blocks, (tuple(of_pixel), tuple(of_arc), disc))
-    powers, *moments = jax.lax.map(block, of_blocks)
+    powers, *moments = in_blocks(block, used, of_blocks)
     return jnp.stack(powers).reshape(len(powers), -1), *(jnp.moveaxis(a, 1, 0).reshape(a.shape[1], -1) for a in moments)
 
 
