@@ -1,5 +1,7 @@
 """Edges in light and behind software that no polynomial describes. Truth: `tests/oracle/hard_edges.py`."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 
@@ -73,6 +75,18 @@ def test_a_glint_is_no_glare():
     edge = edge_mtf(counts)
     assert edge.mtf50 == pytest.approx(real_edges.half(0.5, 6.0), rel=0.012)
     assert "uneven-light" in [remark.code for remark in edge.remarks]
+
+
+def test_a_photograph_of_many_squares_is_refused_in_bounded_memory():
+    """The light of a region is evaluated in parts, because a whole photograph would need 20 GB."""
+    y, x = np.mgrid[:1000, :1000]
+    squares = np.where((x % 250 < 120) & (y % 250 < 120), 0.9, 0.1)
+    picture = 40000 * squares + np.random.default_rng(1).normal(0, 200, squares.shape)
+    tracemalloc.start()
+    with pytest.raises(FitError, match="choose another region"):
+        edge_mtf(picture)
+    assert tracemalloc.get_traced_memory()[1] < 1e9
+    tracemalloc.stop()
 
 
 def test_glare_beside_even_light_stays_glare():

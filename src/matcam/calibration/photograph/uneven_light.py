@@ -45,6 +45,8 @@ _ROWS = 40
 """Largest number of rows in which the light across the edge is evaluated."""
 _DARKEST = 0.1
 """Smallest factor of the light."""
+_AT_ONCE = 1 << 14
+"""Number of pixels whose light is evaluated at a time."""
 _FEWEST_BINS = 24
 """Smallest number of bins for the estimate of a light field."""
 
@@ -188,7 +190,11 @@ def light_field(
         return LightField(factor, addend, 0.0, possible) if glare else None
     weights = best.weights(power, unexplained, glaring)
     light = power**2 * (best.seen @ weights)
-    field = (_correlation(x.ravel(), y.ravel(), bins, best.length) @ light).reshape(value.shape)
+    # a correlation with all bins takes a few kB for each pixel, so a large region is evaluated in parts
+    parts = [slice(first, first + _AT_ONCE) for first in range(0, value.size, _AT_ONCE)]
+    flat = x.ravel(), y.ravel()
+    at_pixels = [_correlation(flat[0][part], flat[1][part], bins, best.length) @ light for part in parts]
+    field = np.concatenate(at_pixels).reshape(value.shape)
     # The polynomials are fitted to the bins after subtracting the light.
     by_light = _correlation(bins.x, bins.y, bins, best.length) @ light * (step if best.adds else bins.level)
     left = (bins.value - by_light) / bins.std - unexplained * (basis @ weights)
