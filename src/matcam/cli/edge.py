@@ -10,7 +10,7 @@ import typer
 from matcam.cli import show
 from matcam.cli.edge_series import focus_positions, run_series
 from matcam.cli.options import AsJson, Budget, EdgeLens, Force, HalfWidth, Mosaic, Pitch, Wavelength, option
-from matcam.core.errors import ArgumentError
+from matcam.core.errors import ArgumentError, FitError
 from matcam.core.io import check_output, check_outputs, check_picture, write_columns, write_text
 
 _DOUBTS = {"asymmetric", "compressed", "crushed", "demosaiced", "denoised", "filtered", "sharpened", "tone-curve"}
@@ -154,7 +154,12 @@ def command(
         from matcam.files.photographs import open_photograph
 
         photograph = open_photograph(picture)
-        result = measure(photograph, roi, channel)
+        try:
+            result = measure(photograph, roi, channel)
+        except FitError as error:
+            if roi is not None or not str(error).endswith("choose another region"):
+                raise
+            raise FitError(f"{error} with --roi, or measure all edges with matcam calibrate {picture}") from error
     files = [*([output, output.with_suffix(".csv")] if output else []), *(path for path in (sfr, budget) if path)]
     if json:
         show.as_json(document_of(result) | {"files": files})
