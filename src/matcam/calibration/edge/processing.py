@@ -349,8 +349,9 @@ def _coarse(region: _EdgeRegion) -> list[Trace]:
     if not 2 <= levels.size <= _MOST_LEVELS:
         return []
     gaps, errors = np.diff(levels), []
-    for side, (_, count), variance in zip(sides, region.levels, region.noise.variance, strict=True):
-        at = int(np.searchsorted(levels, np.median(value[side])))
+    for (own, count), variance in zip(region.levels, region.noise.variance, strict=True):
+        middle = own[np.searchsorted(np.cumsum(count), (count.sum() + 1) // 2)]
+        at = int(np.searchsorted(levels, middle))
         apart = float(gaps[max(at - _NEAR_LEVELS, 0) : at + _NEAR_LEVELS].min())
         # Rounding adds variance. Noise that extends to a third level can be separated from it.
         beyond = float(np.clip(np.sort(count)[:-2].sum(), 0.5, None) / count.sum())

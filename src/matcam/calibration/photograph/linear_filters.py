@@ -18,7 +18,6 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy import ndimage
-from scipy.fft import irfft2, next_fast_len, rfft2
 from scipy.optimize import nnls
 from scipy.special import ndtr
 
@@ -161,7 +160,7 @@ def _smooth_light(value: FloatArray, side: np.ndarray) -> FloatArray:
 
     Powers of rows and columns separate, so that all sums over pixels are products of matrices.
     """
-    powers = [np.linspace(-1, 1, size) ** np.arange(2 * _ORDER + 1)[:, None] for size in value.shape]
+    powers = [np.vander(np.linspace(-1, 1, size), 2 * _ORDER + 1, increasing=True).T for size in value.shape]
     moments = powers[0] @ side @ powers[1].T
     i, j = np.transpose(plane_orders(_ORDER))
     y, x = (power[: _ORDER + 1] for power in powers)
@@ -173,10 +172,10 @@ def _smooth_light(value: FloatArray, side: np.ndarray) -> FloatArray:
 
 def _sums_of_products(values: FloatArray) -> FloatArray:
     """Compute the sums of the products of all pixels at the offsets of `LAGS` and `_FAR_LAGS`."""
-    lags = np.array(LAGS + _FAR_LAGS)
-    shape = [next_fast_len(size + lags.max(), real=True) for size in values.shape]
-    products = irfft2(np.abs(rfft2(values, shape)) ** 2, shape)
-    return np.asarray(products[lags[:, 0], lags[:, 1]])
+    height, width = values.shape
+    first = (values[: height - dy, max(-dx, 0) : width - max(dx, 0)] for dy, dx in LAGS + _FAR_LAGS)
+    second = (values[dy:, max(dx, 0) : width + min(dx, 0)] for dy, dx in LAGS + _FAR_LAGS)
+    return np.array([np.einsum("ij,ij", a, b) for a, b in zip(first, second, strict=True)])
 
 
 def _log_likelihoods(seen: Correlations) -> FloatArray:

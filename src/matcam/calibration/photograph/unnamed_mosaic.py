@@ -6,6 +6,8 @@ images, alternate pixels do not differ systematically over the whole image.
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 
 from matcam.calibration.photograph.linear_image import LinearImage
@@ -41,30 +43,33 @@ def alternation(values: FloatArray) -> float:
     height, width = values.shape
     top, left = max(height - _LARGEST, 0) // 4 * 2, max(width - _LARGEST, 0) // 4 * 2
     middle = values[top : top + _LARGEST, left : left + _LARGEST]
-    return max(_of_lines(middle), _of_lines(middle.T))
+    known = middle[np.isfinite(middle)]
+    if not known.size:
+        return 0.0
+    dark = _DARK * float(np.quantile(known, 0.95))
+    return max(_of_lines(middle, dark), _of_lines(middle.T, dark))
 
 
-def _of_lines(values: FloatArray) -> float:
-    """Measure the relative difference of alternating pixels along the rows; 0 if it is not significant."""
+def _of_lines(values: FloatArray, dark: float) -> float:
+    """Measure the relative difference of alternating pixels along the rows; 0 if it is not significant.
+
+    `dark`: level below which pixels are ignored.
+    """
     before, at, after = values[:, :-2], values[:, 1:-1], values[:, 2:]
     mean = (before + 2 * at + after) / 4
     with np.errstate(invalid="ignore", divide="ignore"):
-        known = np.isfinite(mean)
-        if not known.any():
-            return 0.0
-        bright = known & (mean > _DARK * np.quantile(mean[known], 0.95))
-        share = np.where(bright, (at - mean) / mean, np.nan)
+        share = np.where(mean > dark, at / mean - 1, np.nan)
     found = 0.0
-    for row in (0, 1):
-        parts = [share[row::2, column::2] for column in (0, 1)]
-        parts = [part[np.isfinite(part)] for part in parts]
-        if min(part.size for part in parts) >= _FEWEST:
-            ends = [float(np.median(part)) for part in parts]
-            least = min(map(abs, ends))
-            if ends[0] * ends[1] >= 0 or 2 * least <= max(_ALTERNATING, found):
-                continue
+    for row, sign in itertools.product((0, 1), (1, -1)):
+        parts = sign * share[row::2, ::2], -sign * share[row::2, 1::2]
+        least, sizes = max(_ALTERNATING, found) / 2, [np.isfinite(part).sum() for part in parts]
+        # A median exceeds `least` only if half of the pixels do.
+        half = all(2 * (part > least).sum() >= size for part, size in zip(parts, sizes, strict=True))
+        if half and min(sizes) >= _FEWEST:
+            used = [part[np.isfinite(part)] for part in parts]
+            ends = [float(np.median(part)) for part in used]
             # Standard deviation of a median.
-            std = max(1.25 * robust_std(part - end) / np.sqrt(part.size) for part, end in zip(parts, ends, strict=True))
-            if least > _SIGNIFICANT * std:
-                found = 2 * least
+            std = max(1.25 * robust_std(part - end) / np.sqrt(part.size) for part, end in zip(used, ends, strict=True))
+            if min(ends) > max(least, _SIGNIFICANT * std):
+                found = 2 * min(ends)
     return found
