@@ -140,13 +140,10 @@ def edge_and_slopes(
     """
     long, _, short = _boxes(angle, half_width, std)
     short = xp.where(short > _THINNEST, short, _THINNEST)
-    corners, signs = (
-        xp.stack([long + short, long - short, short - long, -long - short]),
-        np.array([1.0, -1.0, -1.0, 1.0]),
-    )
+    signs = np.array([1.0, -1.0, -1.0, 1.0])
+    corners = np.array([1.0, 1.0, -1.0, -1.0]) * long + np.array([1.0, -1.0, 1.0, -1.0]) * short
     t = (x + corners[:, None]) / std
-    phi = xp.exp(-t * t / 2) / np.sqrt(2 * np.pi)
-    below = (1 + special.erf(t / np.sqrt(2.0))) / 2
+    phi, below = normal_density(t), special.ndtr(t)
     first = t * below + phi
     share = std / (4 * long * short)
     return std * share / 2 * (signs @ (t * first + below)), share * (signs @ first), share * (signs @ below)

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from matcam.calibration.edge.edge_result import EdgeMTF, EdgeStack, stack_result
 from matcam.calibration.edge.free_curve import GHOSTS, GLARE, line_width
-from matcam.calibration.edge.geometry import Rows, aligned_rows, half_length
+from matcam.calibration.edge.geometry import Rows, aligned_rows
 from matcam.calibration.edge.maximum_likelihood import UNKNOWN_NOISE, Noise
 from matcam.calibration.edge.measurement import EdgeFits, edge_fits, fits_program, lens_fit
 from matcam.calibration.edge.processing import with_traces
@@ -290,18 +290,18 @@ def _in_even_light(rows: EdgeRegions, fits: EdgeFits) -> tuple[EdgeRegions, list
     value, fields = np.array(rows.value), list[LightField | None]()
     widths = np.asarray(line_width(fits.free.shape))
     for i, (region, x, y) in enumerate(zip(rows.value, *rows.coordinates(), strict=True)):
-        shape, curve = fits.free.shape, fits.curve[i]
+        shape, edge = fits.free.shape, tuple_map(lambda a: a[i], fits)  # noqa: B023
         blur = float(widths[i])
         field: LightField | None = None
-        if np.isfinite([*curve, blur]).all() and blur < _WIDEST * np.isfinite(region).sum(1).max() * rows.step:
-            distance = rows.distances(i, curve)
+        if np.isfinite([*edge.curve, blur]).all() and blur < _WIDEST * np.isfinite(region).sum(1).max() * rows.step:
+            distance = rows.distances(i, edge)
             gain, read = (float(np.asarray(part)[i]) for part in fits.noise)
             glare = bool(fits.free.even[i, GLARE] != 0)
             if (fits.free.even[i, GHOSTS] != 0).any():  # a ghost is not uneven light
                 blur = max(blur, float(shape.apart[i]) / EXCLUDED_WIDTHS + blur)
             # The light along the edge is divided out of the rows in all cases.
-            own = Rows(region, rows.y[i], rows.start[i], rows.step)
-            by_row = in_even_rows(aligned_rows(own, curve), half_length(own)).light[:, None]
+            own = Rows.of(region, rows.y[i], rows.start[i], rows.step)
+            by_row = in_even_rows(aligned_rows(own, edge.curve)).light[:, None]
             field = light_field(region / by_row, x, y, distance, (gain, read), blur=blur, glare=glare)
             if field is not None and field.amplitude and (field.amplitude > _BRIGHTEST or describe_content(region)):
                 field = None

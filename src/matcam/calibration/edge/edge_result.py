@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from matcam.calibration.edge import free_curve
 from matcam.calibration.edge.free_curve import FREQUENCIES, GLARE, EdgeSamples, SampledCurve
+from matcam.calibration.edge.geometry import CURVE, legendre
 from matcam.calibration.edge.maximum_likelihood import SHIFT, Noise, light_of
 from matcam.calibration.edge.measurement import EdgeFits
 from matcam.calibration.edge.parametric_result import (
@@ -381,22 +382,22 @@ def stack_result(
     """Convert the fits of a stack to results in the coordinates of the image. All arrays of `fits` are NumPy arrays."""
     free = fits.free
     glare = free.even[..., GLARE]
-    curve = np.moveaxis(np.asarray(fits.curve), -1, 0)
-    offset, slope = curve[0], np.asarray(fits.slope)
-    half = np.asarray(frame.length) / 2
+    slope, end = np.asarray(fits.slope), np.asarray(frame.length) / 2 / np.asarray(fits.length)
+    # The orders that are even in y determine the curve at its middle, and the mean of its ends.
+    even = legendre(np.stack([0 * end, end]), CURVE)[::2]
+    middle, ends = np.einsum("nk,kin->in", np.asarray(fits.curve)[:, ::2], even)
     levels = np.moveaxis(np.asarray(free.levels), -1, 0)
     bad = np.array([problem is not None for problem in problems])
 
     nx, ny = frame.in_picture(1.0, -slope)
-    x, y = frame.in_picture(offset, 0.0)
+    x, y = frame.in_picture(middle, 0.0)
     numbers: dict[str, Any] = {
         "glare_fraction": glare,
         "glare_fraction_std": np.sqrt(np.maximum(free.covariance[..., GLARE, GLARE], 0.0)),
         "glare_radius": np.where(glare != 0, free.shape.radius, np.nan),
         "angle": np.arctan2(ny, nx),
         "angle_std": np.asarray(fits.slope_std) / (1 + slope**2),
-        # Along x, the distance of the centre from the chord is the sum of the even powers of the curve at its ends.
-        "bow": -(curve[2] * half**2 + curve[4] * half**4) / np.hypot(1, slope),
+        "bow": (middle - ends) / np.hypot(1, slope),
         "dark": levels[0],
         "bright": levels[1],
         "gain": fits.noise.gain,

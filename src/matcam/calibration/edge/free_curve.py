@@ -150,7 +150,7 @@ def edge_basis(shape: CoreShape, distance: AnyArray, spread: AnyArray) -> Basis:
     blurred = xp.sqrt(shape.sigma**2 + spread)
     pilot, line, _ = edge_and_slopes(distance, shape.angle, shape.half_width, blurred)
     wide = xp.sqrt(width[:, None] ** 2 + spread)
-    right, left = (_step((distance - sign * positions[:, None]) / wide) for sign in (1, -1))
+    right, left = (special.ndtr((distance - sign * positions[:, None]) / wide) for sign in (1, -1))
     tail_width = _TAIL * line_width(shape)
     # The Cauchy function is not Gaussian, so the variance of the distances multiplies half the second derivative of the ESF.
     curvature = -2 * distance * tail_width / (xp.pi * (distance**2 + tail_width**2) ** 2)
@@ -162,7 +162,7 @@ def edge_basis(shape: CoreShape, distance: AnyArray, spread: AnyArray) -> Basis:
 
 def glare_edge(radius: jax.Array, distance: AnyArray, spread: AnyArray) -> jax.Array:
     """Evaluate the edge response of Gaussian glare."""
-    return _step(distance / xp.sqrt(radius**2 + spread))
+    return special.ndtr(distance / xp.sqrt(radius**2 + spread))
 
 
 def transfer_basis(shape: CoreShape, f: jax.Array) -> Basis:
@@ -264,13 +264,7 @@ def _bumps(shape: CoreShape) -> tuple[jax.Array, jax.Array]:
     """Compute the centres of the basis functions on the bright side, and their standard deviations, px."""
     s = line_width(shape)
     ghosts = shape.apart + GHOST_STEP * s * xp.arange(GHOSTS.size)
-    widths = xp.concatenate([xp.full(PAIRS, _WIDTH), xp.full(GHOSTS.size, GHOST_WIDTH)])
-    return xp.concatenate([xp.asarray(CENTRES) * s, ghosts]), widths * s
-
-
-def _step(t: jax.Array) -> jax.Array:
-    """Evaluate the cumulative distribution function of the standard normal distribution."""
-    return (1 + special.erf(t / xp.sqrt(2.0))) / 2
+    return xp.concatenate([CENTRES * s, ghosts]), np.repeat([_WIDTH, GHOST_WIDTH], [PAIRS, GHOSTS.size]) * s
 
 
 def edge_values(curve: FreeCurve, basis: Basis) -> jax.Array:

@@ -1,7 +1,7 @@
 """Geometry of an edge: its curve, the distance of each pixel from the curve, and bins of pixels at similar distances.
 
-The edge is a curve x0(y), a polynomial of order 5, in the coordinates of the region: px from its centre, x along the
-rows, y down. The bright side lies at larger x.
+The edge is a curve x0(y), a sum of Legendre polynomials of y up to order 5, in the coordinates of the region: px from its
+centre, x along the rows, y down. The bright side lies at larger x.
 
 A bin contains the pixels of one column of the aligned rows for which the edge lies in the same eighth of a px.
 `EdgeCells` stores their mean distance and the variance of their distances, so that a correction for a bin width is not
@@ -22,6 +22,10 @@ if TYPE_CHECKING:
 
 CURVE = 6
 """Number of coefficients of the curve of an edge. Lens distortion curves the image of a straight edge."""
+ROW_ORDERS = 11
+"""Number of tabulated Legendre polynomials of y. The light of the rows has order 10 at most."""
+_SLOPES = np.array([np.pad(np.polynomial.legendre.legder(one), (0, 1))[:CURVE] for one in np.eye(CURVE)])
+"""Matrix (CURVE, CURVE) that converts the coefficients of a curve to those of its derivative with respect to y / length."""
 _PHASES = 8
 """Number of bins per px near the edge. The distances in a bin then differ by at most an eighth of a px."""
 _NEAR = 7
@@ -36,12 +40,22 @@ class Rows(NamedTuple):
         y: (rows,) position of each row, px.
         start: (rows,) x of the first sample in each row, px.
         step: distance of neighbouring samples of a row, px.
+        length: largest |y| of the rows that are not empty, px; unit of length of the curve and of the light.
+        powers: (ROW_ORDERS, rows) Legendre polynomials of y / length.
     """
 
     value: AnyArray
     y: AnyArray
     start: AnyArray
     step: int
+    length: jax.Array
+    powers: jax.Array
+
+    @classmethod
+    def of(cls, value: AnyArray, y: AnyArray, start: AnyArray, step: int) -> Rows:
+        """Create rows with their half length and their Legendre polynomials."""
+        length = xp.maximum(xp.max(xp.where(xp.isfinite(value).any(1), xp.abs(y), 0.0)), 1.0)
+        return cls(value, y, start, step, length, legendre(y / length, ROW_ORDERS))
 
 
 class AlignedRows(NamedTuple):
@@ -53,6 +67,8 @@ class AlignedRows(NamedTuple):
         x: (rows, columns) positions, px.
         y: (rows,) positions, px.
         step: distance of neighbouring samples of a row, px.
+        length: unit of length, as in `Rows`.
+        powers: Legendre polynomials, as in `Rows`.
         light: (rows,) light of each row relative to its linear trend over the rows; the rows were divided by it.
     """
 
@@ -61,6 +77,8 @@ class AlignedRows(NamedTuple):
     x: AnyArray
     y: jax.Array
     step: int
+    length: jax.Array
+    powers: jax.Array
     light: jax.Array
 
     @property
@@ -68,11 +86,6 @@ class AlignedRows(NamedTuple):
         """Columns that are split by phase."""
         middle, half = self.value.shape[1] // 2, _NEAR // self.step
         return slice(max(middle - half, 0), middle + half + 1)
-
-    @property
-    def length(self) -> jax.Array:
-        """Unit of length of the light terms, px: the largest |y|, including that of empty rows."""
-        return xp.maximum(xp.max(xp.abs(self.y)), 1.0)
 
 
 class PhasedRows(NamedTuple):
@@ -117,48 +130,32 @@ class EdgeCells(NamedTuple):
     terms: jax.Array
 
 
-def edge_position(curve: AnyArray, y: AnyArray) -> jax.Array:
-    """Evaluate x0 at y, px, by Horner's rule. `curve`: (CURVE,) coefficients of 1, y, y^2, ..."""
-    total = curve[-1]
-    for k in range(2, len(curve) + 1):
-        total = total * y + curve[-k]
-    return total
+def edge_position(curve: AnyArray, powers: AnyArray) -> jax.Array:
+    """Evaluate a curve (k,) at the rows of the Legendre polynomials `powers`, px."""
+    return curve @ powers[: len(curve)]
 
 
-def edge_slope(curve: AnyArray, y: AnyArray) -> jax.Array:
-    """Evaluate dx0/dy at y."""
-    return edge_position(curve[1:] * np.arange(1, CURVE), y)
+def edge_slope(curve: AnyArray, powers: AnyArray, length: AnyArray) -> jax.Array:
+    """Evaluate dx0/dy at the rows."""
+    return edge_position(curve @ _SLOPES, powers) / length
 
 
-def edge_distance(curve: AnyArray, x: AnyArray, y: AnyArray) -> jax.Array:
-    """Compute the distance from the curve, px, to second order.
+def edge_distance(curve: AnyArray, x: AnyArray, powers: AnyArray, length: AnyArray) -> jax.Array:
+    """Compute the distance of samples (rows, columns) from the curve, px, to second order.
 
     The distance is positive on the bright side. For a parabola with second derivative k and local slope t, and a distance
     e along the row, it is e c - k e^2 t^2 c^5 / 2, where c = 1 / sqrt(1 + t^2). The first term is the distance from a
     straight edge. The second term corrects for curvature.
     """
-    slope = edge_slope(curve, y)
-    curvature = edge_position(curve[2:] * np.array([k * (k - 1) for k in range(2, CURVE)]), y)
+    slope = edge_slope(curve, powers, length)
+    curvature = edge_slope(curve @ _SLOPES, powers, length) / length
     c = 1 / xp.sqrt(1 + slope**2)
-    normal = (x - edge_position(curve, y)) * c
-    return xp.asarray(normal - curvature / 2 * slope**2 * c**3 * normal * normal)
-
-
-def half_length(rows: Rows) -> jax.Array:
-    """Compute the largest |y| of the rows that are not empty, px."""
-    return xp.maximum(xp.max(xp.where(xp.isfinite(rows.value).any(1), xp.abs(rows.y), 0.0)), 1.0)
-
-
-def to_mean_slope(length: jax.Array) -> jax.Array:
-    """Return the vector (CURVE,) whose product with the coefficients of a curve is the mean slope of the curve.
-
-    The mean slope is that of the least-squares line from -length to length.
-    """
-    return xp.array([0.0, 1.0, 0.0, 3 / 5, 0.0, 3 / 7]) * length ** xp.array([0.0, 0.0, 0.0, 2.0, 0.0, 4.0])
+    normal = (x - edge_position(curve, powers)[:, None]) * c[:, None]
+    return normal - (curvature / 2 * slope**2 * c**3)[:, None] * normal * normal
 
 
 def legendre(t: AnyArray, terms: int) -> jax.Array:
-    """Evaluate the Legendre polynomials (terms, n) of t (n,), which lies in [-1, 1], by Bonnet's recursion."""
+    """Evaluate the Legendre polynomials (terms, ...) of t, which lies in [-1, 1], by Bonnet's recursion."""
     found = [xp.ones_like(t), t]
     for k in range(2, terms):
         found.append((2 - 1 / k) * t * found[-1] - (1 - 1 / k) * found[-2])
@@ -169,24 +166,24 @@ def aligned_rows(rows: Rows, curve: jax.Array) -> AlignedRows:
     """Shift rows so that the edge is in the middle column."""
     width = rows.value.shape[1]
     half = width // 2
-    first = as_index(xp.round((edge_position(curve, rows.y) - rows.start) / rows.step)) - half
+    first = as_index(xp.round((edge_position(curve, rows.powers) - rows.start) / rows.step)) - half
     first = xp.clip(first, -width - half, 2 * width)
     column = first[:, None] + np.arange(2 * half + 1)
-    value = xp.take_along_axis(rows.value, xp.clip(column, 0, width - 1), axis=1)
+    value = xp.take(rows.value, xp.clip(column, 0, width - 1) + width * np.arange(len(rows.y))[:, None])
     valid = xp.isfinite(value) & (column >= 0) & (column < width)
     x = rows.start[:, None] + rows.step * column
-    y = xp.asarray(rows.y)
-    return AlignedRows(xp.where(valid, value, 0.0), valid.astype(float), x, y, rows.step, xp.ones(y.shape))
+    value, light = xp.where(valid, value, 0.0), xp.ones(rows.y.shape)
+    return AlignedRows(value, valid.astype(float), x, rows.y, rows.step, rows.length, rows.powers, light)
 
 
 def phased_rows(rows: AlignedRows, curve: jax.Array) -> PhasedRows:
     """Compute the distances of all pixels from a curve, and the phases of all rows."""
     middle = rows.value.shape[1] // 2
-    offset = (rows.x[:, middle] - edge_position(curve, rows.y)) / rows.step + 0.5
+    offset = (rows.x[:, middle] - edge_position(curve, rows.powers)) / rows.step + 0.5
     count = _PHASES * rows.step
     phase = as_index(xp.clip(xp.floor(offset * count), 0, count - 1))
     member = (phase == xp.arange(count)[:, None]).astype(float)
-    return PhasedRows(rows, curve, edge_distance(curve, rows.x, rows.y[:, None]), member, phase)
+    return PhasedRows(rows, curve, edge_distance(curve, rows.x, rows.powers, rows.length), member, phase)
 
 
 def edge_cells(phased: PhasedRows) -> EdgeCells:

@@ -26,10 +26,8 @@ from matcam.calibration.edge.geometry import (
     EdgeCells,
     PhasedRows,
     edge_slope,
-    legendre,
     light_terms,
 )
-from matcam.calibration.edge.start import to_coefficients, to_strengths
 from matcam.core.arrays import changed, linalg, xp
 from matcam.numerics.linalg import lifted_inverse
 
@@ -63,7 +61,7 @@ class Noise(NamedTuple):
 
         `dim`: factor that was applied to correct for uneven light.
         """
-        return xp.asarray(self.gain * xp.maximum(value, 0.0) * dim + (self.read * dim) ** 2)
+        return self.gain * xp.maximum(value, 0.0) * dim + (self.read * dim) ** 2
 
 
 UNKNOWN_NOISE = Noise(np.float64(np.nan), np.float64(np.nan))
@@ -111,10 +109,8 @@ class Light(NamedTuple):
 
 
 def light_of(linear: jax.Array, terms: jax.Array) -> Light:
-    """Evaluate the light from its polynomial terms (TERMS, ...) and the parameters `State.linear`."""
-    flat, shape = terms.reshape(TERMS, -1), terms.shape[1:]
-    factor, addend = linear[2 : 2 + TERMS] @ flat, linear[2 + TERMS : SHIFT] @ flat[:ADDED]
-    return Light(1 + factor.reshape(shape), addend.reshape(shape))
+    """Evaluate the light from its polynomial terms (TERMS, n) and the parameters `State.linear`."""
+    return Light(1 + linear[2 : 2 + TERMS] @ terms, linear[2 + TERMS : SHIFT] @ terms[:ADDED])
 
 
 def edge_model(cells: EdgeCells, state: State, profile: Profile) -> EdgeModel:
@@ -124,9 +120,11 @@ def edge_model(cells: EdgeCells, state: State, profile: Profile) -> EdgeModel:
     light = light_of(state.linear, cells.terms)
     level = dark + (bright - dark) * edge
     step = (bright - dark) * light.factor
-    levels = xp.stack([(1 - edge) * light.factor, edge * light.factor])
-    design = xp.concatenate([levels, level * cells.terms, cells.terms[:ADDED], (step * line)[None]])
-    design = xp.concatenate([design * xp.asarray(state.used)[:, None], step * slopes])
+    parts = [
+        ((1 - edge) * light.factor)[None], (edge * light.factor)[None], level * cells.terms, cells.terms[:ADDED],
+        (step * line)[None], step * slopes,
+    ]  # fmt: skip
+    design = xp.concatenate(parts) * xp.concatenate([state.used, xp.ones(len(slopes))])[:, None]
     return EdgeModel(state, level * light.factor + light.addend, edge, light.factor, design)
 
 
@@ -173,7 +171,7 @@ _HIGHER_ORDERS = 16.3
 """Increase of 2 ln likelihood above which the three higher orders are free. Noise exceeds it with probability 1e-3."""
 
 
-def curve_step(phased: PhasedRows, cells: EdgeCells, at: EdgeModel, noise: Noise, length: jax.Array) -> CurveStep:
+def curve_step(phased: PhasedRows, cells: EdgeCells, at: EdgeModel, noise: Noise) -> CurveStep:
     """Update the curve by a step of Fisher scoring on single pixels.
 
     The model of a pixel is that of its bin, extrapolated linearly in the distance. Distances in a bin differ from the
@@ -187,26 +185,26 @@ def curve_step(phased: PhasedRows, cells: EdgeCells, at: EdgeModel, noise: Noise
     size = shape[0] * shape[1]
     of_row = lambda a: a[:size].reshape(shape)[phased.phase]  # noqa: E731
     y, distance = aligned.y[:, None], phased.distance[:, near]
-    light = light_of(state.linear, light_terms(aligned.x[:, near], y, distance, aligned.length))
+    terms = light_terms(aligned.x[:, near], y, distance, aligned.length).reshape(TERMS, -1)
+    factor, addend = (part.reshape(distance.shape) for part in light_of(state.linear, terms))
     of_cell = light_of(state.linear, cells.terms)
-    slope = of_row(at.design[SHIFT] / at.light) * light.factor
+    slope = of_row(at.design[SHIFT] / at.light) * factor
     scene = of_row((at.value - of_cell.addend) / at.light)
-    expected = scene * light.factor + light.addend + slope * (distance - of_row(cells.distance))
+    expected = scene * factor + addend + slope * (distance - of_row(cells.distance))
     weight = aligned.valid[:, near] / noise.variance(expected, 1 / aligned.light[:, None])
     # A shift of the curve by 1 px along x changes the distance by `tilt` px.
-    tilt = 1 / xp.sqrt(1 + edge_slope(curve, aligned.y) ** 2)
+    tilt = 1 / xp.sqrt(1 + edge_slope(curve, aligned.powers, aligned.length) ** 2)
     by_row = -slope * tilt[:, None]
     information = (weight * by_row**2).sum(1)
     residual = aligned.valid[:, near] * (aligned.value[:, near] - expected)
     score = (weight * by_row * residual).sum(1)
-    powers = legendre(aligned.y / length, CURVE)
+    powers = aligned.powers[:CURVE]
     normal = (powers * information) @ powers.T
     stiff = np.where(np.arange(CURVE) < _BOWS, 0.0, _STIFF**-2)
     normal = normal + xp.diag(stiff + 1e-9 * xp.trace(normal) + 1e-300)
-    covariance, change, orders = _of_seen_orders(normal, powers @ score, to_strengths(curve, length))
+    covariance, change, orders = _of_seen_orders(normal, powers @ score, curve)
     change = xp.clip(change, -1.0, 1.0)
     rms = xp.sqrt((residual**2).sum() / xp.maximum(aligned.valid[:, near].sum(), 1.0))
-    by = to_coefficients(np.eye(CURVE), length)
     # Position of the edge in each row relative to the new curve.
     shift = score / xp.where(information > 0, information, 1.0) - powers.T @ change
     count = xp.maximum((information > 0).sum() - orders, 1.0)
@@ -214,23 +212,23 @@ def curve_step(phased: PhasedRows, cells: EdgeCells, at: EdgeModel, noise: Noise
     expected = (information > 0).sum() / xp.maximum(information.sum(), 1e-300)
     extra = (weight * shift**2).sum() - expected
     rough = xp.where(extra > _CLEAR * expected * xp.sqrt(2 / count), xp.sqrt(xp.maximum(extra, 0.0)), 0.0)
-    return CurveStep(curve + to_coefficients(change, length), by.T @ covariance @ by, rms, rough)
+    return CurveStep(curve + change, covariance, rms, rough)
 
 
 def _of_seen_orders(
-    normal: jax.Array, score: jax.Array, strengths: jax.Array
+    normal: jax.Array, score: jax.Array, curve: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Compute the covariance and the change of the Legendre coefficients of a curve, and the number of free coefficients.
+    """Compute the covariance and the change of the coefficients of a curve, and the number of free coefficients.
 
     The coefficients beyond the bow are set to 0 if noise explains them. `normal`: (CURVE, CURVE) information. `score`:
-    (CURVE,) score at the current coefficients `strengths`.
+    (CURVE,) score at the current coefficients `curve`.
     """
     free = linalg.inv(normal)
     change = free @ score
-    beyond = (strengths + change)[_BOWS:]
+    beyond = (curve + change)[_BOWS:]
     seen = beyond @ linalg.solve(free[_BOWS:, _BOWS:], beyond) > _HIGHER_ORDERS
     # Change of the coefficients that sets the higher orders to 0.
-    without = xp.where(np.arange(CURVE) < _BOWS, 0.0, -strengths)
+    without = xp.where(np.arange(CURVE) < _BOWS, 0.0, -curve)
     bow = xp.pad(linalg.inv(normal[:_BOWS, :_BOWS]), (0, CURVE - _BOWS))
     bowed = without + bow @ (score - normal @ without)
     return xp.where(seen, free, bow), xp.where(seen, change, bowed), xp.where(seen, CURVE, _BOWS)

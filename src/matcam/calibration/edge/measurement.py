@@ -86,6 +86,7 @@ class EdgeFits(NamedTuple):
 
     Attributes:
         curve: (CURVE,) coefficients of the edge.
+        length: unit of length of the curve, as in `Rows`, px.
         slope: dx/dy of the least-squares line through the edge.
         slope_std: standard deviation of `slope`.
         angle: angle between the normal and the grid, rad.
@@ -108,6 +109,7 @@ class EdgeFits(NamedTuple):
     """
 
     curve: jax.Array
+    length: jax.Array
     slope: jax.Array
     slope_std: jax.Array
     angle: jax.Array
@@ -145,15 +147,13 @@ def edge_fits(
     `value`, `y`, `start`, `step`: as in `geometry.Rows`. The parametric estimate uses a Gaussian lens. `noise`: its unknown
     parameters are NaN, and are estimated. `turns`: number of alternating fits of the profile and of the curve.
     """
-    rows, half = Rows(value, y, start, step), xp.asarray(half_width)
-    length = geometry.half_length(rows)
-    to_slope = geometry.to_mean_slope(length)
+    rows, half = Rows.of(value, y, start, step), xp.asarray(half_width)
     first_curve, crossing = find_curve(rows)
     bare = geometry.aligned_rows(rows, first_curve)
     known = ~(xp.isnan(noise.gain) | xp.isnan(noise.read))
     phased = geometry.phased_rows(bare, first_curve)
     noise = estimated_noise(noise, phased)
-    even_rows = in_even_rows(bare, length)
+    even_rows = in_even_rows(bare)
     aligned = without_outliers(phased._replace(rows=even_rows), noise)
 
     def turn(
@@ -163,10 +163,10 @@ def edge_fits(
         curve, state = at
         phased = geometry.phased_rows(aligned, curve)
         cells = geometry.edge_cells(phased)
-        seen = LensAtEdge(Gaussian(), xp.arctan(to_slope @ curve), half)
+        seen = LensAtEdge(Gaussian(), xp.arctan(curve[1] / rows.length), half)
         state = _climb(cells, state._replace(used=used), seen, noise, _STEPS)
         now = edge_model(cells, state, seen.profile)
-        moved = curve_step(phased, cells, now, noise, length)
+        moved = curve_step(phased, cells, now, noise)
         centred = state._replace(linear=changed(state.linear, SHIFT, 0.0))
         return (moved.curve, centred), (curve, cells, now, moved)
 
@@ -175,7 +175,8 @@ def edge_fits(
     # The last turn includes most orders of the light, so that uneven light does not bias the curve.
     uses = free_fit.LIGHTS[np.where(np.arange(turns) < turns - 1, 0, _LAST_LIGHT)]
     curve, cells, at, moved = last_of(turn, (first_curve, State(levels, xp.array([_START]), even)), uses)
-    slope, one = to_slope @ curve, xp.ones(())
+    # The slope of the least-squares line through a curve is its coefficient of order 1.
+    slope, one = curve[1] / rows.length, xp.ones(())
     seen = LensAtEdge(Gaussian(), xp.arctan(slope), half)
     shape = CoreShape(xp.exp(at.state.profile[0]), seen.angle, half, radius=one, apart=one)
 
@@ -206,11 +207,16 @@ def edge_fits(
         total, core = free_curve.transfer(free, f)
         return unexplained.of(total, f), unexplained.of(core, f)
 
+    def core_half() -> SampledCurve:
+        return free_curve.half_frequency(core.value, lambda f: transfer(f)[1])
+
     mtf, core = transfer(xp.asarray(FREQUENCIES))
+    mtf50 = free_curve.half_frequency(mtf.value, lambda f: transfer(f)[0])
     return EdgeFits(
         curve=curve,
+        length=rows.length,
         slope=slope,
-        slope_std=xp.sqrt(excess * (to_slope @ moved.covariance @ to_slope)),
+        slope_std=xp.sqrt(excess * moved.covariance[1, 1]) / rows.length,
         angle=seen.angle,
         crossing=crossing,
         noise=noise,
@@ -218,9 +224,9 @@ def edge_fits(
         parametric=_lens_fit(cells, model, noise, free_fit.structure(linear, model), seen, excess, unexplained),
         free=free,
         mtf=mtf,
-        mtf50=free_curve.half_frequency(mtf.value, lambda f: transfer(f)[0]),
+        mtf50=mtf50,
         core_mtf=core,
-        core_mtf50=free_curve.half_frequency(core.value, lambda f: transfer(f)[1]),
+        core_mtf50=either(glares, core_half, lambda: mtf50),
         overshoot=_overshoot(free),
         cells=cells,
         state=model.state,

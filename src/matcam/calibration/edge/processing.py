@@ -193,7 +193,7 @@ def with_traces(
         for k, value in enumerate(rows.value):
             if stack.problems[i] is None:
                 edge = stack[i]
-                distance = rows.distances(k, edge.fits.curve)
+                distance = rows.distances(k, edge.fits)
                 found = _EdgeRegion(edge, value, distance, rows.step > 1, float(clear[i]), lights[i]).traces()
                 given[i] = given[i] + tuple(trace.remark for trace in found if trace.remark)
                 for trace in found:

@@ -7,7 +7,7 @@ the right. Nothing is resampled. For a mosaic, the rows contain the sites of one
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,7 +15,7 @@ from scipy import ndimage
 
 from matcam.calibration.edge.free_curve import GLARE, ghost_of, line_width
 from matcam.calibration.edge.free_fit import VEIL
-from matcam.calibration.edge.geometry import edge_distance, edge_position
+from matcam.calibration.edge.geometry import CURVE, edge_distance, legendre
 from matcam.calibration.edge.measurement import EdgeFits
 from matcam.calibration.photograph.flat_noise import flat_noise
 from matcam.calibration.photograph.linear_image import LinearImage, measurable_region
@@ -24,9 +24,6 @@ from matcam.calibration.photograph.unnamed_mosaic import refuse_unnamed_mosaic
 from matcam.core.remark import Remark
 from matcam.files.photographs import Photograph
 from matcam.numerics.normal import robust_std
-
-if TYPE_CHECKING:
-    from matcam.core.jax import AnyArray
 
 _FEW_TURNS, _MANY_TURNS = 2, 8
 """Number of alternating fits of profile and position, if the rows sample the phases often enough, and otherwise."""
@@ -125,14 +122,15 @@ class EdgeRegions(NamedTuple):
         x, y = frame.in_picture(*self.coordinates())
         return frame.x + x, frame.y + y
 
-    def distances(self, i: int, curve: AnyArray) -> np.ndarray:
-        """Compute the distances of the samples of one region from an edge (CURVE,), (rows, columns) px."""
+    def distances(self, i: int, fit: EdgeFits) -> np.ndarray:
+        """Compute the distances of the samples of region i from its edge `fit`, (rows, columns) px."""
         x = self.start[i][:, None] + self.step * np.arange(self.value.shape[2])
-        return np.asarray(edge_distance(np.asarray(curve), x, self.y[i][:, None]))
+        return np.asarray(edge_distance(fit.curve, x, legendre(self.y[i] / fit.length, CURVE), fit.length))
 
-    def crossings(self, curves: AnyArray) -> np.ndarray:
-        """Compute the positions at which edges (n, CURVE) cross the rows (n, rows), px."""
-        return np.asarray(edge_position(np.nan_to_num(np.asarray(curves)).T[..., None], self.y))
+    def crossings(self, fits: EdgeFits) -> np.ndarray:
+        """Compute the positions at which the edges of all regions cross the rows (n, rows), px."""
+        powers = legendre(self.y / np.asarray(fits.length)[:, None], CURVE)
+        return np.asarray(np.einsum("nk,knr->nr", np.nan_to_num(np.asarray(fits.curve)), powers))
 
 
 def edge_region(
@@ -301,7 +299,7 @@ def describe_content(value: np.ndarray) -> str:
 
 def clearance(found: EdgeFits, region: EdgeRegions) -> np.ndarray:
     """Compute the distance of edges from the borders of their regions (n,), in standard deviations of their blur."""
-    position, there = region.crossings(found.curve), np.isfinite(region.value)
+    position, there = region.crossings(found), np.isfinite(region.value)
     first, last = there.argmax(2), region.value.shape[2] - 1 - there[:, :, ::-1].argmax(2)
     off = np.stack([position - region.start - region.step * first, region.start + region.step * last - position])
     known = there.any(2)
@@ -313,7 +311,7 @@ def clearance(found: EdgeFits, region: EdgeRegions) -> np.ndarray:
 
 def _largest_gap(region: EdgeRegions, found: EdgeFits) -> np.ndarray:
     """Compute the largest gap between the distances of samples from the edge, px (n,)."""
-    position, slopes = region.crossings(found.curve), np.nan_to_num(np.asarray(found.slope))
+    position, slopes = region.crossings(found), np.nan_to_num(np.asarray(found.slope))
     offset = (position - region.start) / region.step
     nearest = np.clip(np.rint(offset), 0, region.value.shape[2] - 1).astype(int)
     there = np.isfinite(np.take_along_axis(region.value, nearest[..., None], axis=2)[..., 0])

@@ -17,8 +17,6 @@ from matcam.calibration.edge.geometry import (
     Rows,
     aligned_rows,
     edge_position,
-    half_length,
-    legendre,
 )
 from matcam.core.arrays import linalg, repeated, xp
 
@@ -38,16 +36,10 @@ _ROUNDS = 4
 """Number of iterations of the robust fit of a straight line to the edge."""
 _OUTLIER = 3.0
 """Excess of the distance of a row from the line over the mean distance above which the row is an outlier, px."""
-_LIGHT = 10
-"""Highest order of the polynomial that models the light of the rows."""
 _STIFF = 0.02
 """Precision of the prior for the orders of the curve above 2 (the bow), relative to the weight of one row."""
 _FAINTEST = 0.2
 """Smallest light of a row relative to the linear part of the light. The largest relative light is the inverse."""
-
-
-_LEGENDRE = np.array([np.pad(np.polynomial.legendre.leg2poly(one), (0, CURVE))[:CURVE] for one in np.eye(CURVE)])
-"""Coefficients of the powers of t in the Legendre polynomials of orders 0 to 5."""
 
 
 def find_curve(rows: Rows) -> tuple[jax.Array, jax.Array]:
@@ -58,17 +50,15 @@ def find_curve(rows: Rows) -> tuple[jax.Array, jax.Array]:
     not amplify noise. A straight line through the largest steps is fitted first. Then the positions near this line are
     refined.
     """
-    length = half_length(rows)
-    found, weight = _largest_steps(rows)
-    crossing = weight
+    found, crossing = _largest_steps(rows)
 
     def closer(at: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-        line = _polynomial(rows.y, found, at[1], 2, length)
-        off = xp.abs(found - edge_position(line, rows.y))
+        line = _polynomial(rows.powers[:2], found, at[1])
+        off = xp.abs(found - edge_position(line, rows.powers))
         return line, crossing * (off < _OUTLIER + (at[1] * off).sum() / xp.maximum(at[1].sum(), 1))
 
-    curve, _ = repeated(_ROUNDS, closer, (xp.zeros(CURVE), crossing))
-    aligned = in_even_rows(aligned_rows(rows, curve), length)
+    line, _ = repeated(_ROUNDS, closer, (xp.zeros(2), crossing))
+    aligned = in_even_rows(aligned_rows(rows, line))
     middle, half_window = aligned.value.shape[1] // 2, _HALF_WINDOW // rows.step
     near = slice(max(middle - half_window, 0), middle + half_window + 1)
     low, high = side_levels(aligned)
@@ -79,13 +69,13 @@ def find_curve(rows: Rows) -> tuple[jax.Array, jax.Array]:
     last = xp.max(xp.where(there > 0, x, -xp.inf), axis=1)
     found = xp.where(there.sum(1) > 0, last, 0.0) + rows.step / 2 - bright
     margin = _MARGIN * rows.step
-    position = edge_position(curve, rows.y)
+    position = edge_position(line, rows.powers)
     first = xp.min(xp.where(there > 0, x, xp.inf), axis=1)
     gaps = (there.sum(1) - 1) * rows.step < last - first
     whole = (first <= position - margin) & (last >= position + margin) & ~gaps
     off = xp.abs(found - position)
     weight = (whole & (off < _HALF_WINDOW / 2)).astype(float)
-    return _polynomial(rows.y, found, weight, CURVE, length), whole.sum()
+    return _polynomial(rows.powers[:CURVE], found, weight), whole.sum()
 
 
 def side_levels(aligned: AlignedRows) -> tuple[jax.Array, jax.Array]:
@@ -93,16 +83,11 @@ def side_levels(aligned: AlignedRows) -> tuple[jax.Array, jax.Array]:
 
     The light changes little over this distance, and the blur is negligible there.
     """
-    length = xp.max(xp.abs(aligned.y))
-
-    def line(mean: jax.Array, count: jax.Array) -> jax.Array:
-        return edge_position(_polynomial(aligned.y, mean, count, 2, length), aligned.y)
-
-    (low, dark), (high, bright) = _sides(aligned)
-    return line(low, dark), line(high, bright)
+    low, high = (_polynomial(aligned.powers[:2], *side) @ aligned.powers[:2] for side in _sides(aligned))
+    return low, high
 
 
-def in_even_rows(aligned: AlignedRows, length: jax.Array) -> AlignedRows:
+def in_even_rows(aligned: AlignedRows) -> AlignedRows:
     """Divide the rows by the nonlinear part of their light.
 
     The later fit includes the linear part. The light is modelled as a polynomial in y that is fitted to the means of both
@@ -112,15 +97,15 @@ def in_even_rows(aligned: AlignedRows, length: jax.Array) -> AlignedRows:
     (low, dark), (high, bright) = _sides(aligned)
     weight = ((dark > 0) & (bright > 0)).astype(float)
     level = xp.where(weight > 0, (low + high) / 2, 0.0)
-    powers = legendre(aligned.y / length, _LIGHT + 1)
-    normal = (powers * weight) @ powers.T + 1e-9 * np.eye(_LIGHT + 1)
+    powers = aligned.powers
+    normal = (powers * weight) @ powers.T + 1e-9 * np.eye(len(powers))
     root = linalg.cholesky(normal)
     # Component of each order that is orthogonal to the lower orders.
     own = linalg.solve(root, powers)
     share = own @ (weight * level)
     count = xp.maximum(weight.sum(), 2.0)
     left = xp.maximum((weight * level**2).sum() - xp.cumsum(share**2), 1e-12 * (weight * level**2).sum() + 1e-300)
-    order = np.arange(_LIGHT + 1)
+    order = np.arange(len(powers))
     cost = xp.where((order >= 1) & (order <= count / 6), count * xp.log(left / count) + order * xp.log(count), xp.inf)
     best = xp.maximum(xp.argmin(cost), 1)
     line = share[:2] @ own[:2]
@@ -178,20 +163,8 @@ def _largest_steps(rows: Rows) -> tuple[jax.Array, jax.Array]:
     return xp.asarray(position), (shown & (size > _WEAK * usual)).astype(float)
 
 
-def _polynomial(y: AnyArray, x: AnyArray, weight: jax.Array, terms: int, length: jax.Array) -> jax.Array:
-    """Fit a polynomial x(y) by weighted least squares. Its coefficients (CURVE,) beyond `terms` are 0."""
-    powers = legendre(y / length, terms)
+def _polynomial(powers: jax.Array, x: AnyArray, weight: jax.Array) -> jax.Array:
+    """Fit the coefficients (k,) of Legendre polynomials (k, rows) to x (rows,) by weighted least squares."""
     weighted = powers * weight
-    stiff = np.where(np.arange(terms) < 3, 1e-9, _STIFF)
-    found = linalg.solve(weighted @ powers.T + np.diag(stiff), weighted @ x)
-    return to_coefficients(found, length)
-
-
-def to_coefficients(strengths: AnyArray, length: jax.Array) -> jax.Array:
-    """Convert coefficients (..., k) of Legendre polynomials of y / length to those (..., CURVE) of powers of y."""
-    return strengths @ _LEGENDRE[: strengths.shape[-1]] / length ** np.arange(CURVE)
-
-
-def to_strengths(curve: jax.Array, length: jax.Array) -> jax.Array:
-    """Convert coefficients of powers of y to those (CURVE,) of Legendre polynomials: the inverse of `to_coefficients`."""
-    return (curve * length ** np.arange(CURVE)) @ np.linalg.inv(_LEGENDRE)
+    stiff = np.diag(np.where(np.arange(len(powers)) < 3, 1e-9, _STIFF))
+    return linalg.solve(weighted @ powers.T + stiff, weighted @ x)
