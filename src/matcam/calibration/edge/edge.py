@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -40,6 +40,7 @@ from matcam.core.registry import PARAMETRIC_LENSES
 from matcam.core.remark import Remark
 from matcam.files.photographs import Photograph
 
+T = TypeVar("T")
 AT_ONCE = 10
 """Number of edges that are processed together. Their data fit into the cache of the processor."""
 _MANY = 500
@@ -241,8 +242,7 @@ def edge_stack(
         refused = refusals(fits, given, clearances[-1], accept_sharpened=settings.accept_sharpened)
         problems += [before or refusal for before, refusal in zip(known, refused, strict=True)]
         frames.append(RegionFrame(*(np.broadcast_to(column, len(rows.value)) for column in rows.frame)))
-    fits = tuple_map(lambda *a: np.concatenate(a), *chunks)
-    frame = RegionFrame(*(np.concatenate(columns) for columns in zip(*frames, strict=True)))
+    fits, frame = (_joined(parts) for parts in (chunks, frames))
     stack = stack_result(fits, frame, settings.lens, settings.half_width, tuple(problems))
     return with_traces(stack, even, lights, np.concatenate(clearances)) if even_light else stack
 
@@ -252,10 +252,15 @@ def _placed(rows: EdgeRegions, x: ArrayLike, y: ArrayLike) -> EdgeRegions:
     return rows._replace(frame=rows.frame._replace(x=rows.frame.x + np.asarray(x), y=rows.frame.y + np.asarray(y)))
 
 
+def _joined(parts: list[T]) -> T:
+    """Concatenate the arrays of tuples."""
+    return parts[0] if len(parts) == 1 else tuple_map(lambda *a: np.concatenate(a), *parts)
+
+
 def _of_each(count: int, function: Callable[..., Any], *edges: Any) -> Any:
     """Apply a function to each of `count` edges, and stack the results. `edges`: arrays with a leading axis of `count`."""
     found = [function(*tuple_map(lambda a: a[i], edges)) for i in range(count)]  # noqa: B023
-    return tuple_map(lambda *a: np.stack(a), *found)
+    return tuple_map(lambda *a: np.array(a), *found)
 
 
 def _fits(rows: EdgeRegions, settings: EdgeSettings) -> EdgeFits:

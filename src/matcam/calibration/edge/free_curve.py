@@ -267,11 +267,6 @@ def _bumps(shape: CoreShape) -> tuple[jax.Array, jax.Array]:
     return xp.concatenate([CENTRES * s, ghosts]), np.repeat([_WIDTH, GHOST_WIDTH], [PAIRS, GHOSTS.size]) * s
 
 
-def edge_values(curve: FreeCurve, basis: Basis) -> jax.Array:
-    """Combine the edge responses of the basis functions with the coefficients of a curve."""
-    return basis.pilot + curve.even @ (basis.even - basis.pilot) + curve.odd @ basis.odd
-
-
 def _combined(curve: FreeCurve, pilot: jax.Array, even: jax.Array, odd: jax.Array) -> SampledCurve:
     """Combine the basis functions with the coefficients of a curve, and compute the standard deviation."""
     columns = xp.concatenate([even, odd, xp.zeros((1, pilot.size))])

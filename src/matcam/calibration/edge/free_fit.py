@@ -128,6 +128,13 @@ class LinearFit(NamedTuple):
         """Residual after the fit (n,)."""
         return self.residual - self.strength @ self.columns
 
+    def misfit(self, curve: FreeCurve) -> jax.Array:
+        """Compute the residual (n,) of the cells about a curve with the basis functions of this fit."""
+        columns = changed(self.columns, _COLUMN, _column(self, xp.log(curve.shape.radius)))[_LEVELS:] / self.step
+        response = self.pilot + xp.concatenate([curve.even, curve.odd]) @ columns
+        light, (dark, bright) = light_of(curve.levels, self.cells.terms), curve.levels[:2]
+        return self.cells.value - light.addend - light.factor * (dark + (bright - dark) * response)
+
     @property
     def chi2(self) -> jax.Array:
         """Chi-square of the bins for the given noise."""
@@ -204,13 +211,13 @@ def linear_fit(
     return last_of(corrected, state.linear * used, np.arange(2))
 
 
-def ghost_found(fit: LinearFit, known: jax.Array) -> tuple[jax.Array, jax.Array]:
+def ghost_found(fit: LinearFit, glare: tuple[jax.Array, jax.Array], known: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Test for a ghost, and find its most probable distance from the edge, px.
 
-    `known`: whether the noise is known; otherwise it is estimated from the residual. Glare is fitted first, so that it is
-    not mistaken for a ghost.
+    `glare`: result of `glare_candidate`. The glare is fitted first, so that it is not mistaken for a ghost. `known`: whether
+    the noise is known; otherwise it is estimated from the residual.
     """
-    log_radius, rise = glare_candidate(fit)
+    log_radius, rise = glare
     beside = fit.solved(changed(fit.columns, _COLUMN, xp.where(rise > FOUND, _column(fit, log_radius), 0.0)))
     first = _FIRST_GHOST * line_width(fit.shape)
     last = xp.minimum(xp.maximum(_LAST_GHOST * line_width(fit.shape), _FURTHEST), _GHOST_ROOM * _width(fit.cells))

@@ -28,7 +28,7 @@ from matcam.calibration.edge.geometry import (
     edge_slope,
     light_terms,
 )
-from matcam.core.arrays import changed, linalg, xp
+from matcam.core.arrays import linalg, xp
 from matcam.numerics.linalg import lifted_inverse
 
 if TYPE_CHECKING:
@@ -131,17 +131,13 @@ def edge_model(cells: EdgeCells, state: State, profile: Profile) -> EdgeModel:
 def scoring_step(cells: EdgeCells, state: State, profile: Profile, noise: Noise, longest: jax.Array) -> State:
     """Update the parameters by a step of Fisher scoring.
 
-    `longest`: (k,) largest change of each parameter of the profile.
+    `longest`: (LINEAR + k,) largest change of each parameter.
     """
     at = edge_model(cells, state, profile)
     weight = cells.pixels / noise.variance(at.value, cells.dim)
     inverse = lifted_inverse((at.design * weight) @ at.design.T)
-    change = inverse @ (at.design @ (weight * (cells.value - at.value)))
-    shift = xp.clip(change[SHIFT], -1.0, 1.0)
-    return state._replace(
-        linear=state.linear + changed(change[:LINEAR], SHIFT, shift),
-        profile=state.profile + xp.clip(change[LINEAR:], -longest, longest),
-    )
+    change = xp.clip(inverse @ (at.design @ (weight * (cells.value - at.value))), -longest, longest)
+    return state._replace(linear=state.linear + change[:LINEAR], profile=state.profile + change[LINEAR:])
 
 
 class CurveStep(NamedTuple):
@@ -215,9 +211,7 @@ def curve_step(phased: PhasedRows, cells: EdgeCells, at: EdgeModel, noise: Noise
     return CurveStep(curve + change, covariance, rms, rough)
 
 
-def _of_seen_orders(
-    normal: jax.Array, score: jax.Array, curve: jax.Array
-) -> tuple[jax.Array, jax.Array, jax.Array]:
+def _of_seen_orders(normal: jax.Array, score: jax.Array, curve: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Compute the covariance and the change of the coefficients of a curve, and the number of free coefficients.
 
     The coefficients beyond the bow are set to 0 if noise explains them. `normal`: (CURVE, CURVE) information. `score`:

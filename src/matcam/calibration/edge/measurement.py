@@ -180,18 +180,19 @@ def edge_fits(
     seen = LensAtEdge(Gaussian(), xp.arctan(slope), half)
     shape = CoreShape(xp.exp(at.state.profile[0]), seen.angle, half, radius=one, apart=one)
 
-    def with_ghost(fit: free_fit.LinearFit, position: jax.Array) -> free_fit.LinearFit:
-        """Repeat the fit of the free curve with the ghost, which is otherwise fitted as uneven light."""
-        return free_fit.linear_fit(cells, at, noise, fit.shape._replace(apart=position), 1.0)
+    def fitted(position: jax.Array, ghost: float) -> tuple[free_fit.LinearFit, tuple[jax.Array, jax.Array]]:
+        """Fit the free curve without glare, and find the most probable glare."""
+        fit = free_fit.linear_fit(cells, at, noise, shape._replace(apart=position), ghost)
+        return fit, free_fit.glare_candidate(fit)
 
-    linear = free_fit.linear_fit(cells, at, noise, shape)
-    ghost, position = free_fit.ghost_found(linear, known)
-    linear = either(ghost, with_ghost, lambda fit, _: fit, linear, position)
+    first = fitted(shape.apart, 0.0)
+    ghost, position = free_fit.ghost_found(*first, known)
+    # With a ghost, the fit is repeated, because the first fit has treated the ghost as uneven light.
+    linear, (log_radius, rise) = either(ghost, lambda _, at: fitted(at, 1.0), lambda same, _: same, first, position)
     # Fit the Gaussian lens in the selected light.
     chosen = at.state._replace(linear=at.state.linear * linear.used, used=linear.used)
     model = edge_model(cells, _climb(cells, chosen, seen, noise, _STEPS), seen.profile)
     # If the noise is unknown, the significance of glare follows from the residual with glare.
-    log_radius, rise = free_fit.glare_candidate(linear)
     left = (linear.weight * linear.left**2).sum() - rise
     glares = rise > free_fit.FOUND * xp.where(known, 1.0, xp.maximum(left / linear.degrees, 1.0))
     plain = lambda fit, _: free_fit.curve_without_glare(fit)  # noqa: E731
@@ -279,7 +280,7 @@ def _fits_of_stack(
 
 
 def _climb(cells: EdgeCells, state: State, seen: LensAtEdge, noise: Noise, steps: int) -> State:
-    longest = xp.array(seen.lens.longest)
+    longest = np.array([np.inf] * SHIFT + [1.0, *seen.lens.longest])
     step = partial(scoring_step, cells, profile=seen.profile, noise=noise, longest=longest)
     return repeated(steps, step, state)
 

@@ -18,7 +18,7 @@ from scipy.optimize import least_squares
 from scipy.special import ndtr, ndtri
 
 from matcam.calibration.edge.edge_result import EdgeMTF, EdgeStack
-from matcam.calibration.edge.free_curve import edge_basis, edge_values, ghost_of, line_width
+from matcam.calibration.edge.free_curve import edge_response, ghost_of, line_width
 from matcam.calibration.edge.free_fit import VEIL
 from matcam.calibration.edge.maximum_likelihood import ADDED, SHIFT, light_of
 from matcam.calibration.edge.rows import CLEAR, SHARPENED, EdgeRegions
@@ -422,7 +422,7 @@ def _effect_of_tone(edge: EdgeMTF, undone: Callable[[FloatArray], FloatArray]) -
     `undone`: function that converts an edge response (0 to 1) after the tone curve to light.
     """
     distance = np.linspace(-_SIDE, _SIDE, _SAMPLES)
-    response = np.clip(edge_values(edge.fits.free, edge_basis(edge.fits.free.shape, distance, np.zeros(()))), 0, 1)
+    response = np.clip(edge_response(edge.fits.free, distance).value, 0, 1)
 
     def half(light: FloatArray) -> float:
         transfer = np.abs(np.fft.rfft(np.diff(light), _TRANSFORM)) / (light[-1] - light[0])

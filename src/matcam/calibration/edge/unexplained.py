@@ -12,11 +12,12 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from matcam.calibration.edge.free_curve import FreeCurve, SampledCurve, edge_basis, edge_values
+from matcam.calibration.edge.free_curve import FreeCurve, SampledCurve
 from matcam.calibration.edge.free_fit import LinearFit
 from matcam.calibration.edge.geometry import AlignedRows, PhasedRows
-from matcam.calibration.edge.maximum_likelihood import Noise, light_of
+from matcam.calibration.edge.maximum_likelihood import Noise
 from matcam.calibration.edge.start import side_levels
+from matcam.calibration.photograph.flat_noise import clipped_mean
 from matcam.core.arrays import either, xp
 
 if TYPE_CHECKING:
@@ -30,8 +31,6 @@ _LEAST_NOISE = 1e-4
 """Smallest noise relative to the step. It represents rounding and the errors of any model."""
 _SAME, _COARSEST = 1e-9, 0.1
 """Difference of neighbours up to which their codes are assumed equal, and largest distance of codes, relative to the step."""
-_ROBUST, _LARGE = 3, 20.0
-"""Number of iterations of the robust variance; multiple of the mean square at which a squared difference is clipped."""
 _OTHERS = 3
 """Number of pixels that a group must exceed for the outlier test."""
 
@@ -81,14 +80,11 @@ def estimated_noise(known: Noise, phased: PhasedRows) -> Noise:
     away = phased.distance[:, 2:-2]
     far = all_three * (xp.abs(away) > xp.minimum(_LEVEL_DISTANCE, 0.3 * aligned.step * aligned.value.shape[1]))
 
-    square = difference**2
-
     def side(part: jax.Array) -> tuple[jax.Array, jax.Array]:
         weight = far * part
         count = xp.maximum(weight.sum(), 1.0)
-        power = xp.vdot(weight, square) / count
-        for _ in range(_ROBUST):  # single hot pixels have little weight
-            power = xp.vdot(weight, xp.minimum(square, _LARGE * power)) / count
+        # Single hot pixels have little weight.
+        power = clipped_mean(weight * difference**2, count, 20.0, 3)
         return (weight * aligned.value[:, 2:-2]).sum() / count, power / 6
 
     (low, v_low), (high, v_high) = side(away < 0), side(away > 0)
@@ -143,12 +139,7 @@ def misfit_of(fit: LinearFit, curve: FreeCurve, excess: jax.Array) -> jax.Array:
     `curve`: free curve, with glare if it was found. `fit`: fit without glare. `excess`: factor that was applied to all
     variances; 1 if the noise explains the total scatter of the bins.
     """
-    distance, there = fit.cells.distance, fit.cells.pixels > 0
-    basis = edge_basis(curve.shape, distance, fit.cells.spread)
-    response = edge_values(curve, basis)
-    light = light_of(curve.levels, fit.cells.terms)
-    dark, bright = curve.levels[:2]
-    left = fit.cells.value - light.addend - light.factor * (dark + (bright - dark) * response)
+    distance, there, left = fit.cells.distance, fit.cells.pixels > 0, fit.misfit(curve)
     core = there & (xp.abs(distance) < _CORE)
     everywhere = (1 - 1 / excess) * xp.where(core, (left / fit.step) ** 2, 0.0).sum()
     # A ghost affects few bins. A window of 2 px contributes if its chi-square exceeds the expectation by 6 standard

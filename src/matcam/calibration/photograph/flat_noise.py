@@ -8,16 +8,19 @@ that changes smoothly.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from matcam.core.arrays import FloatArray
+from matcam.core.arrays import FloatArray, xp
+
+if TYPE_CHECKING:
+    from matcam.core.jax import jax
 
 BLOCK = 8
 """Block size of JPEG, px."""
-_ROUNDS, _LARGEST = 5, 9.0
-"""Robust variance: number of iterations; multiple of the mean square to which a squared difference is clipped."""
+_LARGEST = 9.0
+"""Multiple of the mean square to which a squared difference is clipped."""
 _LOSS = 4.0
 """Relative variance of a noise variance, times the number of differences. It exceeds 2, because differences share pixels."""
 _FEWEST = 100
@@ -59,6 +62,17 @@ LEAST_NOISE = 2e-4
 """Smallest noise of a photograph relative to the step of an edge. Only rendered images have less noise."""
 TONE_CURVE_UNCERTAINTY = 0.03
 """Smallest relative standard deviation of a blur that was measured without inverting a tone curve."""
+
+
+def clipped_mean(squares: jax.Array, count: jax.Array | int, most: float, rounds: int) -> jax.Array:
+    """Compute the mean of squares that are clipped to a multiple `most` of their mean, by a number of iterations.
+
+    `squares`: any shape; 0 for those that do not count. `count`: number of the others.
+    """
+    mean = squares.sum() / count
+    for _ in range(rounds):
+        mean = xp.minimum(squares, most * mean).sum() / count
+    return mean
 
 
 def smoothing_uncertainty(blur: float, *, denoised: bool) -> float:
@@ -204,10 +218,7 @@ def _variance(value: FloatArray, there: np.ndarray, lag: int) -> tuple[float, fl
     squared = (value[:, 2 * lag :] - 2 * value[:, lag:-lag] + value[:, : -2 * lag])[both] ** 2
     if squared.size < 2:
         return 0.0, 0.0
-    power = squared.mean()
-    for _ in range(_ROUNDS):
-        power = np.minimum(squared, _LARGEST * power).mean()
-    return float(power) / 6, float(squared.size)
+    return float(clipped_mean(squared, squared.size, _LARGEST, 5)) / 6, float(squared.size)
 
 
 def _is_rounded_light(value: FloatArray, there: np.ndarray) -> bool:

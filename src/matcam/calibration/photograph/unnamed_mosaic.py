@@ -43,10 +43,11 @@ def alternation(values: FloatArray) -> float:
     height, width = values.shape
     top, left = max(height - _LARGEST, 0) // 4 * 2, max(width - _LARGEST, 0) // 4 * 2
     middle = values[top : top + _LARGEST, left : left + _LARGEST]
-    known = middle[np.isfinite(middle)]
-    if not known.size:
+    some = middle[::3, ::3]
+    some = some[np.isfinite(some)]
+    if not some.size:
         return 0.0
-    dark = _DARK * float(np.quantile(known, 0.95))
+    dark = _DARK * float(np.quantile(some, 0.95))
     return max(_of_lines(middle, dark), _of_lines(middle.T, dark))
 
 
