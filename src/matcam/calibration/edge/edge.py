@@ -242,7 +242,7 @@ def edge_stack(
         refused = refusals(fits, given, clearances[-1], accept_sharpened=settings.accept_sharpened)
         problems += [before or refusal for before, refusal in zip(known, refused, strict=True)]
         frames.append(RegionFrame(*(np.broadcast_to(column, len(rows.value)) for column in rows.frame)))
-    fits, frame = (_joined(parts) for parts in (chunks, frames))
+    fits, frame = _joined(chunks), _joined(frames)
     stack = stack_result(fits, frame, settings.lens, settings.half_width, tuple(problems))
     return with_traces(stack, even, lights, np.concatenate(clearances)) if even_light else stack
 

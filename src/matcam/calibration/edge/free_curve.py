@@ -181,7 +181,7 @@ def transfer_basis(shape: CoreShape, f: jax.Array) -> Basis:
     return Basis(pilot, even, xp.concatenate([bump * xp.sin(turn), moved[None]]))
 
 
-def edge_response(curve: FreeCurve, distance: jax.Array) -> SampledCurve:
+def edge_response(curve: FreeCurve, distance: AnyArray) -> SampledCurve:
     """Evaluate the ESF, 0 on the dark side and 1 on the bright side, at a distance in px."""
     basis = edge_basis(curve.shape, distance, xp.zeros(()))
     return _combined(curve, basis.pilot, basis.even - basis.pilot, basis.odd)
@@ -260,7 +260,7 @@ def half_frequency(value: AnyArray, response: Callable[[jax.Array], SampledCurve
     return SampledCurve(xp.where(below.any(), f, xp.nan), xp.where(below.any(), std, xp.nan))
 
 
-def _bumps(shape: CoreShape) -> tuple[jax.Array, jax.Array]:
+def _bumps(shape: CoreShape) -> tuple[AnyArray, AnyArray]:
     """Compute the centres of the basis functions on the bright side, and their standard deviations, px."""
     s = line_width(shape)
     ghosts = shape.apart + GHOST_STEP * s * xp.arange(GHOSTS.size)

@@ -75,7 +75,7 @@ class AlignedRows(NamedTuple):
     value: jax.Array
     valid: jax.Array
     x: AnyArray
-    y: jax.Array
+    y: AnyArray
     step: int
     length: jax.Array
     powers: jax.Array
@@ -103,7 +103,7 @@ class PhasedRows(NamedTuple):
 
     rows: AlignedRows
     curve: jax.Array
-    distance: jax.Array
+    distance: AnyArray
     member: jax.Array
     phase: jax.Array
 
@@ -130,17 +130,17 @@ class EdgeCells(NamedTuple):
     terms: jax.Array
 
 
-def edge_position(curve: AnyArray, powers: AnyArray) -> jax.Array:
+def edge_position(curve: AnyArray, powers: AnyArray) -> AnyArray:
     """Evaluate a curve (k,) at the rows of the Legendre polynomials `powers`, px."""
     return curve @ powers[: len(curve)]
 
 
-def edge_slope(curve: AnyArray, powers: AnyArray, length: AnyArray) -> jax.Array:
+def edge_slope(curve: AnyArray, powers: AnyArray, length: AnyArray) -> AnyArray:
     """Evaluate dx0/dy at the rows."""
     return edge_position(curve @ _SLOPES, powers) / length
 
 
-def edge_distance(curve: AnyArray, x: AnyArray, powers: AnyArray, length: AnyArray) -> jax.Array:
+def edge_distance(curve: AnyArray, x: AnyArray, powers: AnyArray, length: AnyArray) -> AnyArray:
     """Compute the distance of samples (rows, columns) from the curve, px, to second order.
 
     The distance is positive on the bright side. For a parabola with second derivative k and local slope t, and a distance

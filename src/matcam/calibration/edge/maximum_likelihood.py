@@ -128,7 +128,7 @@ def edge_model(cells: EdgeCells, state: State, profile: Profile) -> EdgeModel:
     return EdgeModel(state, level * light.factor + light.addend, edge, light.factor, design)
 
 
-def scoring_step(cells: EdgeCells, state: State, profile: Profile, noise: Noise, longest: jax.Array) -> State:
+def scoring_step(cells: EdgeCells, state: State, profile: Profile, noise: Noise, longest: AnyArray) -> State:
     """Update the parameters by a step of Fisher scoring.
 
     `longest`: (LINEAR + k,) largest change of each parameter.

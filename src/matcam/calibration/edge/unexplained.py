@@ -21,7 +21,7 @@ from matcam.calibration.photograph.flat_noise import clipped_mean
 from matcam.core.arrays import either, xp
 
 if TYPE_CHECKING:
-    from matcam.core.jax import jax
+    from matcam.core.jax import AnyArray, jax
 
 _FAR = 6.0
 """Deviation above which a pixel is an outlier, in standard deviations. Noise exceeds it in one of 5e8 pixels."""
@@ -80,7 +80,7 @@ def estimated_noise(known: Noise, phased: PhasedRows) -> Noise:
     away = phased.distance[:, 2:-2]
     far = all_three * (xp.abs(away) > xp.minimum(_LEVEL_DISTANCE, 0.3 * aligned.step * aligned.value.shape[1]))
 
-    def side(part: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def side(part: AnyArray) -> tuple[jax.Array, jax.Array]:
         weight = far * part
         count = xp.maximum(weight.sum(), 1.0)
         # Single hot pixels have little weight.
