@@ -238,8 +238,9 @@ def edge_stack(
             of_lens = lambda edge: lens_fit(edge, np.float64(settings.half_width), settings.lens)  # noqa: E731
             fits = fits._replace(parametric=_of_each(len(fits.outliers), of_lens, fits))
         chunks.append(fits)
-        clearances.append(clearance(fits, given))
-        refused = refusals(fits, given, clearances[-1], accept_sharpened=settings.accept_sharpened)
+        crossings = given.crossings(fits)
+        clearances.append(clearance(fits, given, crossings))
+        refused = refusals(fits, given, crossings, clearances[-1], accept_sharpened=settings.accept_sharpened)
         problems += [before or refusal for before, refusal in zip(known, refused, strict=True)]
         frames.append(RegionFrame(*(np.broadcast_to(column, len(rows.value)) for column in rows.frame)))
     fits, frame = _joined(chunks), _joined(frames)
@@ -295,18 +296,18 @@ def _in_even_light(rows: EdgeRegions, fits: EdgeFits) -> tuple[EdgeRegions, list
     value, fields = np.array(rows.value), list[LightField | None]()
     widths = np.asarray(line_width(fits.free.shape))
     for i, (region, x, y) in enumerate(zip(rows.value, *rows.coordinates(), strict=True)):
-        shape, edge = fits.free.shape, tuple_map(lambda a: a[i], fits)  # noqa: B023
+        shape, curve = fits.free.shape, fits.curve[i]
         blur = float(widths[i])
         field: LightField | None = None
-        if np.isfinite([*edge.curve, blur]).all() and blur < _WIDEST * np.isfinite(region).sum(1).max() * rows.step:
-            distance = rows.distances(i, edge)
+        if np.isfinite([*curve, blur]).all() and blur < _WIDEST * np.isfinite(region).sum(1).max() * rows.step:
+            distance = rows.distances(i, curve, fits.length[i])
             gain, read = (float(np.asarray(part)[i]) for part in fits.noise)
             glare = bool(fits.free.even[i, GLARE] != 0)
             if (fits.free.even[i, GHOSTS] != 0).any():  # a ghost is not uneven light
                 blur = max(blur, float(shape.apart[i]) / EXCLUDED_WIDTHS + blur)
             # The light along the edge is divided out of the rows in all cases.
             own = Rows.of(region, rows.y[i], rows.start[i], rows.step)
-            by_row = in_even_rows(aligned_rows(own, edge.curve)).light[:, None]
+            by_row = in_even_rows(aligned_rows(own, curve)).light[:, None]
             field = light_field(region / by_row, x, y, distance, (gain, read), blur=blur, glare=glare)
             if field is not None and field.amplitude and (field.amplitude > _BRIGHTEST or describe_content(region)):
                 field = None

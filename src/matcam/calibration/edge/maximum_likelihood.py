@@ -217,12 +217,12 @@ def _of_seen_orders(normal: jax.Array, score: jax.Array, curve: jax.Array) -> tu
     The coefficients beyond the bow are set to 0 if noise explains them. `normal`: (CURVE, CURVE) information. `score`:
     (CURVE,) score at the current coefficients `curve`.
     """
-    free = linalg.inv(normal)
+    free, bow = linalg.inv(normal), xp.pad(linalg.inv(normal[:_BOWS, :_BOWS]), (0, CURVE - _BOWS))
     change = free @ score
-    beyond = (curve + change)[_BOWS:]
-    seen = beyond @ linalg.solve(free[_BOWS:, _BOWS:], beyond) > _HIGHER_ORDERS
+    # The inverse covariance of the higher orders is a Schur complement.
+    beyond, inverse = (curve + change)[_BOWS:], (normal - normal @ bow @ normal)[_BOWS:, _BOWS:]
+    seen = beyond @ inverse @ beyond > _HIGHER_ORDERS
     # Change of the coefficients that sets the higher orders to 0.
     without = xp.where(np.arange(CURVE) < _BOWS, 0.0, -curve)
-    bow = xp.pad(linalg.inv(normal[:_BOWS, :_BOWS]), (0, CURVE - _BOWS))
     bowed = without + bow @ (score - normal @ without)
     return xp.where(seen, free, bow), xp.where(seen, change, bowed), xp.where(seen, CURVE, _BOWS)

@@ -188,17 +188,15 @@ def with_traces(
     """
     shares = {of: np.zeros(len(stack)) for of in ("lens", "free", "glare")}
     given = list(stack.given or [()] * len(stack))
-    i = 0
-    for rows in regions:
-        for k, value in enumerate(rows.value):
-            if stack.problems[i] is None:
-                edge = stack[i]
-                distance = rows.distances(k, edge.fits)
-                found = _EdgeRegion(edge, value, distance, rows.step > 1, float(clear[i]), lights[i]).traces()
-                given[i] = given[i] + tuple(trace.remark for trace in found if trace.remark)
-                for trace in found:
-                    shares[trace.of][i] = np.hypot(shares[trace.of][i], trace.share)
-            i += 1
+    of_edges = ((rows, k) for rows in regions for k in range(len(rows.value)))
+    for i, (rows, k) in enumerate(of_edges):
+        if stack.problems[i] is None:
+            edge = stack[i]
+            distance = rows.distances(k, edge.fits.curve, edge.fits.length)
+            found = _EdgeRegion(edge, rows.value[k], distance, rows.step > 1, float(clear[i]), lights[i]).traces()
+            given[i] = given[i] + tuple(trace.remark for trace in found if trace.remark)
+            for trace in found:
+                shares[trace.of][i] = np.hypot(shares[trace.of][i], trace.share)
     shares["lens"] = np.hypot(shares["lens"], _SURER * shares["free"])
     stack = with_core_as_total(stack, np.array([light is not None and light.amplitude > 0 for light in lights]))
     ghosts = np.array([0.0 if light is None else light.ghost for light in lights])

@@ -17,8 +17,7 @@ from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 from matcam.calibration.edge.geometry import EdgeCells
 from matcam.calibration.edge.maximum_likelihood import Profile
-from matcam.camera.camera import Camera
-from matcam.camera.kernel import edge_and_slopes
+from matcam.camera.kernel import edge_and_slopes, transfer_along
 from matcam.camera.optics.gaussian import GaussianOptics
 from matcam.camera.optics.halo import HaloOptics
 from matcam.camera.optics.optics import Optics
@@ -75,7 +74,7 @@ class LensModel(Module):
 
     def mtf(self, parameters: jax.Array, f: jax.Array, angle: jax.Array, half_width: jax.Array) -> jax.Array:
         """Compute the signed total MTF at f cycles/px."""
-        return Camera(self.optics(parameters), BoxPixel(half_width)).mtf(f, angle)
+        return transfer_along(self.optics(parameters), BoxPixel(half_width), f, angle)
 
 
 class LensAtEdge(NamedTuple):

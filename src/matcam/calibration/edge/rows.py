@@ -7,7 +7,7 @@ the right. Nothing is resampled. For a mosaic, the rows contain the sites of one
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,6 +24,9 @@ from matcam.calibration.photograph.unnamed_mosaic import refuse_unnamed_mosaic
 from matcam.core.remark import Remark
 from matcam.files.photographs import Photograph
 from matcam.numerics.normal import robust_std
+
+if TYPE_CHECKING:
+    from matcam.core.jax import AnyArray
 
 _FEW_TURNS, _MANY_TURNS = 2, 8
 """Number of alternating fits of profile and position, if the rows sample the phases often enough, and otherwise."""
@@ -122,10 +125,13 @@ class EdgeRegions(NamedTuple):
         x, y = frame.in_picture(*self.coordinates())
         return frame.x + x, frame.y + y
 
-    def distances(self, i: int, fit: EdgeFits) -> np.ndarray:
-        """Compute the distances of the samples of region i from its edge `fit`, (rows, columns) px."""
+    def distances(self, i: int, curve: AnyArray, length: AnyArray) -> np.ndarray:
+        """Compute the distances of the samples of region i from an edge, (rows, columns) px.
+
+        `curve`, `length`: as in `EdgeFits`.
+        """
         x = self.start[i][:, None] + self.step * np.arange(self.value.shape[2])
-        return np.asarray(edge_distance(fit.curve, x, legendre(self.y[i] / fit.length, CURVE), fit.length))
+        return np.asarray(edge_distance(curve, x, legendre(self.y[i] / length, CURVE), length))
 
     def crossings(self, fits: EdgeFits) -> np.ndarray:
         """Compute the positions at which the edges of all regions cross the rows (n, rows), px."""
@@ -201,10 +207,12 @@ def program_size(size: int) -> int:
         power *= 2
 
 
-def refusals(found: EdgeFits, region: EdgeRegions, clear: np.ndarray, *, accept_sharpened: bool) -> list[Remark | None]:
+def refusals(
+    found: EdgeFits, region: EdgeRegions, crossings: np.ndarray, clear: np.ndarray, *, accept_sharpened: bool
+) -> list[Remark | None]:
     """List the reasons for which edges of a stack are rejected; None for an edge that was measured.
 
-    `clear`: `clearance` of the edges.
+    `crossings`: positions at which the edges cross the rows. `clear`: `clearance` of the edges.
     """
     dark, bright = found.state.linear[:, 0], found.state.linear[:, 1]
     contrast = (bright - dark) / np.maximum(found.residual, 1e-300)
@@ -212,7 +220,7 @@ def refusals(found: EdgeFits, region: EdgeRegions, clear: np.ndarray, *, accept_
     over, least = found.overshoot.value, np.maximum(SHARPENED, _SIGNIFICANT * found.overshoot.std)
     width = region.step * (region.value.shape[2] - 1)
     lost = ~np.isfinite(contrast + blur + over + least) | (found.crossing < _LEAST_ROWS)
-    gap = _largest_gap(region, found)
+    gap = _largest_gap(region, crossings, np.nan_to_num(np.asarray(found.slope)))
 
     glare = found.free.even[:, GLARE]
     veiled = (glare > _VEILED) & (found.free.shape.radius > VEIL * width) & (found.misfit > MISFIT)
@@ -297,9 +305,12 @@ def describe_content(value: np.ndarray) -> str:
     return ""
 
 
-def clearance(found: EdgeFits, region: EdgeRegions) -> np.ndarray:
-    """Compute the distance of edges from the borders of their regions (n,), in standard deviations of their blur."""
-    position, there = region.crossings(found), np.isfinite(region.value)
+def clearance(found: EdgeFits, region: EdgeRegions, position: np.ndarray) -> np.ndarray:
+    """Compute the distance of edges from the borders of their regions (n,), in standard deviations of their blur.
+
+    `position`: positions at which the edges cross the rows.
+    """
+    there = np.isfinite(region.value)
     first, last = there.argmax(2), region.value.shape[2] - 1 - there[:, :, ::-1].argmax(2)
     off = np.stack([position - region.start - region.step * first, region.start + region.step * last - position])
     known = there.any(2)
@@ -309,9 +320,11 @@ def clearance(found: EdgeFits, region: EdgeRegions) -> np.ndarray:
     return np.asarray(nearest / np.hypot(1.0, np.nan_to_num(np.asarray(found.slope))) / line_width(found.free.shape))
 
 
-def _largest_gap(region: EdgeRegions, found: EdgeFits) -> np.ndarray:
-    """Compute the largest gap between the distances of samples from the edge, px (n,)."""
-    position, slopes = region.crossings(found), np.nan_to_num(np.asarray(found.slope))
+def _largest_gap(region: EdgeRegions, position: np.ndarray, slopes: np.ndarray) -> np.ndarray:
+    """Compute the largest gap between the distances of samples from the edge, px (n,).
+
+    `position`: positions at which the edges cross the rows. `slopes`: slopes of the edges.
+    """
     offset = (position - region.start) / region.step
     nearest = np.clip(np.rint(offset), 0, region.value.shape[2] - 1).astype(int)
     there = np.isfinite(np.take_along_axis(region.value, nearest[..., None], axis=2)[..., 0])

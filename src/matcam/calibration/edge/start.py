@@ -83,7 +83,7 @@ def side_levels(aligned: AlignedRows) -> tuple[jax.Array, jax.Array]:
 
     The light changes little over this distance, and the blur is negligible there.
     """
-    low, high = (_polynomial(aligned.powers[:2], *side) @ aligned.powers[:2] for side in _sides(aligned))
+    low, high = _polynomial(aligned.powers[:2], *_sides(aligned)) @ aligned.powers[:2]
     return low, high
 
 
@@ -94,9 +94,9 @@ def in_even_rows(aligned: AlignedRows) -> AlignedRows:
     sides. Its order, up to 10, minimises the Bayesian information criterion (Schwarz 1978). If the order is 1, the rows are
     unchanged.
     """
-    (low, dark), (high, bright) = _sides(aligned)
-    weight = ((dark > 0) & (bright > 0)).astype(float)
-    level = xp.where(weight > 0, (low + high) / 2, 0.0)
+    means, counts = _sides(aligned)
+    weight = (counts > 0).all(0).astype(float)
+    level = xp.where(weight > 0, means.mean(0), 0.0)
     powers = aligned.powers
     normal = (powers * weight) @ powers.T + 1e-9 * np.eye(len(powers))
     root = linalg.cholesky(normal)
@@ -115,18 +115,14 @@ def in_even_rows(aligned: AlignedRows) -> AlignedRows:
     return aligned._replace(value=aligned.value / light[:, None], light=light)
 
 
-def _sides(aligned: AlignedRows) -> tuple[tuple[jax.Array, jax.Array], tuple[jax.Array, jax.Array]]:
-    """Compute the mean (rows,) and the number of samples (rows,) on each side of the edge."""
+def _sides(aligned: AlignedRows) -> tuple[jax.Array, jax.Array]:
+    """Compute the means (2, rows) and the numbers of samples (2, rows) on the dark and on the bright side of the edge."""
     middle, half_window = aligned.value.shape[1] // 2, _HALF_WINDOW // aligned.step
-    outer = 2 * half_window
-
-    def mean(part: slice) -> tuple[jax.Array, jax.Array]:
-        count = aligned.valid[:, part].sum(1)
-        return (aligned.valid[:, part] * aligned.value[:, part]).sum(1) / xp.maximum(count, 1.0), count
-
-    return mean(slice(max(middle - outer, 0), middle - half_window // 2)), mean(
-        slice(middle + half_window // 2 + 1, middle + outer + 1)
-    )
+    near, outer = half_window // 2, 2 * half_window
+    parts = slice(max(middle - outer, 0), middle - near), slice(middle + near + 1, middle + outer + 1)
+    # Missing samples are 0.
+    total, count = (xp.stack([a[:, part].sum(1) for part in parts]) for a in (aligned.value, aligned.valid))
+    return total / xp.maximum(count, 1.0), count
 
 
 def _largest_steps(rows: Rows) -> tuple[jax.Array, jax.Array]:
@@ -164,7 +160,7 @@ def _largest_steps(rows: Rows) -> tuple[jax.Array, jax.Array]:
 
 
 def _polynomial(powers: jax.Array, x: AnyArray, weight: jax.Array) -> jax.Array:
-    """Fit the coefficients (k,) of Legendre polynomials (k, rows) to x (rows,) by weighted least squares."""
-    weighted = powers * weight
+    """Fit the coefficients (..., k) of Legendre polynomials (k, rows) to x (..., rows) by weighted least squares."""
+    weighted = powers * weight[..., None, :]
     stiff = np.diag(np.where(np.arange(len(powers)) < 3, 1e-9, _STIFF))
-    return linalg.solve(weighted @ powers.T + stiff, weighted @ x)
+    return linalg.solve(weighted @ powers.T + stiff, weighted @ x[..., None])[..., 0]

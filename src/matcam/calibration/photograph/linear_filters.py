@@ -281,9 +281,9 @@ def _effects(frequency: FloatArray, mtf: FloatArray) -> FloatArray:
     """Compute the relative change of MTF50 by each of `_filters()`; negative for a decrease."""
     transfer = _filters().transfer
     # The transfer function of a filter on the pixel grid has a period of 1 cycle/px.
-    folded = np.abs((frequency + 0.5) % 1.0 - 0.5)
-    at = np.arange(transfer.shape[1]) / (2 * (transfer.shape[1] - 1))
-    through = transfer @ np.stack([np.interp(folded, at, one) for one in np.eye(at.size)])
+    at = np.abs((frequency + 0.5) % 1.0 - 0.5) * _GRID
+    k = np.minimum(at.astype(int), transfer.shape[1] - 2)
+    through = transfer[:, k] + (at - k) * (transfer[:, k + 1] - transfer[:, k])
     after = first_fall(frequency, mtf)
     if not np.isfinite(after):
         return np.zeros(len(transfer))

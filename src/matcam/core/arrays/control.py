@@ -84,12 +84,13 @@ def as_index(number: Any) -> Any:
     return xp.nan_to_num(number).astype(int)
 
 
-def tuple_map(function: Callable[..., Any], tree: T, *others: T) -> T:
+def tuple_map(function: Callable[..., Any], tree: Any, *others: Any) -> Any:
     """Apply a function to corresponding arrays of nested tuples."""
-    if not isinstance(tree, tuple):
-        return function(tree, *others)
-    parts = (tuple_map(function, *them) for them in zip(tree, *others, strict=True))
-    return type(tree)(*parts) if hasattr(tree, "_fields") else type(tree)(parts)
+    parts = [
+        tuple_map(function, *them) if isinstance(them[0], tuple) else function(*them)
+        for them in zip(tree, *others, strict=True)
+    ]
+    return tree._make(parts) if hasattr(tree, "_make") else tuple(parts)
 
 
 _STEP = 1e-3
