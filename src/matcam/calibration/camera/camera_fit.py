@@ -46,16 +46,12 @@ _LARGEST_STD = 0.1
 """Largest relative standard deviation of lens width and pixel half width if both are fitted."""
 _MISSED, _SIGNIFICANT = 0.005, 4.0
 """Difference of the MTF and number of standard deviations above which the model does not explain the edges."""
-_SIGMA = 0.5
-"""Initial lens width of a fit without edges, px."""
 _PIXEL = 0.3
 """Smallest MTF of the pixel by which a measured curve is divided."""
 _STD = 0.03
 """Standard deviation of the lens MTF above which a measured curve is extrapolated."""
-_TAIL, _END = 24, 1e-6
-"""Number of samples of the Gaussian that extrapolates a measured curve; MTF at which it ends."""
-_SAMPLES = 65
-"""Number of samples of a tabulated lens MTF."""
+_END = 1e-6
+"""MTF at which the extrapolation of a measured curve ends."""
 
 
 @dataclass(frozen=True)
@@ -245,7 +241,8 @@ def fit_camera(evidence: Evidence, channel: str, request: CameraRequest) -> Came
     lens_at = request.lens_at(channel, f_numbers)
     lens, measurements, table = lens_at(f_numbers[0]), evidence.measurements(lens_at), evidence.table()
     separable = isinstance(lens, Separable)
-    start = np.asarray(lens.start(jnp.asarray(np.log(_SIGMA if table is None else np.median(table.sigma)))))
+    # Without edges, the fit starts from a lens width of 0.5 px.
+    start = np.asarray(lens.start(jnp.asarray(np.log(0.5 if table is None else np.median(table.sigma)))))
     precision = np.array([0.0, 0.0, KURTOSIS**-2]) if separable else np.zeros(start.size)
     half = float(request.half_width or 0.5)
     fitted, disagreeing = _without_disagreeing(
@@ -402,7 +399,7 @@ def _measured_camera(found: _FittedLens, table: EdgeTable, curve: MeanCurve) -> 
     mtf = np.minimum(mtf / mtf[0], 1.0)
     rate = 2 * (np.pi * found.values[0]) ** 2
     end = np.sqrt(f[-1] ** 2 + max(np.log(mtf[-1] / _END), 0.1) / rate)
-    beyond = np.linspace(f[-1], end, _TAIL + 1)[1:]
+    beyond = np.linspace(f[-1], end, 25)[1:]
     tail = mtf[-1] * np.exp(-rate * (beyond**2 - f[-1] ** 2))
     tail[-1] = 0.0
     optics = MeasuredOptics(np.concatenate([f, beyond]), np.concatenate([mtf, tail]))
@@ -427,7 +424,7 @@ def _separated_camera(found: _FittedLens) -> Camera:
     if not float(lens.f_number) > 0:
         return Camera(core, BoxPixel(found.half), uncertainty=_uncertainty(lens.names[:2], found.errors[:2, :2]))
     diffraction = DiffractionOptics(lens.f_number, lens.wavelength, lens.pixel_pitch)
-    f = np.linspace(0, min(diffraction.band(), np.sqrt(-np.log(_END) / 2) / (np.pi * found.values[0])), _SAMPLES)
+    f = np.linspace(0, min(diffraction.band(), np.sqrt(-np.log(_END) / 2) / (np.pi * found.values[0])), 65)
 
     def curve(theta: jax.Array) -> jax.Array:
         values = lens.mtf(theta, jnp.asarray(f[:-1]), jnp.zeros(()), jnp.zeros(())) / BoxPixel(theta[1]).mtf(f[:-1])

@@ -33,11 +33,6 @@ from matcam.files.photographs import Photograph
 LensAt = Callable[[float | None], LensModel]
 """Lens model of an image as a function of its f-number; None if the f-number is unknown."""
 
-_MARGIN = 6
-"""Margin around a grating or star that includes its blur, px."""
-_LEAST_STD = 1e-4
-"""Smallest standard deviation of an MTF value in a mean. It limits the weight of a single edge."""
-
 
 class EdgeTable(NamedTuple):
     """Results of n edges over the field.
@@ -110,7 +105,8 @@ class EdgeTable(NamedTuple):
 
         They are inverse variances, normalised to a sum of 1.
         """
-        weight = 1 / np.maximum(self.mtf_std, _LEAST_STD) ** 2
+        # The smallest standard deviation, 1e-4, limits the weight of a single edge.
+        weight = 1 / np.maximum(self.mtf_std, 1e-4) ** 2
         return weight / weight.sum(0)
 
     @property
@@ -260,7 +256,8 @@ def _without_waves(plane: LinearImage, chart: Chart | None, registration: Projec
     for element in chart.elements if chart is not None else ():
         if isinstance(element, Star | Grating):
             round_it = element.corners if isinstance(element, Grating) else element.centre + element.outer * rim
-            x, y, width, height = pixel_box(registration(np.asarray(round_it)), plane.shape, _MARGIN)
+            # The margin of 6 px includes the blur of a grating or star.
+            x, y, width, height = pixel_box(registration(np.asarray(round_it)), plane.shape, 6)
             values[y : y + max(height, 0), x : x + max(width, 0)] = np.nan
     return replace(plane, values=values)
 

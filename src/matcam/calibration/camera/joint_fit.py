@@ -25,15 +25,6 @@ from matcam.core.jax import AnyArray, jax, jnp
 from matcam.core.programs import kept_program
 from matcam.numerics.linalg import FLOOR, least_eigenvalue, scaled_inverse
 
-_ROUNDS, _DONE, _WORSE = 40, 1e-3, 1.05
-"""Fit: largest number of steps; step below which it has converged, standard deviations; largest ratio of chi-squares.
-
-A step that increases chi-square by a larger ratio is halved.
-"""
-_AT_ONCE = 16
-"""Number of edges that are processed together. It limits the memory."""
-
-
 _IMPROBABLE = 1e-3
 """Probability below which noise does not explain the scatter of the measurements."""
 
@@ -211,7 +202,7 @@ def fit_jointly(
     half = np.float64(half_width)
     lowest, step = np.inf, np.zeros_like(theta)
     best, response, best_response = (theta, edges), None, None
-    for _ in range(_ROUNDS):
+    for _ in range(40):
         parts = []
         if edges is not None:
             of_edges, response = jax.tree.map(np.asarray, _edge_shares(edges, theta, half))
@@ -220,7 +211,7 @@ def fit_jointly(
             parts.append(jax.tree.map(np.asarray, _value_shares(values, theta, half)))
         shares = jax.tree.map(lambda *a: np.concatenate(a), *parts)
         misfit = shares.chi2.sum() + prior @ theta**2
-        if not misfit <= _WORSE * lowest:  # the step was too large, and is halved
+        if not misfit <= 1.05 * lowest:  # the step was too large, and is halved
             step = step / 2
             theta, edges = _after_step(*best, step, best_response)
             continue
@@ -229,7 +220,8 @@ def fit_jointly(
         wanted = covariance @ (shares.score.sum(0) - prior * theta)
         step = np.clip(wanted, -np.array(longest), longest)
         theta, edges = _after_step(theta, edges, step, response)
-        if (np.abs(wanted) <= _DONE * np.sqrt(np.diag(covariance))).all():
+        # The fit has converged if no parameter changes by more than 1e-3 standard deviations.
+        if (np.abs(wanted) <= 1e-3 * np.sqrt(np.diag(covariance))).all():
             return JointFit(theta, covariance, shares, prior)
     raise FitError("the measurements do not determine the camera, and the fit did not converge: add edges or targets")
 
@@ -305,7 +297,8 @@ def _edge_shares(edges: EdgeMeasurements, theta: Any, half_width: Any) -> tuple[
         )
         return share, (alone, shared)
 
-    return jax.lax.map(one, edges, batch_size=_AT_ONCE)
+    # The number of edges that are processed together limits the memory.
+    return jax.lax.map(one, edges, batch_size=16)
 
 
 @kept_program(returns=Shares)

@@ -17,12 +17,8 @@ from matcam.camera.lens_field import Coefficient, LensField
 from matcam.core.errors import FitError
 from matcam.numerics.normal import robust_fit
 
-_UNKNOWN = 0.01
-"""Standard deviation of k1 if no dots were measured."""
 _FEWEST = 12
 """Smallest number of edges or dots of a group for the change of the blur over the field."""
-_MODEL = 0.02
-"""Relative standard deviation of k1, because one coefficient about the image centre only approximates the distortion."""
 
 
 class BlurSamples(NamedTuple):
@@ -55,13 +51,15 @@ def lens_over_field(positions: Sequence[BlurSamples], shape: tuple[int, int]) ->
         if one.printed is not None:
             with suppress(FitError):
                 found.append(radial_distortion(one.printed, one.seen, shape))
-    k1 = Coefficient(0.0, _UNKNOWN)
+    # Standard deviation if no dots were measured.
+    k1 = Coefficient(0.0, 0.01)
     if found:
         values, stds = np.array(found).T
         weight = np.maximum(stds, 1e-9) ** -2
         mean = float(np.average(values, weights=weight))
         chi2 = float(weight @ (values - mean) ** 2) / max(len(values) - 1, 1)
-        k1 = Coefficient(mean, float(np.hypot(np.sqrt(max(chi2, 1.0) / weight.sum()), _MODEL * mean)))
+        # One coefficient about the image centre only approximates the distortion, to 2 %.
+        k1 = Coefficient(mean, float(np.hypot(np.sqrt(max(chi2, 1.0) / weight.sum()), 0.02 * mean)))
     growth, holds_at = _growth([one for one in positions if len(one.seen) >= _FEWEST], np.array(middle), unit)
     if not found and growth is None:
         return None

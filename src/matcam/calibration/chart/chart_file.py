@@ -141,10 +141,9 @@ _Positive = Annotated[FiniteFloat, Field(gt=0)]
 _Level = Annotated[FiniteFloat, Field(ge=0, le=1)]
 _Point = Annotated[list[FiniteFloat], Field(min_length=2, max_length=2)]
 _Sides = Annotated[list[_Positive], Field(min_length=2, max_length=2)]
-_Corners = Annotated[list[_Point], Field(min_length=4, max_length=4)]
 _FIELDS: dict[str, tuple[str, Any]] = {
     "profile": ("profile", Literal["sine", "bars", "lines"]),
-    "corners": ("corners_mm", _Corners),
+    "corners": ("corners_mm", Annotated[list[_Point], Field(min_length=4, max_length=4)]),
     "centre": ("centre_mm", _Point),
     "centres": ("centres_mm", Annotated[list[_Point], Field(min_length=1)]),
     "size": ("size_mm", _Sides),

@@ -18,8 +18,8 @@ PAGES = {"a4": (297.0, 210.0), "a3": (420.0, 297.0), "letter": (279.4, 215.9)}
 
 _INK = 0.05
 """Linear level of fiducials and dots."""
-_DARK, _BRIGHT, _SINE_BRIGHT = 0.25, 1.0, 0.95
-"""Linear levels of squares, gratings and stars: dark; bright; bright of a sine, which must not exceed the paper."""
+_DARK, _SINE_BRIGHT = 0.25, 0.95
+"""Linear levels of squares, gratings and stars: dark; bright of a sine, which must not exceed the paper."""
 _SLANT = math.radians(5)
 """Angle of squares and dots to the page, rad. The edges then sample all phases of the pixel grid (ISO 12233)."""
 _SLANTED = np.array([[np.cos(_SLANT), -np.sin(_SLANT)], [np.sin(_SLANT), np.cos(_SLANT)]])
@@ -35,18 +35,12 @@ _SQUARE, _PATCH, _GAP = 80.0, 76.0, 1.4
 """Side of a square and of a grating, px; size of a grating with the paper around it, relative to the grating."""
 _SPACING = 1.6
 """Distance between the centres of neighbouring squares, relative to their side."""
-_SMALLEST = 0.5
-"""Smallest relative size of squares and gratings in small panels. Their measurements are then less accurate."""
 _DOT, _PITCH = 1.3, 14.0
 """Radius and distance of dots, px. Half way between two dots, their blur is negligible."""
-_LINES = 0.25
-"""Bright share of a period of lines."""
 _STEPS = (0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.6, 0.75, 0.9)
 """Linear levels of the tone patches."""
 _CYCLES = (144, 108, 72, 48, 36, 24)
 """Numbers of cycles of a star, in order of preference."""
-_LARGEST = 200_000
-"""Largest number of elements of a panel. A larger number is assumed to be a mistake."""
 
 
 def design_chart(
@@ -146,7 +140,8 @@ def _patches(left: float, top: float, width: float, height: float) -> Iterator[P
 def _positions(corner: Point, size: Point, pitch: float) -> Iterator[tuple[int, int, float, float]]:
     """Yield row, column and centre of the cells of a regular grid that fills the panel and is centred in it."""
     columns, rows = (int(side / pitch + 1e-9) for side in size)
-    if columns * rows > _LARGEST:
+    # More than 200,000 elements of a panel are assumed to be a mistake.
+    if columns * rows > 200_000:
         raise ArgumentError(f"{columns * rows} elements on one page are too many: reduce pixels_across")
     first = [c + (s - n * pitch) / 2 + pitch / 2 for c, s, n in zip(corner, size, (columns, rows), strict=True)]
     for row in range(rows):
@@ -162,7 +157,9 @@ def _fitting_side(size: Point, usual: float, pitch: float, least: int) -> float:
     if math.prod(int(side / (pitch * usual)) for side in size) >= least:
         return usual
     small, large = sorted(size)
-    return float(np.clip((1 - 1e-9) * min(small, large / 2) / pitch, _SMALLEST * usual, usual))
+    # In small panels, squares and gratings have at least half the usual size. Their measurements are then less
+    # accurate.
+    return float(np.clip((1 - 1e-9) * min(small, large / 2) / pitch, 0.5 * usual, usual))
 
 
 def _squares(corner: Point, size: Point, pixel: float) -> Iterator[Square]:
@@ -174,7 +171,8 @@ def _squares(corner: Point, size: Point, pixel: float) -> Iterator[Square]:
 
 
 def _gratings(profile: str) -> Callable[[Point, Point, float], Iterator[Grating]]:
-    duty, bright = (_LINES if profile == "lines" else 0.5), (_SINE_BRIGHT if profile == "sine" else _BRIGHT)
+    # A quarter of a period of lines is bright. Bars are as bright as the paper.
+    duty, bright = (0.25 if profile == "lines" else 0.5), (_SINE_BRIGHT if profile == "sine" else 1.0)
 
     def panel(corner: Point, size: Point, pixel: float) -> Iterator[Grating]:
         side = _fitting_side(size, _PATCH * pixel, _GAP, 2)

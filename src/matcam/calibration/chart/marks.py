@@ -20,32 +20,24 @@ from matcam.calibration.chart.chart import Chart, Patch, Square
 from matcam.calibration.photograph.linear_image import smoothed
 from matcam.core.arrays import FloatArray
 
-_DARK = (0.6, 0.78, 0.45)
-"""Levels relative to the paper below which a pixel is dark. Several are tested, because blur may merge disc and ring."""
 _CONCENTRIC = 0.35
 """Largest distance between the centres of a disc and its rings, relative to the radius of the disc."""
 _RING, _SECOND = (2.5, 9.0), (4.5, 16.0)
 """Smallest and largest area of the first and the second ring relative to the disc. The nominal values are 5 and 9."""
 _SMALLEST, _LARGEST = 4, 0.01
 """Smallest area of a disc, px^2, and largest area relative to the image."""
-_BARREL = (0.0, 0.06, 0.13, -0.03)
-"""Coefficients d of the undistorted radius r (1 + d r^2) that are tested, r in half diagonals."""
 _NEAR = 0.03
 """Largest distance of a mark from its expected position, relative to the size of the chart in the image."""
 _CLOSE = 0.005
 """Mean distance below which no other distortion is tested, relative to the size of the chart in the image."""
 _MOST_MARKS = (24, 9)
 """Largest number of marks of similar size that are tested, with and without a known first mark. It limits the time."""
-_CANDIDATES = 40
-"""Largest number of views with equally many marks that are compared with the image."""
 _SIMILAR_SIZE = 2.5
 """Largest ratio of the sizes of discs in one image."""
 _CLEAR = 0.5
 """Smallest agreement with the printed elements if only four marks are found."""
 _LEVEL = 0.5
 """Level below which squares and patches are used for the comparison with the image."""
-_MOST_ELEMENTS = 150
-"""Approximate largest number of squares and patches in the comparison with the image."""
 
 
 class Mark(NamedTuple):
@@ -79,7 +71,8 @@ def find_marks(picture: FloatArray, enough: int) -> list[Mark]:
     rows, columns = (np.minimum(np.arange(n) // cell, m - 1) for n, m in zip(picture.shape, paper.shape, strict=True))
     share = smooth / np.maximum(paper[np.ix_(rows, columns)], 1e-300)
     found: list[Mark] = []
-    for dark in _DARK:
+    # Several levels relative to the paper are tested, because blur may merge disc and ring.
+    for dark in (0.6, 0.78, 0.45):
         if len(found) >= enough and any(mark.rings == 2 for mark in found):
             break
         for mark in _marks_below(share, dark):
@@ -175,7 +168,8 @@ def match_marks(chart: Chart, marks: list[Mark], smooth: FloatArray) -> Match:
         seen = np.array([marks[j][:2] for j in marks_used])
         quads = _quads(positions, [first] if pinned else list(range(len(positions))))
         found: list[_Views] = []
-        for barrel in _BARREL:
+        # Tested distortions: coefficients d of the undistorted radius r (1 + d r^2), r in half diagonals.
+        for barrel in (0.0, 0.06, 0.13, -0.03):
             off = (seen - middle) / unit
             flat = (seen - middle) * (1 + barrel * (off**2).sum(1, keepdims=True))
             starts = tops if pinned else list(range(len(seen)))
@@ -188,7 +182,8 @@ def match_marks(chart: Chart, marks: list[Mark], smooth: FloatArray) -> Match:
             break
     if best is None or not top:
         return Match([], False)
-    candidates = best if top < 5 else best.subset(np.arange(len(best.off))[:_CANDIDATES])
+    # At most 40 views with equally many marks are compared with the image.
+    candidates = best if top < 5 else best.subset(np.arange(len(best.off))[:40])
     scores = np.array(
         [_shown(chart, *view, smooth, middle, unit) for view in zip(candidates.matrix, candidates.barrel, strict=True)]
     )
@@ -257,7 +252,8 @@ def _best(found: list[_Views]) -> _Views:
 def _shown(chart: Chart, view: FloatArray, barrel: float, smooth: FloatArray, middle: FloatArray, unit: float) -> float:
     """Compute the agreement of a view with the image: 1 if all dark elements are on bright paper, about 0 by chance."""
     dark = [e for e in chart.elements if isinstance(e, Square | Patch) and e.level < _LEVEL]
-    dark = dark[:: max(1, len(dark) // _MOST_ELEMENTS)]
+    # About 150 squares and patches are sufficient for the comparison.
+    dark = dark[:: max(1, len(dark) // 150)]
     if not dark:
         return 0.0
     corners = np.array([element.corners for element in dark])

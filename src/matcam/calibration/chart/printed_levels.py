@@ -22,12 +22,6 @@ _FEWEST = 4
 """Smallest number of patches."""
 _CLEAR = 3.0
 """Distance from the border of a patch within which blur affects the level, px."""
-_INSIDE = (0.3, 0.6)
-"""Smallest and largest margin that is excluded at the border of a patch, relative to half its size."""
-_BESIDE = (0.2, 0.45)
-"""Smallest and largest distance from the border of a patch at which the paper begins, relative to half its size."""
-_PAPER = 0.15
-"""Width of the paper area next to a patch, relative to half the size of the patch."""
 _GRID = 16
 """Number of sampled positions along each side of a patch."""
 _KNOWN = 24
@@ -36,8 +30,6 @@ _UNEVEN = 0.05
 """Largest variation of a patch relative to its level beyond noise, and of the paper on both sides of it."""
 _OFF = 0.12
 """Largest deviation of ln(printed) from a straight line, relative to ln(printed), for a patch that is not covered."""
-_CONTRAST_STD = 0.004
-"""Relative standard deviation of a contrast, because the illumination differs between patch and paper."""
 _MIDDLE, _REMARKABLE = 0.3, 0.05
 """Described level that is compared with the print, and change of its logarithm above which a remark is given."""
 _TURN = 2 * np.pi * np.arange(256) / 256
@@ -83,7 +75,8 @@ class PrintedLevels:
     @property
     def contrast_std(self) -> float:
         """Relative standard deviation of a printed contrast."""
-        return float(np.hypot(_CONTRAST_STD, np.median(self.std)))
+        # The illumination differs between patch and paper by 0.4 %.
+        return float(np.hypot(0.004, np.median(self.std)))
 
     def of(self, element: Element) -> Element:
         """Return a target with its printed levels.
@@ -143,7 +136,8 @@ def _over_paper(values: FloatArray, patch: Patch, projection: Projection) -> tup
 
     middle, *ends = projection(np.array([centre, centre + across, centre + along]))
     shortest = max(min(float(np.hypot(*(end - middle))) for end in ends), 1e-9)
-    inner = (1 - np.clip(_CLEAR / shortest, *_INSIDE)) * line
+    # A border of 0.3 to 0.6 of half the size is excluded, because blur affects the level there.
+    inner = (1 - np.clip(_CLEAR / shortest, 0.3, 0.6)) * line
     own = level(inner, inner)
     parts = [level(half, inner) for half in np.split(inner, 2)]
     if own is None or not own[0] > 0:
@@ -153,7 +147,8 @@ def _over_paper(values: FloatArray, patch: Patch, projection: Projection) -> tup
         return None
     # The distance to the paper is the same beyond the shorter and the longer sides.
     ratio = float(np.hypot(*across) / np.hypot(*along))
-    distance = 1 + np.clip(_CLEAR / shortest, *_BESIDE) + np.linspace(0, _PAPER, _GRID // 2)
+    # The paper begins 0.2 to 0.45 of half the size from the border of the patch; its measured width is 0.15.
+    distance = 1 + np.clip(_CLEAR / shortest, 0.2, 0.45) + np.linspace(0, 0.15, _GRID // 2)
     beside_u = 1 + (distance - 1) * min(1.0, 1 / ratio)
     beside_v = 1 + (distance - 1) * min(1.0, ratio)
     pairs = [

@@ -29,16 +29,8 @@ _FEWEST_POSITIONS = 12
 """Smallest number of positions for an estimate of the distortion, which has nine parameters."""
 _WORST = 3.0
 """Largest root mean square residual in an image of up to 1000 px, px. It increases with larger images."""
-_MARK_STD, _SIDE_STD = 0.2, 0.3
-"""Standard deviations of the positions of marks and of sides about the model of a curved page, px."""
-_MANY_SIDES = 100
-"""Largest total weight of the side positions, as a number of positions, so that they do not outweigh the fiducials."""
-_CURL = 0.02
-"""Prior standard deviation of the curvature: height relative to the camera distance, typical of pages on a table."""
 _FEWEST_SIDES = 0.3
 """Smallest share of the side positions that must be found."""
-_ROUNDS = 2
-"""Number of searches for sides, each starting from the improved registration."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,7 +145,8 @@ def register_chart(image: ArrayLike | LinearImage, chart: Chart, *, mosaic: bool
     seen = np.array([marks[j][:2] for _, j in match.pairs])
     shape = (picture.shape[0], picture.shape[1])
     found = _registration_through(positions, seen, shape, chart.page)
-    for _ in range(_ROUNDS):
+    # Each search for sides starts from the improved registration.
+    for _ in range(2):
         sides = seen_sides(smooth, chart, found)
         # If most squares are hidden, other structures may be found instead.
         if sides is None or sides.found.mean() < _FEWEST_SIDES:
@@ -232,17 +225,21 @@ def _registration_through(
     """
     start = np.append(_homography(positions, _from_middle(seen, shape)).ravel()[:8], np.zeros(7))
     # Priors keep undetermined parameters near 0: distortion, curvature, and the foot point of the camera.
-    prior = np.concatenate([[0.1, 0.1], np.full(3, _CURL), [1.0, 1.0]])
+    # The height of pages on a table is typically 2 % of the camera distance.
+    prior = np.concatenate([[0.1, 0.1], np.full(3, 0.02), [1.0, 1.0]])
     size = np.append(np.maximum(np.abs(start[:8]), 1e-6), prior)
     along = None
     if sides is not None and sides.found.any():
         known = sides.found
-        std = _SIDE_STD * np.sqrt(max(known.sum() / _MANY_SIDES, 1.0))
+        # Sides have a standard deviation of 0.3 px; their total weight is at most that of 100 positions, so that they
+        # do not outweigh the fiducials.
+        std = 0.3 * np.sqrt(max(known.sum() / 100, 1.0))
         along = sides.page[known], sides.seen[known], sides.normal[known], std
 
     def residual(p: FloatArray) -> FloatArray:
         whole = p * size
-        parts = [((_project(whole, positions, shape, page) - seen) / _MARK_STD).ravel(), p[8:]]
+        # Marks have a standard deviation of 0.2 px about the model of a curved page.
+        parts = [((_project(whole, positions, shape, page) - seen) / 0.2).ravel(), p[8:]]
         if along is not None:
             off = ((_project(whole, along[0], shape, page) - along[1]) * along[2]).sum(1)
             parts.append(off / along[3])

@@ -13,14 +13,10 @@ from matcam.core.arrays import FloatArray
 
 _ALONG = np.linspace(-0.32, 0.32, 9)
 """Positions at which a side is searched for, relative to its length, from its middle."""
-_SEARCH_RANGE, _FARTHEST = 0.22, 30
-"""Largest distance from the expected position: relative to the size of a square in the image, and px."""
 _STEP = 0.5
 """Distance of the samples of a profile, px."""
 _LEAST = 0.35
 """Smallest step of a side relative to the described step. Print and illumination may reduce the step."""
-_CORE = 3.0
-"""Distance from the steepest point within which the gradient determines the position, px."""
 
 
 class Sides(NamedTuple):
@@ -66,7 +62,8 @@ def seen_sides(smooth: FloatArray, chart: Chart, projection: Callable[[FloatArra
     normal *= -np.sign(inwards)[..., None]
     length = np.hypot(*(at[:, -1] - at[:, 0]).T) / np.ptp(_ALONG)
     depth = 2 * np.abs(inwards).min(1)
-    search_range = min(float(np.median(np.minimum(depth, length))) * _SEARCH_RANGE, _FARTHEST)
+    # A side is searched for up to 0.22 of the size of a square, and at most 30 px, from its expected position.
+    search_range = min(float(np.median(np.minimum(depth, length))) * 0.22, 30)
     steps = np.arange(-np.ceil(search_range / _STEP), np.ceil(search_range / _STEP) + 1) * _STEP
     positions = at[:, :, None] + normal[:, :, None] * steps[:, None]
     profile = ndimage.map_coordinates(
@@ -82,7 +79,8 @@ def _steepest(profile: FloatArray, steps: FloatArray, level: FloatArray) -> Floa
     slope = np.diff(profile, axis=2)
     between = (steps[1:] + steps[:-1]) / 2
     best = np.nan_to_num(slope, nan=-np.inf).argmax(2)
-    near = np.abs(between - between[best][..., None]) <= _CORE
+    # The gradient within 3 px of the steepest point determines the position.
+    near = np.abs(between - between[best][..., None]) <= 3.0
     weight = np.where(near, np.maximum(slope, 0.0), 0.0)
     total = weight.sum(2)
     position = (weight * between).sum(2) / np.maximum(total, 1e-300)

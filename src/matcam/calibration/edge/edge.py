@@ -43,8 +43,6 @@ from matcam.files.photographs import Photograph
 T = TypeVar("T")
 AT_ONCE = 10
 """Number of edges that are processed together. Their data fit into the cache of the processor."""
-_MANY = 500
-"""Smallest number of edges for which the compiled program is used. For fewer edges, compiling takes longer than it saves."""
 Fit = Callable[[EdgeRegions], EdgeFits]
 """Function that fits the edges of n regions. The arrays of its result have a leading axis of n."""
 _WIDEST = 0.1
@@ -216,7 +214,8 @@ def edge_stack(
         settings: settings of the measurement.
         even_light: divide uneven light out of the regions, and search for traces of image processing. Default: False.
     """
-    fit = _compiled_fits if len(regions) * AT_ONCE >= _MANY else _fits
+    # For fewer than 500 edges, compiling takes longer than it saves.
+    fit = _compiled_fits if len(regions) * AT_ONCE >= 500 else _fits
     chunks: list[EdgeFits] = []
     frames: list[RegionFrame] = []
     problems: list[Remark | None] = []

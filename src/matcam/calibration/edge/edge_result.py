@@ -39,8 +39,6 @@ _NAMES = {
     "parametric_mtf_std": "standard deviation of parametric_mtf",
 }  # fmt: skip
 """Descriptions of the variables of `EdgeMTF.dataset`."""
-_LENGTH = 512
-"""Multiple to which the number of points of a curve is padded, so that one compiled program serves most calls."""
 _ROUGH = 0.03
 """Roughness above which a remark is given, px."""
 
@@ -272,8 +270,8 @@ class EdgeMTF(Summarised, EdgeValues[float]):
 
     def _curve(self, function: Any, distance: ArrayLike) -> SampledCurve:
         at = checks.number("distance", np.asarray(distance))
-        # The padded length is a multiple of `_LENGTH`, so that one compiled program serves most calls.
-        padded = np.pad(np.asarray(at).ravel(), (0, -at.size % _LENGTH))
+        # The padded length is a multiple of 512, so that one compiled program serves most calls.
+        padded = np.pad(np.asarray(at).ravel(), (0, -at.size % 512))
         found = function(self.fits.free, padded)
         return SampledCurve(*(np.asarray(a)[: at.size].reshape(at.shape) for a in found))
 

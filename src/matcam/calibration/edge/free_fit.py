@@ -46,29 +46,10 @@ FOUND = 25.0
 """Increase of 2 ln likelihood above which glare is accepted: 5 sigma for one parameter."""
 GHOST_FOUND = 24.0
 """Increase of 2 ln likelihood above which a ghost is accepted. At one position, noise exceeds it with probability 1/2,000."""
-_PRIOR, _PRIOR_RANGE = 0.1, 1.6
-"""Prior standard deviation of the coefficients of the core at the edge, relative to the step, and range of its decrease.
-
-The prior decreases with the distance as a Gaussian with a standard deviation of 1.6 s, because lenses deviate most from
-Gaussians in the core.
-"""
-_PRIOR_ODD = 0.03
-"""Largest prior standard deviation of the odd coefficients of the core, relative to the step."""
-_PRIOR_TAIL = 0.3
-"""Prior standard deviation of the coefficient of the tail, relative to the step."""
 _PRIOR_GLARE = 0.1
 """Prior standard deviation of the share of glare."""
 _PRIOR_GHOST = 0.3
 """Prior standard deviation of the coefficients of a ghost, relative to the step."""
-_FIRST_GHOST, _LAST_GHOST, _FURTHEST = 2.2, 6.0, 8.0
-"""Range of distances of the search for ghosts: from 2.2 s to 6 s or 8 px, whichever is larger."""
-_GHOST_DISTANCES, _GHOST_ROOM = 24, 0.3
-"""Number of distances at which a ghost is tested, and the largest distance relative to the width of the region."""
-_MISFIT = 2e-4
-"""Standard deviation of the error of an approximation by basis functions 0.6 s wide, relative to the step.
-
-It affects only images whose noise is smaller.
-"""
 VEIL = 0.25
 """Radius, relative to the width of a region, beyond which glare resembles uneven light or another edge."""
 _VEIL_COST = 4.0
@@ -82,12 +63,6 @@ _LEVELS = SHIFT
 """Number of columns for the levels and the light."""
 _COLUMN = _LEVELS + GLARE
 """Index of the column of the glare. The column is 0 until glare is tested."""
-_PRIOR_RADIUS = 1.0
-"""Prior standard deviation of ln of the glare radius."""
-_NARROWEST, _NARROWEST_OF_SCALE, _WIDEST = 4.0, 3.0, 110.0
-"""Range of the glare radii that are tested: from 4 px or 3 s, whichever is larger, to 110 px."""
-_CANDIDATES, _REFINEMENTS = 9, 3
-"""Number of tested glare radii, and number of refinements of the best radius. Each refinement halves the interval."""
 
 
 class LinearFit(NamedTuple):
@@ -186,7 +161,9 @@ def linear_fit(
     even = changed(basis.even - basis.pilot, GLARE, 0.0)
     even, odd = (changed(part, GHOSTS, part[GHOSTS] * ghost) for part in (even, basis.odd))
     variance = noise.variance(at.value, cells.dim)
-    weight = cells.pixels / (variance + cells.pixels * (_MISFIT * (state.linear[1] - state.linear[0])) ** 2)
+    # The error of an approximation by basis functions 0.6 s wide is 2e-4 of the step. It affects only images with less
+    # noise.
+    weight = cells.pixels / (variance + cells.pixels * (2e-4 * (state.linear[1] - state.linear[0])) ** 2)
 
     def problem(linear: jax.Array, used: jax.Array) -> LinearFit:
         light = light_of(linear, cells.terms)
@@ -219,9 +196,10 @@ def ghost_found(fit: LinearFit, glare: tuple[jax.Array, jax.Array], known: jax.A
     """
     log_radius, rise = glare
     beside = fit.solved(changed(fit.columns, _COLUMN, xp.where(rise > FOUND, _column(fit, log_radius), 0.0)))
-    first = _FIRST_GHOST * line_width(fit.shape)
-    last = xp.minimum(xp.maximum(_LAST_GHOST * line_width(fit.shape), _FURTHEST), _GHOST_ROOM * _width(fit.cells))
-    positions = xp.linspace(first, last, _GHOST_DISTANCES)
+    # Ghosts are searched for from 2.2 s to 6 s or 8 px, whichever is larger, in at most 0.3 of the width of the region.
+    first = 2.2 * line_width(fit.shape)
+    last = xp.minimum(xp.maximum(6.0 * line_width(fit.shape), 8.0), 0.3 * _width(fit.cells))
+    positions = xp.linspace(first, last, 24)
 
     columns = _ghosts(beside, positions)
     weighted = columns * beside.weight
@@ -333,12 +311,14 @@ def curve_with_glare(fit: LinearFit, log_radius: jax.Array) -> FreeCurve:
         return xp.clip(better, radii[0], radii[-1]), width / 2
 
     radii = _radii(fit.shape)
-    log_radius, _ = repeated(_REFINEMENTS, refine, (log_radius, radii[1] - radii[0]))
+    # Each refinement halves the interval about the best radius.
+    log_radius, _ = repeated(3, refine, (log_radius, radii[1] - radii[0]))
     glaring = fit.solved(changed(fit.columns, _COLUMN, _column(fit, log_radius)))
     slope = slope_along(lambda r: _column(fit, r), log_radius, 1.0)
     # The radius is already optimal: the additional column only provides its covariance.
     full = xp.concatenate([glaring.columns, glaring.strength[_COLUMN] * slope[None]])
-    inverse = lifted_inverse((full * fit.weight) @ full.T + xp.diag(xp.append(_PRECISIONS, _PRIOR_RADIUS**-2)))
+    # Normal prior of ln of the radius with a standard deviation of 1.
+    inverse = lifted_inverse((full * fit.weight) @ full.T + xp.diag(xp.append(_PRECISIONS, 1.0)))
     covariance = inverse @ ((full * fit.noisy) @ full.T) @ inverse
     return _per_step(fit, glaring.strength, covariance, xp.exp(log_radius))
 
@@ -379,8 +359,9 @@ def _column(fit: LinearFit, log_radius: jax.Array) -> jax.Array:
 
 def _radii(shape: CoreShape) -> jax.Array:
     """Compute ln of the radii that are tested, px."""
-    narrowest = xp.maximum(_NARROWEST, _NARROWEST_OF_SCALE * line_width(shape))
-    return xp.linspace(xp.log(narrowest), xp.log(_WIDEST), _CANDIDATES)
+    # The narrowest glare has a radius of 4 px or 3 s, whichever is larger.
+    narrowest = xp.maximum(4.0, 3.0 * line_width(shape))
+    return xp.linspace(xp.log(narrowest), xp.log(110.0), 9)
 
 
 def _lights() -> np.ndarray:
@@ -403,9 +384,11 @@ LIGHTS = _lights()
 
 def _precisions() -> np.ndarray:
     """Compute the precisions of the priors (p,). The precision is 0 for the levels, the light and the position of the edge."""
-    core, ghosts = _PRIOR * np.exp(-((CENTRES / _PRIOR_RANGE) ** 2) / 2), np.full(GHOSTS.size, _PRIOR_GHOST)
-    odd = np.minimum(core, _PRIOR_ODD)
-    even = np.concatenate([core, ghosts, [_PRIOR_TAIL, _PRIOR_GLARE]])
+    # Lenses deviate most from Gaussians in the core: the standard deviation is 10 % of the step at the edge, and
+    # decreases as a Gaussian with a standard deviation of 1.6 s.
+    core, ghosts = 0.1 * np.exp(-((CENTRES / 1.6) ** 2) / 2), np.full(GHOSTS.size, _PRIOR_GHOST)
+    odd = np.minimum(core, 0.03)
+    even = np.concatenate([core, ghosts, [0.3, _PRIOR_GLARE]])
     return np.concatenate([np.zeros(_LEVELS), even**-2, odd**-2, ghosts**-2, [0.0]])
 
 

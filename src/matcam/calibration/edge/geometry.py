@@ -22,14 +22,8 @@ if TYPE_CHECKING:
 
 CURVE = 6
 """Number of coefficients of the curve of an edge. Lens distortion curves the image of a straight edge."""
-ROW_ORDERS = 11
-"""Number of tabulated Legendre polynomials of y. The light of the rows has order 10 at most."""
 _SLOPES = np.array([np.pad(np.polynomial.legendre.legder(one), (0, 1))[:CURVE] for one in np.eye(CURVE)])
 """Matrix (CURVE, CURVE) that converts the coefficients of a curve to those of its derivative with respect to y / length."""
-_PHASES = 8
-"""Number of bins per px near the edge. The distances in a bin then differ by at most an eighth of a px."""
-_NEAR = 7
-"""Distance on both sides of the edge within which columns are split by phase, px."""
 
 
 class Rows(NamedTuple):
@@ -55,7 +49,8 @@ class Rows(NamedTuple):
     def of(cls, value: AnyArray, y: AnyArray, start: AnyArray, step: int) -> Rows:
         """Create rows with their half length and their Legendre polynomials."""
         length = xp.maximum(xp.max(xp.where(xp.isfinite(value).any(1), xp.abs(y), 0.0)), 1.0)
-        return cls(value, y, start, step, length, legendre(y / length, ROW_ORDERS))
+        # The light of the rows has order 10 at most.
+        return cls(value, y, start, step, length, legendre(y / length, 11))
 
 
 class AlignedRows(NamedTuple):
@@ -84,7 +79,8 @@ class AlignedRows(NamedTuple):
     @property
     def near(self) -> slice:
         """Columns that are split by phase."""
-        middle, half = self.value.shape[1] // 2, _NEAR // self.step
+        # Columns within 7 px of the edge are split by phase.
+        middle, half = self.value.shape[1] // 2, 7 // self.step
         return slice(max(middle - half, 0), middle + half + 1)
 
 
@@ -180,7 +176,8 @@ def phased_rows(rows: AlignedRows, curve: jax.Array) -> PhasedRows:
     """Compute the distances of all pixels from a curve, and the phases of all rows."""
     middle = rows.value.shape[1] // 2
     offset = (rows.x[:, middle] - edge_position(curve, rows.powers)) / rows.step + 0.5
-    count = _PHASES * rows.step
+    # The distances in a bin near the edge differ by at most an eighth of a px.
+    count = 8 * rows.step
     phase = as_index(xp.clip(xp.floor(offset * count), 0, count - 1))
     member = (phase == xp.arange(count)[:, None]).astype(float)
     return PhasedRows(rows, curve, edge_distance(curve, rows.x, rows.powers, rows.length), member, phase)

@@ -159,8 +159,6 @@ class CurveStep(NamedTuple):
 
 _CLEAR = 4.0
 """Significance above which an edge is reported as rough, in standard deviations."""
-_STIFF = 0.3
-"""Prior standard deviation of a change of the higher orders of a curve, px."""
 _BOWS = 3
 """Number of coefficients of an edge that is straight or bowed. Higher orders describe an S shape, dirt or a torn border."""
 _HIGHER_ORDERS = 16.3
@@ -196,7 +194,8 @@ def curve_step(phased: PhasedRows, cells: EdgeCells, at: EdgeModel, noise: Noise
     score = (weight * by_row * residual).sum(1)
     powers = aligned.powers[:CURVE]
     normal = (powers * information) @ powers.T
-    stiff = np.where(np.arange(CURVE) < _BOWS, 0.0, _STIFF**-2)
+    # The prior standard deviation of a change of the higher orders is 0.3 px.
+    stiff = np.where(np.arange(CURVE) < _BOWS, 0.0, 0.3**-2)
     normal = normal + xp.diag(stiff + 1e-9 * xp.trace(normal) + 1e-300)
     covariance, change, orders = _of_seen_orders(normal, powers @ score, curve)
     change = xp.clip(change, -1.0, 1.0)

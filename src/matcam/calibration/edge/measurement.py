@@ -41,12 +41,8 @@ from matcam.numerics.linalg import lifted_inverse
 if TYPE_CHECKING:
     from matcam.core.jax import AnyArray, jax
 
-_START = -0.5
-"""Initial ln of the lens width in px: a lens width of 0.6 px."""
-_STEPS, _MODEL_STEPS = 3, 12
-"""Number of steps of Fisher scoring: for the Gaussian lens in each turn, and for another lens model."""
-_LAST_LIGHT = 3
-"""Index in `LIGHTS` of the light model in the last turn of the fits of profile and position."""
+_STEPS = 3
+"""Number of steps of Fisher scoring for the Gaussian lens in each turn."""
 _EXPECTED = 1.4
 """Chi-square per degree of freedom above which the variances are scaled: 4 sigma for about 200 bins."""
 
@@ -173,8 +169,9 @@ def edge_fits(
     even = free_fit.LIGHTS[0]
     levels = xp.append(xp.stack([side.mean() for side in side_levels(aligned)]), np.zeros(even.size - 2))
     # The last turn includes most orders of the light, so that uneven light does not bias the curve.
-    uses = free_fit.LIGHTS[np.where(np.arange(turns) < turns - 1, 0, _LAST_LIGHT)]
-    curve, cells, at, moved = last_of(turn, (first_curve, State(levels, xp.array([_START]), even)), uses)
+    uses = free_fit.LIGHTS[np.where(np.arange(turns) < turns - 1, 0, 3)]
+    # The fit starts from a lens width of 0.6 px, whose logarithm is -0.5.
+    curve, cells, at, moved = last_of(turn, (first_curve, State(levels, xp.array([-0.5]), even)), uses)
     # The slope of the least-squares line through a curve is its coefficient of order 1.
     slope, one = curve[1] / rows.length, xp.ones(())
     seen = LensAtEdge(Gaussian(), xp.arctan(slope), half)
@@ -244,7 +241,7 @@ def lens_fit(found: EdgeFits, half_width: AnyArray | np.float64, lens: LensModel
     """Compute the parametric estimate for another lens model."""
     seen = LensAtEdge(lens, found.angle, xp.asarray(half_width))
     first = found.state._replace(profile=lens.start(found.state.profile[0]))
-    fitted = _climb(found.cells, first, seen, found.noise, _MODEL_STEPS)
+    fitted = _climb(found.cells, first, seen, found.noise, 12)
     tested = edge_model(found.cells, fitted, seen.profile)
     at = edge_model(found.cells, found.state, seen._replace(lens=Gaussian()).profile)
     ghost = (found.free.even[GHOSTS] != 0).any()

@@ -47,12 +47,8 @@ from matcam.core.arrays import FloatArray
 from matcam.core.remark import Remark
 from matcam.numerics.crossing import first_fall
 
-_FLAT_WIDTHS, _FLAT_MARGIN = 3.0, 2.0
-"""Distance from the edge beyond which a side is assumed to be flat: a multiple of the blur, plus a number of px."""
-_GAMMA = 2.2
-"""Exponent of the tone curve that is assumed if dark pixels are too noisy. It approximates that of sRGB (IEC 61966-2-1)."""
-_SIDE, _SAMPLES = 40.0, 801
-"""Largest distance from the edge at which its response is sampled, px; number of samples, 0.1 px apart."""
+_SIDE = 40.0
+"""Largest distance from the edge at which its response is sampled, px."""
 _TRANSFORM = 4096
 """Number of samples of the Fourier transform of a line spread function. The frequencies are 2.4e-3 cycles/px apart."""
 _TONE_CURVATURE, _TONE_PROBABILITIES, _RAISED = 0.3, (0.02, 0.5), 1.15
@@ -60,25 +56,15 @@ _TONE_CURVATURE, _TONE_PROBABILITIES, _RAISED = 0.3, (0.02, 0.5), 1.15
 of photon noise, and if it is larger; ratio to photon noise above which the variance is larger."""
 _SURE_TONE, _NO_TONE = 0.99, 0.01
 """Probabilities of a tone curve above which it is reported, and below which its effect is not computed."""
-_PER_OVERSHOOT = 12.0
-"""Relative increase of MTF50 per overshoot of an unsharp mask."""
 _OVERSHOOT, _SURE = 0.003, 3.5
 """Thresholds of sharpening: overshoot relative to the step; combined significance of overshoot and noise, in sigma."""
 _CRUSHED, _LEAST_REPORTED, _SURE_GLARE = 0.01, 1e-3, 0.005
 """Relative errors of MTF50: smallest error by crushed blacks; smallest reported error; smallest reported error by glare."""
-_PER_LEVEL = 0.2
-"""Relative error of MTF50 per distance of two levels in units of the step: rms over 12 to 512 levels without noise."""
 _MOST_LEVELS, _NEAR_LEVELS = 2000, 4
 """Number of different values above which codes are not coarse; number of levels on both sides of the level of a flat side that
 are searched for the smallest distance of levels, because an image without noise lacks some levels."""
 _TAILS, _FADING = 0.08, 0.6
 """Blur that extends to the border of the region: largest error of MTF50; blur widths over which the error decreases to 0."""
-_SURER = 0.1
-"""Ratio of the errors of the parametric and the model-free estimate. It is small, because a lens model determines the tails."""
-_PER_STEP, _BY_GLARE = 1.5, 0.72
-"""Relative error of MTF50 per step of the light across the edge (penumbrae of tests/oracle), and per share of glare."""
-_PER_BORDER, _HARMLESS, _MOST_BY_BLOCKS = 0.006, 3.0, 0.05
-"""JPEG block borders: relative error of MTF50 per strength; largest strength without effect; largest relative error."""
 _GHOST, _SURE_GHOST = 0.01, 4.0
 """Height relative to the step, and number of standard deviations, above which a ghost is reported."""
 
@@ -124,7 +110,8 @@ class _EdgeRegion:
 
     @cached_property
     def sides(self) -> tuple[np.ndarray, np.ndarray]:
-        there, margin = np.isfinite(self.value), _FLAT_WIDTHS * self.blur + _FLAT_MARGIN
+        # A side is assumed to be flat beyond 3 standard deviations of the blur plus 2 px.
+        there, margin = np.isfinite(self.value), 3.0 * self.blur + 2.0
         return there & (self.distance < -margin), there & (self.distance > margin)
 
     @cached_property
@@ -172,7 +159,8 @@ class _EdgeRegion:
         filtered = [] if self.noise.compressed else _filtered(self, smoothed, raised)
         coarse = _coarse(self)
         toned = _tone_curve(self) or ([] if any(trace.remark for trace in coarse) else _asymmetric(self))
-        lit = [] if self.light is None else [Trace(_PER_STEP * self.light.unknown)]
+        # The error per step of the light was measured with the penumbrae of tests/oracle.
+        lit = [] if self.light is None else [Trace(1.5 * self.light.unknown)]
         found = [*smoothed, *raised, *filtered, *_crushed(self), *coarse, *toned, *lit]
         return [*found, *_narrow(self), *_veiled(self), *_ghost(self)]
 
@@ -197,7 +185,8 @@ def with_traces(
             given[i] = given[i] + tuple(trace.remark for trace in found if trace.remark)
             for trace in found:
                 shares[trace.of][i] = np.hypot(shares[trace.of][i], trace.share)
-    shares["lens"] = np.hypot(shares["lens"], _SURER * shares["free"])
+    # A lens model determines the tails, so that its errors are a tenth of those of the model-free estimate.
+    shares["lens"] = np.hypot(shares["lens"], 0.1 * shares["free"])
     stack = with_core_as_total(stack, np.array([light is not None and light.amplitude > 0 for light in lights]))
     ghosts = np.array([0.0 if light is None else light.ghost for light in lights])
     return widened(replace(stack, given=tuple(given)), shares, ghosts)
@@ -227,7 +216,8 @@ def _veiled(region: _EdgeRegion) -> list[Trace]:
     width = (2 if region.mosaic else 1) * (region.value.shape[1] - 1)
     possible = 1.0 if edge.glare_radius > VEIL * width else 0.0 if light is None else light.possible
     unsure = max(min(glare, possible), 0.0)
-    share = _BY_GLARE * unsure
+    # Glare decreases MTF50 by 0.72 of its share.
+    share = 0.72 * unsure
     text = f"{seen} uneven light{'' if unsure == glare else ' in part'}: MTF50 with glare may be too low by {share:.0%}"
     return [Trace(share, Remark("wide-glare", text) if share > _SURE_GLARE else None, "glare")]
 
@@ -252,7 +242,8 @@ def _smoothed(region: _EdgeRegion) -> list[Trace]:
         text = (
             f"{seen}, and there are JPEG block borders every 8 px: the image may have been denoised or sharpened before"
         )
-        share = float(np.clip(_PER_BORDER * (noise.grid - _HARMLESS), 0.0, _MOST_BY_BLOCKS))
+        # Block borders up to a strength of 3 have no effect. Stronger ones change MTF50 by 0.6 % per strength.
+        share = float(np.clip(0.006 * (noise.grid - 3.0), 0.0, 0.05))
         more = f"; MTF50 may be wrong by {share:.1%}" if share else ""
         return [Trace(share, Remark("compressed", text + more))]
     if not noise.denoised:
@@ -271,7 +262,8 @@ def _tone_curve(region: _EdgeRegion) -> list[Trace]:
         return []
     edge = region.edge
     step = edge.bright - edge.dark
-    effect = _effect_of_tone(edge, lambda seen: np.maximum(edge.dark + step * seen, 0) ** _GAMMA)
+    # The assumed exponent of the tone curve approximates that of sRGB (IEC 61966-2-1).
+    effect = _effect_of_tone(edge, lambda seen: np.maximum(edge.dark + step * seen, 0) ** 2.2)
     share = max(TONE_CURVE_UNCERTAINTY, effect)
     text = f"{region.noise.tone}, and MTF50 may be wrong by {share:.0%}: specify the tone curve (--tone)"
     return [Trace(share, Remark("tone-curve", text))]
@@ -285,7 +277,8 @@ def _sharpened(region: _EdgeRegion) -> list[Trace]:
     # JPEG causes ringing next to an edge
     if over < (SHARPENED if noise.compressed else _OVERSHOOT) or (over / std + apart) / np.sqrt(2) < _SURE:
         return []
-    share = _PER_OVERSHOOT * over
+    # An unsharp mask increases MTF50 by 12 times its overshoot.
+    share = 12.0 * over
     text = f"the edge overshoots by {over:.1%}, as in a sharpened image: MTF50 may be too high by {share:.0%}"
     return [Trace(share, Remark("sharpened", text) if over <= SHARPENED else None)]
 
@@ -356,7 +349,8 @@ def _coarse(region: _EdgeRegion) -> list[Trace]:
         noisy = min(max(variance - apart**2 / 12, 0.0), (apart / ndtri(beyond / 2)) ** 2)
         errors.append(apart * np.exp(-2 * np.pi**2 * noisy / apart**2))
     step = region.edge.bright - region.edge.dark
-    share = _PER_LEVEL * float(np.hypot(*errors)) / step
+    # The factor is the rms over 12 to 512 levels without noise.
+    share = 0.2 * float(np.hypot(*errors)) / step
     text = f"codes are coarse: only {step / max(gaps.min(), 1e-300):.0f} levels are resolved, and the noise is below one level"
     remark = Remark("quantised", f"{text}; MTF50 may be wrong by {share:.1%}")
     return [Trace(share, remark if share > _LEAST_REPORTED else None)]
@@ -419,7 +413,7 @@ def _effect_of_tone(edge: EdgeMTF, undone: Callable[[FloatArray], FloatArray]) -
 
     `undone`: function that converts an edge response (0 to 1) after the tone curve to light.
     """
-    distance = np.linspace(-_SIDE, _SIDE, _SAMPLES)
+    distance = np.linspace(-_SIDE, _SIDE, 801)  # 0.1 px apart
     response = np.clip(edge_response(edge.fits.free, distance).value, 0, 1)
 
     def half(light: FloatArray) -> float:

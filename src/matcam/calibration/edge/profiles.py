@@ -34,8 +34,6 @@ _PERIOD = 512
 """Period of the tabulated edge response, px. The periodic continuation of a 1/d^2 tail then adds 1e-6 of the step."""
 _PER_PX = 16
 """Number of samples of the tabulated edge response per px."""
-_NARROWEST = 0.05
-"""Smallest standard deviation of the core of `Separable`, px. It keeps the variance of the core positive."""
 KURTOSIS = 0.02
 """Prior standard deviation of the excess kurtosis of the core of `Separable`."""
 
@@ -336,4 +334,5 @@ def _variance(parameters: jax.Array) -> jax.Array:
 
     It is the total variance minus that of the pixel, which is half_width^2 / 3 in all directions.
     """
-    return xp.maximum(xp.exp(2 * parameters[0]) - parameters[1] ** 2 / 3, _NARROWEST**2)
+    # The smallest standard deviation, 0.05 px, keeps the variance of the core positive.
+    return xp.maximum(xp.exp(2 * parameters[0]) - parameters[1] ** 2 / 3, 0.05**2)

@@ -46,9 +46,8 @@ _SIGNIFICANT = 5.0
 """Number of standard deviations that a significant overshoot exceeds."""
 _ANYTHING = "the region may contain a ghost, a second edge, the border of a shadow or dirt"
 """Possible causes of a misfit, for a message about an edge whose content is unknown."""
-_BY, _STEEP, _ABOVE = 1.0, 0.3, 4.0
-"""Parameters of the search for steps: standard deviation of the smoothing, px; smallest slope relative to the steepest slope;
-smallest slope in standard deviations."""
+_STEEP, _ABOVE = 0.3, 4.0
+"""Search for steps: smallest slope relative to the steepest slope; smallest slope in standard deviations."""
 _UNLIKE, _ENDS = 1.5, 0.05
 """Standard deviation of the number of steps per row above which the rows show text or a pattern; share of rows without an
 edge above which the edge ends at a corner."""
@@ -62,8 +61,6 @@ _UNEXPLAINED = 0.015
 CLEAR = 4.6
 """Distance of an edge from the borders of the region below which the levels are uncertain, in standard deviations of its
 blur."""
-_SOME = 0.1
-"""Share of the rows in which an edge may be nearer to a border than its `clearance`."""
 _VEILED = 0.15
 """Share of glare above which, together with a misfit, the glare is not attributed to the lens."""
 _BLUR = 0.2
@@ -288,7 +285,7 @@ def describe_content(value: np.ndarray) -> str:
     noise = flat_noise(value, known & (value < middle), known & (value >= middle))
     if noise.neighbour_ratio > _REPEATED and noise.apart > _SURE:
         return "the region contains a pattern with a period of a few px, such as a screen or a halftone"
-    slope = np.gradient(ndimage.gaussian_filter(np.where(known, value, middle), _BY), axis=1)[:, 2:-2]
+    slope = np.gradient(ndimage.gaussian_filter(np.where(known, value, middle), 1.0), axis=1)[:, 2:-2]
     slope = np.where(known[:, 2:-2], slope, 0.0)
     size = np.abs(slope)
     least = max(_STEEP * np.quantile(size, 0.995), _ABOVE * robust_std(size))
@@ -314,8 +311,9 @@ def clearance(found: EdgeFits, region: EdgeRegions, position: np.ndarray) -> np.
     first, last = there.argmax(2), region.value.shape[2] - 1 - there[:, :, ::-1].argmax(2)
     off = np.stack([position - region.start - region.step * first, region.start + region.step * last - position])
     known = there.any(2)
+    # In a tenth of the rows, the edge may be nearer to a border.
     nearest = np.array(
-        [np.quantile(off[:, k, some], _SOME, axis=1).min() if some.any() else np.nan for k, some in enumerate(known)]
+        [np.quantile(off[:, k, some], 0.1, axis=1).min() if some.any() else np.nan for k, some in enumerate(known)]
     )
     return np.asarray(nearest / np.hypot(1.0, np.nan_to_num(np.asarray(found.slope))) / line_width(found.free.shape))
 

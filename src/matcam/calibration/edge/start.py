@@ -32,12 +32,8 @@ It is also the smallest number of samples on each side of a step.
 """
 _WEAK = 0.4
 """Step of a row, relative to the median step, below which the row is assumed to have no edge."""
-_ROUNDS = 4
-"""Number of iterations of the robust fit of a straight line to the edge."""
 _OUTLIER = 3.0
 """Excess of the distance of a row from the line over the mean distance above which the row is an outlier, px."""
-_STIFF = 0.02
-"""Precision of the prior for the orders of the curve above 2 (the bow), relative to the weight of one row."""
 _FAINTEST = 0.2
 """Smallest light of a row relative to the linear part of the light. The largest relative light is the inverse."""
 
@@ -57,7 +53,7 @@ def find_curve(rows: Rows) -> tuple[jax.Array, jax.Array]:
         off = xp.abs(found - edge_position(line, rows.powers))
         return line, crossing * (off < _OUTLIER + (at[1] * off).sum() / xp.maximum(at[1].sum(), 1))
 
-    line, _ = repeated(_ROUNDS, closer, (xp.zeros(2), crossing))
+    line, _ = repeated(4, closer, (xp.zeros(2), crossing))
     aligned = in_even_rows(aligned_rows(rows, line))
     middle, half_window = aligned.value.shape[1] // 2, _HALF_WINDOW // rows.step
     near = slice(max(middle - half_window, 0), middle + half_window + 1)
@@ -162,5 +158,6 @@ def _largest_steps(rows: Rows) -> tuple[jax.Array, jax.Array]:
 def _polynomial(powers: jax.Array, x: AnyArray, weight: jax.Array) -> jax.Array:
     """Fit the coefficients (..., k) of Legendre polynomials (k, rows) to x (..., rows) by weighted least squares."""
     weighted = powers * weight[..., None, :]
-    stiff = np.diag(np.where(np.arange(len(powers)) < 3, 1e-9, _STIFF))
+    # The prior for the orders above 2 (the bow) has the precision of 0.02 rows.
+    stiff = np.diag(np.where(np.arange(len(powers)) < 3, 1e-9, 0.02))
     return linalg.solve(weighted @ powers.T + stiff, weighted @ x[..., None])[..., 0]

@@ -25,14 +25,8 @@ if TYPE_CHECKING:
 
 _FAR = 6.0
 """Deviation above which a pixel is an outlier, in standard deviations. Noise exceeds it in one of 5e8 pixels."""
-_LEVEL_DISTANCE = 6.0
-"""Distance from the edge beyond which pixels are used to estimate the noise, px."""
-_LEAST_NOISE = 1e-4
-"""Smallest noise relative to the step. It represents rounding and the errors of any model."""
 _SAME, _COARSEST = 1e-9, 0.1
 """Difference of neighbours up to which their codes are assumed equal, and largest distance of codes, relative to the step."""
-_OTHERS = 3
-"""Number of pixels that a group must exceed for the outlier test."""
 
 
 def without_outliers(phased: PhasedRows, noise: Noise) -> AlignedRows:
@@ -59,7 +53,8 @@ def without_outliers(phased: PhasedRows, noise: Noise) -> AlignedRows:
         middle = (first - off) / others
         scatter = xp.maximum((second - off**2) / others - middle**2, variance)
         far = (off - middle) ** 2 > _FAR**2 * scatter * (1 + 1 / others)
-        return valid * ~(far & of(count > _OTHERS))
+        # Smaller groups do not determine their scatter.
+        return valid * ~(far & of(count > 3))
 
     # A large outlier may hide others in its group.
     valid = again(aligned.valid)
@@ -78,7 +73,8 @@ def estimated_noise(known: Noise, phased: PhasedRows) -> Noise:
     difference = aligned.value[:, 4:] - 2 * aligned.value[:, 2:-2] + aligned.value[:, :-4]
     all_three = aligned.valid[:, 4:] * aligned.valid[:, 2:-2] * aligned.valid[:, :-4]
     away = phased.distance[:, 2:-2]
-    far = all_three * (xp.abs(away) > xp.minimum(_LEVEL_DISTANCE, 0.3 * aligned.step * aligned.value.shape[1]))
+    # The noise is estimated from pixels beyond 6 px from the edge.
+    far = all_three * (xp.abs(away) > xp.minimum(6.0, 0.3 * aligned.step * aligned.value.shape[1]))
 
     def side(part: AnyArray) -> tuple[jax.Array, jax.Array]:
         weight = far * part
@@ -94,25 +90,19 @@ def estimated_noise(known: Noise, phased: PhasedRows) -> Noise:
     level = xp.minimum(xp.min(xp.where(there > 0, step, xp.inf)), _COARSEST * xp.abs(high - low))
     v_low, v_high = (xp.maximum(v, level**2 / 12) for v in (v_low, v_high))
     gain = xp.clip((v_high - v_low) / (high - low), 0.0, v_high / xp.maximum(high, 1e-300))
-    read2 = xp.maximum((v_low + v_high) / 2 - gain * (low + high) / 2, 0.0) + (_LEAST_NOISE * (high - low)) ** 2
+    # The smallest noise, 1e-4 of the step, represents rounding and the errors of any model.
+    read2 = xp.maximum((v_low + v_high) / 2 - gain * (low + high) / 2, 0.0) + (1e-4 * (high - low)) ** 2
     return Noise(
         xp.where(xp.isnan(known.gain), gain, known.gain),
         xp.where(xp.isnan(known.read), xp.sqrt(read2), known.read),
     )
 
 
-_CORE = 7.0
-"""Distance from the edge within which the misfit of the bins is computed, px."""
-_WINDOW, _FEWEST, _TOGETHER = 2.0, 6, 6.0
-"""Test for a local misfit: width of a window, px; smallest number of bins in a window; significance above which a window
-contributes to the misfit, in standard deviations."""
+_FEWEST, _TOGETHER = 6, 6.0
+"""Test for a local misfit: smallest number of bins in a window; significance above which a window contributes to the misfit, in
+standard deviations."""
 _WINDOWS = np.arange(-10.0, 9.0)
 """Distances from the edge at which the windows begin, px."""
-_PER_MISFIT = 5.0
-"""Ratio of the standard deviation of an MTF to the misfit, from the ghosts and shadows of tests/oracle/real_edges.py."""
-_LOW = 0.1
-"""Frequency below which the standard deviation caused by the misfit decreases, cycles/px. At frequency 0, the MTF is
-always 1."""
 
 
 class Unexplained(NamedTuple):
@@ -129,7 +119,9 @@ class Unexplained(NamedTuple):
     def of(self, curve: SampledCurve, f: jax.Array) -> SampledCurve:
         """Increase the standard deviation of an MTF at f cycles/px by the effect of roughness and misfit."""
         blurred = 2 * (xp.pi * self.roughness * f) ** 2 * xp.abs(curve.value)
-        unknown = _PER_MISFIT * self.misfit * xp.minimum(f / _LOW, 1.0)
+        # The ratio 5 follows from the ghosts and shadows of tests/oracle/real_edges.py. At frequency 0, the MTF is
+        # always 1.
+        unknown = 5.0 * self.misfit * xp.minimum(f / 0.1, 1.0)
         return SampledCurve(curve.value, xp.sqrt(curve.std**2 + blurred**2 + unknown**2))
 
 
@@ -140,12 +132,13 @@ def misfit_of(fit: LinearFit, curve: FreeCurve, excess: jax.Array) -> jax.Array:
     variances; 1 if the noise explains the total scatter of the bins.
     """
     distance, there, left = fit.cells.distance, fit.cells.pixels > 0, fit.misfit(curve)
-    core = there & (xp.abs(distance) < _CORE)
+    # The misfit is that of the bins within 7 px of the edge.
+    core = there & (xp.abs(distance) < 7.0)
     everywhere = (1 - 1 / excess) * xp.where(core, (left / fit.step) ** 2, 0.0).sum()
     # A ghost affects few bins. A window of 2 px contributes if its chi-square exceeds the expectation by 6 standard
     # deviations.
     variance = excess / fit.weight
-    window = there & (distance >= _WINDOWS[:, None]) & (distance < _WINDOWS[:, None] + _WINDOW)
+    window = there & (distance >= _WINDOWS[:, None]) & (distance < _WINDOWS[:, None] + 2.0)
     count = window.sum(1)
     beyond = (window * left**2 / variance).sum(1) - count
     off = (count >= _FEWEST) & (beyond > _TOGETHER * xp.sqrt(2.0 * count))

@@ -11,11 +11,6 @@ import numpy as np
 from matcam.calibration.edge.edge_result import EdgeStack
 from matcam.numerics.crossing import first_fall
 
-_LOWEST_BY_GHOST, _FLATTEST = 0.05, 1e-3
-"""Frequency below which the effect of a ghost on the MTF decreases, cycles/px; smallest slope of an MTF at one half, px.
-
-The frequency is that of a ghost at a distance of 10 px. The smallest slope prevents a division by zero.
-"""
 _JUMP = 1.5
 """Change of MTF50 with a shifted MTF above which the change replaces the standard deviation, in standard deviations."""
 
@@ -72,11 +67,13 @@ def _errors(stack: EdgeStack, name: str, share: np.ndarray, ghosts: np.ndarray) 
     """
     f, mtf, half = stack.frequency, getattr(stack, name), getattr(stack, f"{name}50")
     by_scale = _by_scale(f, mtf)
-    by_ghost = ghosts[:, None] * np.minimum(f / _LOWEST_BY_GHOST, 1.0)
+    # The effect of a ghost decreases below 0.05 cycles/px, the frequency of a ghost at a distance of 10 px.
+    by_ghost = ghosts[:, None] * np.minimum(f / 0.05, 1.0)
     std = np.sqrt(getattr(stack, f"{name}_std") ** 2 + (share[:, None] * by_scale) ** 2 + by_ghost**2)
     at = np.clip(np.searchsorted(f, np.nan_to_num(half)), 1, f.size - 1)
     slope = np.take_along_axis(by_scale, at[:, None], 1)[:, 0] / f[at]
-    ghost = ghosts / np.maximum(slope, _FLATTEST)
+    # The smallest slope prevents a division by zero.
+    ghost = ghosts / np.maximum(slope, 1e-3)
     half_std = np.sqrt(getattr(stack, f"{name}50_std") ** 2 + (share * half) ** 2 + ghost**2)
     low, high = (first_fall(f, mtf + sign * std) for sign in (-1, 1))
     deviation = np.fmax(half - low, np.where(np.isnan(high), f[-1], high) - half)

@@ -30,8 +30,6 @@ LAGS = ((0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (2, 0), (1, 2), (2, 1), (1, -2)
 """Offsets (rows, columns) of the pixels whose correlation is compared with that of filters, px."""
 _FAR_LAGS = ((0, 5), (5, 0), (4, 4), (4, -4), (0, 6), (6, 0))
 """Offsets of pixels that no filter correlates, px. Uneven light causes their correlation."""
-_LIGHT, _LENGTHS = 0.03, (8.0, 20.0, 1e3)
-"""Prior standard deviation of correlations that uneven light causes, and the distances over which they decrease, px."""
 _NO_FILTER = 0.95
 """Prior probability that no filter was applied to an image."""
 _LARGEST = 4.0
@@ -46,8 +44,6 @@ _LOST = 0.4
 """Largest relative error of MTF50, which is also used if no MTF50 can be computed without the filter."""
 _GRID = 32
 """Number of samples of a transfer function along each axis. Their spacing is 1/32 cycles/px."""
-_SHORT = 0.05
-"""Smallest transfer by which an MTF is divided."""
 
 
 _WIDTHS = 0.25 * 1.04 ** np.arange(37)
@@ -56,24 +52,6 @@ _MASKS = [(a, r) for a in (0.05, 0.1, 0.15, 0.2, 0.3, 0.45, 0.7, 1.0) for r in (
 """Unsharp masks: amount, and standard deviation of their Gaussian, px."""
 AMOUNT, RADIUS = 0.1, 1.0
 """Amount and radius (px) of the unsharp mask that represents weak sharpening in the test of an edge."""
-_FOUND, _SHARPER, _SOFT = (
-    13.0,
-    6.5,
-    0.75,
-)
-"""Threshold of 2 ln likelihood for weak sharpening, as explained in `needed_gain`.
-
-The values are the threshold for wide blurs, its increase with the inverse of the blur, px, and the blur below which it
-increases, px.
-"""
-_LEAST_WIDTH, _WIDTH, _CORE, _COARSER = 0.2, 0.3, 6.0, 0.25
-"""Basis functions of a line spread function.
-
-The values are their smallest width, px; their width and the extent of the core, in units of the blur; and their width
-outside the core, relative to the distance.
-"""
-_ROOM = 0.8
-"""Largest distance of a basis function from the edge, relative to that of the border of the region."""
 
 
 class Correlations(NamedTuple):
@@ -185,7 +163,8 @@ def _log_likelihoods(seen: Correlations) -> FloatArray:
     spread = 1 + 2 * (expected**2).sum(1, keepdims=True)
     apart = np.hypot(*np.array(LAGS + _FAR_LAGS).T)
     unit = np.sqrt(np.maximum(seen.pairs, 1.0))
-    light = _LIGHT * np.exp(-apart / np.array(_LENGTHS)[:, None]) * unit
+    # Uneven light causes correlations with a standard deviation of 0.03, which decrease over 8, 20 or 1000 px.
+    light = 0.03 * np.exp(-apart / np.array((8.0, 20.0, 1e3))[:, None]) * unit
     power, axes = np.linalg.eigh(light.T @ light)
     variance = spread + np.maximum(power, 0.0)
     left = ((seen.value - expected) * unit) @ axes
@@ -210,7 +189,8 @@ def edge_gain(edge: BareEdge) -> float:
         return columns - (columns @ basis) @ basis.T
 
     distance = edge.distance
-    positions, widths = _line_bumps(edge.blur, _ROOM * min(float(distance.max()), -float(distance.min())))
+    # Basis functions lie within 0.8 of the distance of the border.
+    positions, widths = _line_bumps(edge.blur, 0.8 * min(float(distance.max()), -float(distance.min())))
 
     def edges(more: float) -> FloatArray:
         return np.asarray(ndtr((distance - positions[:, None]) / np.sqrt(widths[:, None] ** 2 + edge.spread + more**2)))
@@ -233,7 +213,8 @@ def needed_gain(blur: float) -> float:
     Args:
         blur: standard deviation of the line spread function, px.
     """
-    return _FOUND + _SHARPER * max(0.0, 1 / blur - 1 / _SOFT)
+    # The threshold for wide blurs is 13. It increases below a blur of 0.75 px.
+    return 13.0 + 6.5 * max(0.0, 1 / blur - 1 / 0.75)
 
 
 def effect_on_half(frequency: FloatArray, mtf: FloatArray) -> float:
@@ -287,7 +268,7 @@ def _effects(frequency: FloatArray, mtf: FloatArray) -> FloatArray:
     after = first_fall(frequency, mtf)
     if not np.isfinite(after):
         return np.zeros(len(transfer))
-    before = first_fall(frequency, mtf / np.maximum(through, _SHORT))
+    before = first_fall(frequency, mtf / np.maximum(through, 0.05))  # no division by a small transfer
     return np.nan_to_num(np.clip(after / before - 1, -_LOST, _LOST), nan=-_LOST)
 
 
@@ -380,13 +361,14 @@ def _spline(frequency: FloatArray, phase: float) -> FloatArray:
 
 def _line_bumps(blur: float, outermost: float) -> tuple[FloatArray, FloatArray]:
     """Compute centres and widths of the basis functions of a line spread function, px: wider outside the core."""
-    width = max(_LEAST_WIDTH, _WIDTH * blur)
-    half = min(max(_CORE * blur, 5.0), outermost)
+    # Within 6 blurs, the width is 0.3 blurs, and at least 0.2 px. Outside, it is a quarter of the distance.
+    width = max(0.2, 0.3 * blur)
+    half = min(max(6.0 * blur, 5.0), outermost)
     core = width * np.arange(int(2 * half / width) + 1)
     core -= core.mean()
     positions, widths, at = [], [], float(core[-1])
     while at < outermost:
-        step = max(width, _COARSER * at)
+        step = max(width, 0.25 * at)
         at += step
         positions.append(at)
         widths.append(step)

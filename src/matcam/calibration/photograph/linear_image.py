@@ -28,8 +28,6 @@ CHANNELS = ("R", "G", "B", "Y", "grey")
 """Names of colour planes; "Y" is the luminance of a colour image."""
 SMALLEST = 16
 """Smallest side of a region that is measured, px."""
-_LUMINANCE = (0.2126, 0.7152, 0.0722)
-"""Weights of linear R, G and B in the luminance (IEC 61966-2-1)."""
 _SATURATED = 0.02
 """Share of saturated pixels above which a region is rejected."""
 _FLAT_TOP = 0.05
@@ -40,15 +38,6 @@ _SPREAD = 3.0
 Many pixels have the largest value either at the end of a range, or if the noise is below half a level. The sRGB curve is at
 most six times as steep in dark parts as in bright parts.
 """
-_SMOOTH, _SMOOTH_GAPS = 0.7, 1.2
-"""Standard deviation of the smoothing before the search for targets, px, in images without and with missing pixels.
-
-In one colour of a mosaic, 2 or 3 of 4 pixels are missing.
-"""
-_WHOLE = 0.9
-"""Share of known pixels above which an image is smoothed as one without missing pixels."""
-_ALONE = 1e-6
-"""Smallest weight of known pixels in a local mean. With less weight, the mean tends to 0."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -307,12 +296,14 @@ def local_mean(values: FloatArray, width: float) -> FloatArray:
     if known.all():
         return np.asarray(ndimage.gaussian_filter(values, width))
     total = ndimage.gaussian_filter(np.where(known, values, 0.0), width)
-    return np.asarray(total / np.maximum(ndimage.gaussian_filter(known.astype(float), width), _ALONE))
+    # With less weight of known pixels than 1e-6, the mean tends to 0.
+    return np.asarray(total / np.maximum(ndimage.gaussian_filter(known.astype(float), width), 1e-6))
 
 
 def smoothed(values: FloatArray) -> FloatArray:
     """Smooth an image (height, width), and fill its missing pixels, for the search of targets."""
-    return local_mean(values, _SMOOTH if np.isfinite(values).mean() > _WHOLE else _SMOOTH_GAPS)
+    # In one colour of a mosaic, 2 or 3 of 4 pixels are missing.
+    return local_mean(values, 0.7 if np.isfinite(values).mean() > 0.9 else 1.2)
 
 
 def planes_of(
@@ -369,7 +360,8 @@ def _plane(codes: np.ndarray, channel: str, tone: Tone, saturation: float) -> tu
     """Compute the linear values of one channel, and the mask of its saturated pixels; None if saturation is unknown."""
     known = np.isfinite(saturation)
     if channel == "Y":
-        light = linear_values(codes, tone) @ np.array(_LUMINANCE)
+        # Weights of linear R, G and B in the luminance (IEC 61966-2-1).
+        light = linear_values(codes, tone) @ np.array((0.2126, 0.7152, 0.0722))
         return light, np.asarray((codes >= saturation).any(-1)) if known else None
     column = "RGB".index(channel) if channel in "RGB" else None
     if codes.ndim == 3:

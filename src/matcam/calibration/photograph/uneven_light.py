@@ -17,10 +17,10 @@ from scipy.special import logsumexp, ndtr
 from matcam.core.arrays import FloatArray
 from matcam.numerics.polynomials import plane_powers
 
-_BINS, _SMALLEST_BIN = 220, 4.0
-"""Number of bins of a region; smallest side of a bin, px. The number limits the time of the eigenvalue decompositions."""
-EXCLUDED_WIDTHS, _EXCLUDED_MARGIN = 3.5, 1.5
-"""Distance from the edge within which pixels are excluded: multiple of the standard deviation of the blur, plus px."""
+_SMALLEST_BIN = 4.0
+"""Smallest side of a bin, px."""
+EXCLUDED_WIDTHS = 3.5
+"""Distance from the edge within which pixels are excluded, in standard deviations of the blur; 1.5 px are added."""
 _LENGTHS = (8.0, 20.0, 50.0)
 """Correlation lengths of the light that are tested, px."""
 _AMPLITUDES = np.asarray(1e-3 * 2.0 ** np.arange(9), float)
@@ -35,14 +35,8 @@ _NOISES = (1.0, 1.5, 2.5, 4.0)
 """Variances of the bins that are tested, relative to independent noise. They exceed 1 if a filter has correlated the noise."""
 _SUSPECT = 3.0
 """Number of standard deviations by which chi-square of the bins must exceed its expectation to estimate the light."""
-_MISFIT = 5e-4
-"""Standard deviation of a bin from causes other than noise, in units of the step."""
 _CLIPPED = 3.5
 """Number of standard deviations above which a pixel is excluded from the mean of its bin."""
-_STEP_PER_STD, _STEEP = 2.5, 4
-"""Height of a step relative to its standard deviation over a region; exponent of the variance fraction in `_ghost`."""
-_ROWS = 40
-"""Largest number of rows in which the light across the edge is evaluated."""
 _DARKEST = 0.1
 """Smallest factor of the light."""
 _AT_ONCE = 1 << 14
@@ -159,7 +153,7 @@ def light_field(
     Returns:
         The most probable light.
     """
-    bins = _bins(value, x, y, distance, noise, EXCLUDED_WIDTHS * blur + _EXCLUDED_MARGIN)
+    bins = _bins(value, x, y, distance, noise, EXCLUDED_WIDTHS * blur + 1.5)
     if bins is None:
         return None
     bright = bins.distance > 0
@@ -226,7 +220,7 @@ def _unknown(
     """
     x, y, distance = positions
     # In selected rows, use the pixels that are one blur width from the edge on both sides.
-    rows = np.linspace(0, len(x) - 1, min(len(x), _ROWS)).astype(int)
+    rows = np.linspace(0, len(x) - 1, min(len(x), 40)).astype(int)
     at = [np.abs(distance[rows] - side * blur).argmin(1) for side in (1, -1)]
     px, py = (np.concatenate([a[rows, columns] for columns in at]) for a in (x, y))
     mean = np.repeat([1.0, -1.0], rows.size) / rows.size
@@ -248,7 +242,8 @@ def _ghost(field: FloatArray, distance: FloatArray) -> float:
     count = np.bincount(name)
     along = np.bincount(name, field) / count
     variance = float(np.average((along - field.mean()) ** 2, weights=count))
-    return _STEP_PER_STD * float(np.sqrt(variance)) * (variance / max(float(field.var()), 1e-300)) ** _STEEP
+    # The height of a step is 2.5 times its standard deviation over a region.
+    return 2.5 * float(np.sqrt(variance)) * (variance / max(float(field.var()), 1e-300)) ** 4
 
 
 def _bins(
@@ -261,7 +256,8 @@ def _bins(
 ) -> _Bins | None:
     """Average the flat sides over bins, or return None if there are too few bins."""
     flat = np.isfinite(value) & (np.abs(distance) > margin)
-    side = max(_SMALLEST_BIN, float(np.sqrt(flat.sum() / _BINS)))
+    # The number of bins limits the time of the eigenvalue decompositions.
+    side = max(_SMALLEST_BIN, float(np.sqrt(flat.sum() / 220)))
     rows, columns = (np.floor((a - a.min()) / side).astype(int) for a in (y, x))
     at = np.flatnonzero(flat)
     name = np.take((2 * rows + (distance > 0)) * (columns.max() + 1) + columns, at)
@@ -288,7 +284,8 @@ def _bins(
     if min(bright.sum(), (~bright).sum()) < _FEWEST_BINS / 4:
         return None
     low, high = (float(np.median(level[part])) for part in (~bright, bright))
-    std = np.hypot(std[good] / np.sqrt(n[good]), _MISFIT * (high - low))
+    # Causes other than noise have a standard deviation of 5e-4 of the step.
+    std = np.hypot(std[good] / np.sqrt(n[good]), 5e-4 * (high - low))
     return _Bins(mean_x, mean_y, apart, level, np.where(bright, high, low), std)
 
 

@@ -15,10 +15,6 @@ from matcam.numerics.crossing import first_fall
 
 LEVELS = (0.5, 0.3, 0.2, 0.1)
 """Levels of the MTF whose frequencies are reported."""
-_SAMPLES = 512
-"""Number of samples of the edge response for the interpolation of its rise."""
-_HIGHEST = 1.25
-"""Largest frequency at which an MTF is tabulated, cycles/px."""
 
 
 class EdgeNumber(NamedTuple):
@@ -90,7 +86,7 @@ def mtf_at(edge: EdgeMTF, frequency: ArrayLike) -> SampledCurve:
     """
     checks.instance("edge", edge, EdgeMTF)
     at: FloatArray = np.asarray(checks.number("frequency", frequency))
-    checks.within("frequency", at, 0, _HIGHEST, "cycles/px")
+    checks.within("frequency", at, 0, 1.25, "cycles/px")  # the tabulated range
     return SampledCurve(*(np.interp(at, edge.frequency, curve) for curve in (edge.mtf, edge.mtf_std)))
 
 
@@ -117,7 +113,7 @@ def rise_distance(edge: EdgeMTF) -> EdgeNumber:
     """
     checks.instance("edge", edge, EdgeMTF)
     extent = 6 * float(line_width(edge.fits.free.shape))
-    distance = np.linspace(-extent, extent, _SAMPLES)
+    distance = np.linspace(-extent, extent, 512)
     return rise(distance, edge.esf(distance))
 
 

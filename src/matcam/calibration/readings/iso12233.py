@@ -28,8 +28,6 @@ _BINS = 4
 """Number of bins of the edge spread function per sample (ISO 12233:2023)."""
 _FLOOR = 0.05
 """Smallest weight of the window. It makes the second search for the edge stable."""
-_LARGEST_CORRECTION = 10.0
-"""Largest factor by which the response of the difference filter is corrected."""
 _ORDERS = (1, 5)
 """Smallest and largest order of the polynomial of the edge."""
 _LEAST_TURNS = 1.0
@@ -233,6 +231,7 @@ def _response(esf: FloatArray, spacing: float) -> tuple[FloatArray, FloatArray]:
     phase = 2 * np.pi * np.arange(spectrum.size) / size
     with np.errstate(divide="ignore", invalid="ignore"):
         filtered = np.where(phase > 0, np.abs(np.sin(phase) / phase), 1.0)
-    corrected = spectrum / spectrum[0] * np.minimum(1 / np.maximum(filtered, 1e-12), _LARGEST_CORRECTION)
+    # The correction is limited to a factor of 10.
+    corrected = spectrum / spectrum[0] * np.minimum(1 / np.maximum(filtered, 1e-12), 10.0)
     shown = frequency <= 1 / (2 * spacing * _BINS) * 2
     return frequency[shown], corrected[shown]

@@ -22,10 +22,6 @@ from matcam.calibration.chart.sides import seen_sides
 from matcam.calibration.photograph.linear_image import smoothed
 from matcam.core.arrays import FloatArray
 
-_PIXELS = 2_000_000
-"""Largest number of pixels of the reduced image. It limits the time of the search."""
-_SMOOTH = 1.0
-"""Standard deviation of the smoothing before the gradient is computed, px of the reduced image."""
 _SECTORS = 16
 """Number of sectors of gradient directions. Each is searched together with its two neighbours."""
 _NOISE, _WEAK = 6.0, 0.06
@@ -38,16 +34,12 @@ _CORNER = 2.5
 """Length that is removed from both ends of an edge, px of the reduced image. It excludes the blurred corners."""
 _PROFILE = 40
 """Largest distance on both sides of an edge that is tested for evenness, px of the reduced image."""
-_ALONG = 24
-"""Number of positions along an edge at which its profile is sampled."""
 _UNEVEN, _SLOPE = 0.06, 0.002
 """Largest deviation of the mean of a side relative to the step, and its increase per px of distance."""
 _SPOT = 0.4
 """Largest variation along an edge at one distance from it, relative to the step."""
 _ENOUGH = 4
 """Smallest number of edges that makes a search at a finer scale unnecessary."""
-_SIDE_CORNER = 3.5
-"""Length that is removed from both ends of a side of a square, px. It excludes the blurred corners."""
 _FEWEST = 5
 """Smallest number of positions along a side at which the side must be found."""
 _STRAIGHT = 0.7
@@ -81,7 +73,8 @@ def find_edges(picture: np.ndarray, *, mosaic: bool = False) -> EdgePositions:
     the image is a colour mosaic, which is reduced in cells of 2 x 2 px.
     """
     least = 2 if mosaic else 1
-    factor = max(int(np.ceil(np.sqrt(picture.shape[0] * picture.shape[1] / _PIXELS) / least)) * least, least)
+    # The number of pixels of the reduced image limits the time of the search.
+    factor = max(int(np.ceil(np.sqrt(picture.shape[0] * picture.shape[1] / 2_000_000) / least)) * least, least)
     while True:
         found = _at_scale(picture, factor)
         finer = factor // 2 // least * least
@@ -107,7 +100,8 @@ def described_edges(values: FloatArray, chart: Chart, projection: Projection) ->
     (x, y), (nx, ny) = sides.seen[square, position].T, sides.normal[square, position].T
     x, y, angle, _, width = _moments(one, some.size, x, y, nx, ny, np.ones(one.size))[0].T
     good = width < np.sqrt(12) * _STRAIGHT
-    return clear_edges(smooth, x[good], y[good], angle[good], sides.length[some[good]], _SIDE_CORNER)
+    # At both ends, 3.5 px are removed, because the corners are blurred.
+    return clear_edges(smooth, x[good], y[good], angle[good], sides.length[some[good]], 3.5)
 
 
 def _at_scale(picture: np.ndarray, factor: int) -> EdgePositions:
@@ -131,7 +125,7 @@ def _reduced(picture: np.ndarray, factor: int) -> np.ndarray:
 
 def _ribbons(small: np.ndarray) -> np.ndarray:
     """Find sets of connected pixels with similar gradient directions: x, y, angle of the normal and length, (n, 4)."""
-    gx, gy = (ndimage.gaussian_filter(small, _SMOOTH, order=order, mode="nearest") for order in ((0, 1), (1, 0)))
+    gx, gy = (ndimage.gaussian_filter(small, 1.0, order=order, mode="nearest") for order in ((0, 1), (1, 0)))
     size = np.hypot(gx, gy)
     floor = max(_NOISE * float(np.median(size)), _WEAK * float(np.quantile(size[::3, ::3], 0.995)), 1e-30)
     rows, columns = np.nonzero(size > floor)
@@ -186,7 +180,7 @@ def clear_edges(
     if not x.size:
         return EdgePositions(x, y, angle, length, np.zeros(0))
     away = np.arange(-_PROFILE, _PROFILE + 1)
-    along = np.linspace(-0.5, 0.5, _ALONG) * np.maximum(length - 2 * _CORNER, 1)[:, None]
+    along = np.linspace(-0.5, 0.5, 24) * np.maximum(length - 2 * _CORNER, 1)[:, None]
     c, s = np.cos(angle)[:, None, None], np.sin(angle)[:, None, None]
     at_x = x[:, None, None] + away[:, None] * c - along[:, None, :] * s
     at_y = y[:, None, None] + away[:, None] * s + along[:, None, :] * c

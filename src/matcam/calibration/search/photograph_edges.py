@@ -32,18 +32,10 @@ _ROWS = (48, 64, 96, 128, 192)
 """Possible lengths of a strip across its rows, px. A small set of shapes limits the number of compiled programs."""
 _COLUMNS = (32, 48)
 """Possible lengths of the rows of a strip, px."""
-_USUAL = 0.8
-"""Quantile of the lengths of the edges that determines the number of rows of a strip."""
 _LEAST_ROWS, _LEAST_WIDTH = 20, 16
 """Smallest number of rows and smallest width of a strip, px."""
-_MARGIN = 1.0
-"""Error of the position of an edge in the search, px."""
 _FEWEST = 12
 """Smallest number of edges for the estimate of the light, which has six parameters."""
-_LEAST_SCATTER = 0.002
-"""Smallest relative scatter of the bright sides about the fitted light."""
-_SHARE = 4
-"""Inverse of the share of a row that is used as its bright side: the last quarter."""
 _RANGE = 20.0
 """Ratio of brightest and darkest light above which the estimate of the light is discarded as implausible."""
 _SATURATED = 0.02
@@ -52,8 +44,6 @@ _CONTRAST = 0.2
 """Contrast (bright - dark) / (bright + dark) below which a remark is given."""
 _DIRECTIONAL, _SIGNIFICANT = 0.15, 5.0
 """Smallest directional blur that is reported: amplitude relative to the mean variance of the blur; significance, sigma."""
-_RESOLVED = 0.03
-"""Singular value, relative to the largest one, below which a combination of harmonics is not determined."""
 _FEW = 6
 """Smallest number of edges for the test of directional blur."""
 
@@ -161,10 +151,12 @@ def strips_along(edges: EdgePositions, shape: tuple[int, int]) -> Strips:
     across, along = np.where(transposed, s, c), np.where(transposed, c, s)
     u, v = np.where(transposed, edges.y, edges.x), np.where(transposed, edges.x, edges.y)
     tilt, steep = -along / across, np.abs(across)
-    half = np.minimum(np.floor(edges.clear / steep - _MARGIN), _COLUMNS[-1] // 2)
+    # The error of the position of an edge in the search is 1 px.
+    half = np.minimum(np.floor(edges.clear / steep - 1.0), _COLUMNS[-1] // 2)
     # The points of the edge nearest to the ends of a row are further along the edge than the point nearest to its centre.
     rows = np.floor(edges.length * steep - 2 * half * np.abs(along) * steep)
-    usual = np.quantile(rows, _USUAL) if rows.size else 0.0
+    # The number of rows follows from a quantile of the lengths of the edges.
+    usual = np.quantile(rows, 0.8) if rows.size else 0.0
     longest = next((n for n in _ROWS if n >= usual), _ROWS[-1])
     pieces = np.maximum(np.ceil(rows / longest), 1).astype(int)
     which = np.repeat(np.arange(rows.size), pieces)
@@ -209,7 +201,8 @@ def regions_in_even_light(regions: Sequence[EdgeRegions]) -> list[EdgeRegions]:
         return plane_powers((x - middle[0]) / scale, (y - middle[1]) / scale, 2)
 
     design = powers(x, y)[good]
-    light = robust_fit(design, np.log(bright[good]), least=_LEAST_SCATTER)
+    # The bright sides scatter by at least 0.2 % about the light.
+    light = robust_fit(design, np.log(bright[good]), least=0.002)
     if light.kept.sum() < _FEWEST or np.ptp(design[light.kept] @ light.parameters) > np.log(_RANGE):
         return list(regions)
 
@@ -272,7 +265,8 @@ def _bright(value: np.ndarray) -> np.ndarray:
     """Compute the mean of the bright side of every strip (n,)."""
     there = np.isfinite(value)
     width = there.any(1).sum(1)
-    side = there & (np.arange(value.shape[2]) >= (width - width // _SHARE)[:, None, None])
+    # The last quarter of a row is its bright side.
+    side = there & (np.arange(value.shape[2]) >= (width - width // 4)[:, None, None])
     count = side.sum((1, 2))
     return np.where(side, value, 0.0).sum((1, 2)) / np.where(count > 0, count, np.nan)
 
@@ -287,7 +281,8 @@ def _directional_blur(result: EdgeStack) -> str:
     # The variance of the blur has a second harmonic in the direction. Squares have two directions only, which leave one
     # combination of the harmonics undetermined; it is set to 0.
     design = np.stack([np.ones_like(angle), np.cos(2 * angle), np.sin(2 * angle)], 1)
-    fit = robust_fit(design, sigma**2, std, resolved=_RESOLVED)
+    # A combination with a singular value below 0.03 of the largest one is not determined.
+    fit = robust_fit(design, sigma**2, std, resolved=0.03)
     found = fit.parameters
     size = float(np.hypot(found[1], found[2]))
     std = float(np.sqrt(found[1:] @ fit.covariance[1:, 1:] @ found[1:] * max(1.0, fit.chi2)) / max(size, 1e-30))

@@ -23,8 +23,6 @@ from matcam.files.capture_settings import Stated
 from matcam.files.exposure_series import read_exposure_series
 from matcam.numerics.frame_noise import fixed_pattern_variance, fixed_pattern_variance_error
 
-_ROUNDING = 1 / 12
-"""Variance of a rounded code, DN^2."""
 _HIDDEN = 0.24
 """Temporal variance of dark codes below which rounding hides the noise, DN^2 (EMVA 1288, 6.6)."""
 _MANY = 2.0
@@ -168,7 +166,8 @@ def _read_noise(dark: Sequence[ExposureStatistics], gain: Stated) -> tuple[State
         first = int(np.argmin(times))
         dark_variance, std = float(variance[first]), float(error[first])
     hidden = dark_variance < _HIDDEN
-    noise = math.sqrt(max(dark_variance, _HIDDEN) - _ROUNDING)
+    # The variance of a rounded code is 1/12 DN^2.
+    noise = math.sqrt(max(dark_variance, _HIDDEN) - 1 / 12)
     return _per_gain(Stated(noise, std / (2 * noise)), gain), hidden
 
 

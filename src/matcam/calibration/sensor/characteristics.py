@@ -16,9 +16,6 @@ from matcam.core.remark import Remark
 from matcam.core.results.summary import Quantity, Summarised, Summary
 from matcam.files.capture_settings import Stated
 
-_MOST_READ_NOISE = 1e6
-"""Largest read noise that `Sensor` accepts, e-."""
-
 
 @dataclass(frozen=True, repr=False)
 class SensorCharacteristics(Summarised):
@@ -124,7 +121,7 @@ class SensorCharacteristics(Summarised):
         return Sensor(
             pitch,
             full_well=self.full_well.value,
-            read_noise=min(self.read_noise.value, _MOST_READ_NOISE),
+            read_noise=min(self.read_noise.value, 1e6),
             gain=self.gain.value,
             bits=self.bits,
             cfa=self.cfa,

@@ -37,18 +37,12 @@ _SIMILAR_FLUX = (0.3, 3.0)
 """Smallest and largest flux of a dot relative to the median. All dots of a grid have the same size."""
 _OFF = 0.25
 """Largest distance of a dot from the position predicted by its neighbour, relative to the pitch."""
-_OWN = [(0, 0), (1, 0), (0, 1), (2, 0), (0, 2)]
-"""Orders in (x, y) of the derivatives for the individual parameters of a dot."""
-_START = 0.6
-"""Initial lens width, px."""
 _RANGE = (0.15, 6.0)
 """Smallest and largest lens width, px."""
-_STEPS, _WEIGHTED = 16, 4
-"""Largest number of Gauss-Newton steps; step after which the weights follow from the noise."""
+_WEIGHTED = 4
+"""Gauss-Newton step after which the weights follow from the noise."""
 _SETTLED = 0.01
 """Change of the variance below which the fit of a dot has converged, standard deviations."""
-_LARGEST_HALF_SIZE = 7
-"""Largest half size of the square of pixels that is used for a dot, px."""
 _CLOSEST = 6.0
 """Smallest distance of neighbouring dots, px. The blur of closer dots overlaps."""
 _OUTLIER, _SAME = (
@@ -152,7 +146,8 @@ def fit_dots(values: FloatArray, lattice: DotLattice, size: float, half_width: f
     of the pixel, px. A FitError is raised if too few dots can be measured.
     """
     shape, pitch = size * lattice.shapes, lattice.pitch
-    half_size = int(min(_LARGEST_HALF_SIZE, max(3, np.floor(pitch / 2 - 0.5))))
+    # The square of pixels of a dot has at most 15 x 15 px.
+    half_size = int(min(7, max(3, np.floor(pitch / 2 - 0.5))))
     if pitch < _CLOSEST:
         raise FitError(
             f"the dots are {pitch:.1f} px apart, but must be at least {_CLOSEST:g} px apart: photograph "
@@ -180,12 +175,12 @@ def fit_dots(values: FloatArray, lattice: DotLattice, size: float, half_width: f
     # In a mosaic, only some of the pixels of a dot are known.
     content = (known * (value - ground[:, None])).sum(1) / np.maximum(known.mean(1), 0.05)
     state = np.column_stack(
-        [ground, 0 * ground, 0 * ground, content, lattice.x, lattice.y, np.full(len(ground), _START**2)]
+        [ground, 0 * ground, 0 * ground, content, lattice.x, lattice.y, np.full(len(ground), 0.6**2)]
     )
     mean_radius = float(np.sqrt(np.abs(np.linalg.det(shape))).mean())
     gain, read, weight = 0.0, 1.0, known.astype(float)
     bow, change = np.zeros_like(du), np.zeros_like(state)
-    for step in range(_STEPS):
+    for step in range(16):
         state = state + change
         state[:, 6] = np.clip(state[:, 6], _RANGE[0] ** 2, _RANGE[1] ** 2)
         if step == _WEIGHTED:
@@ -193,7 +188,7 @@ def fit_dots(values: FloatArray, lattice: DotLattice, size: float, half_width: f
             # The fitted positions determine the lattice and the sizes of the dots more accurately than the initial ones.
             shape = size * lattice._replace(x=state[:, 4], y=state[:, 5]).shapes
         u, v = columns - state[:, 4:5], rows - state[:, 5:6]
-        table = dot_derivatives(u, v, shape, np.sqrt(state[:, 6]), half_width, _OWN)
+        table = dot_derivatives(u, v, shape, np.sqrt(state[:, 6]), half_width, [(0, 0), (1, 0), (0, 1), (2, 0), (0, 2)])
         flat = table.reshape(len(table), len(state), -1)
         c = state[:, 3, None]
         model = state[:, :1] + state[:, 1:2] * du + state[:, 2:3] * dv + bow + c * flat[0]

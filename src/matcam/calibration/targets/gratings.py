@@ -27,8 +27,6 @@ from matcam.core.errors import ArgumentError, FitError
 from matcam.core.io import plain
 from matcam.files.photographs import Photograph
 
-_HIGHEST = 1.1
-"""Frequency above which harmonics are neglected, cycles/px. The MTF of a square pixel has its first zero at 1 cycle/px."""
 _USEFUL = 0.1
 """Standard deviation above which an MTF value is discarded."""
 _CLEAR = 6.0
@@ -259,7 +257,8 @@ def _fit_grating(
     pixels = WavePixels.where(values, found.inside)
     pixels = pixels.at(pixels.subset())
     frequency = local_wave(found.phase, found.parameters, pixels.x, pixels.y).frequency
-    highest = max(1, int(_HIGHEST / max(float(frequency.mean()), 1e-6)))
+    # Higher harmonics are neglected: the MTF of a square pixel has its first zero at 1 cycle/px.
+    highest = max(1, int(1.1 / max(float(frequency.mean()), 1e-6)))
     orders: tuple[int, ...] = (1,)
     if printed.profile != "sine":
         orders = tuple(n for n in range(1, highest + 1) if abs(printed.harmonic(n)) > 1e-9)

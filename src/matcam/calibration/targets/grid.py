@@ -28,10 +28,6 @@ from matcam.files.photographs import Photograph
 from matcam.numerics.normal import robust_fit
 from matcam.numerics.polynomials import plane_powers
 
-_MARGIN = 8
-"""Margin around the dots of a grid, px."""
-_ZONE = 60
-"""Smallest mean number of dots in a zone."""
 _FIELD = 6
 """Number of terms of the variance over the field, a polynomial of second order."""
 _FREQUENCY = np.array([0.2, 0.2, 0.4, 0.4, 0.4])
@@ -256,14 +252,15 @@ def _expected_dots(whole: LinearImage, dots: Dots, projection: Projection) -> tu
     inside = (seen > 2).all(1) & (seen < np.array(whole.shape[::-1]) - 3).all(1)
     if inside.sum() < FEWEST:
         raise FitError("the grid of dots lies outside the image: give an image that contains the whole grid")
-    box = pixel_box(seen[inside], whole.shape, _MARGIN)
+    box = pixel_box(seen[inside], whole.shape, 8)
     x, y = (seen[inside] - box[:2]).T
     return region_of(whole, box), DotLattice(x, y, *printed[inside].T)
 
 
 def _grid_result(picture: LinearImage, fit: DotFit, half_width: float) -> DotGrid:
     x, y, variance = fit.parameters[:, 4:7].T
-    across = int(max(1, min(3, np.sqrt(len(x) / _ZONE))))
+    # A zone has at least 60 dots on average.
+    across = int(max(1, min(3, np.sqrt(len(x) / 60))))
     borders = [np.quantile(a, np.linspace(0, 1, across + 1)[1:-1]) for a in (x, y)]
     zone = np.searchsorted(borders[0], x) + across * np.searchsorted(borders[1], y)
     zones = [fit.subset(zone == k) for k in range(across * across) if (zone == k).sum() >= FEWEST]

@@ -31,12 +31,8 @@ from matcam.files.photographs import Photograph
 
 _HIGHEST = 0.75
 """Highest frequency of the fit, cycles/px. Above it, the MTF of cameras is too small to be measured."""
-_SOME = 20_000
-"""Number of pixels for the first estimates of the phase."""
 _FIRST = 0.2
 """Highest frequency of the first fit, before the phase is accurate, cycles/px."""
-_INTERVAL = 0.09
-"""Largest distance between the knots of the spline, cycles/px."""
 _RIM = 4.0
 """Width of the zones at both rims that are excluded, because blur mixes star and paper, px."""
 _OTHER = 0.05
@@ -219,7 +215,8 @@ def _fit_star(values: FloatArray, found: FoundStar) -> tuple[WaveFit, tuple[floa
         mask = (radius < phase.outer - _RIM) & (radius > inner + _RIM) & (frequency < highest)
         if mask.sum() < 500:
             continue
-        used = pixels.subset(mask, None if highest == _HIGHEST else _SOME)
+        # The first estimates of the phase use 20,000 pixels.
+        used = pixels.subset(mask, None if highest == _HIGHEST else 20_000)
         some = pixels.at(used)
         edges = float(frequency[used].min()), float(frequency[used].max())
         fit = fit_wave(some, phase, parameters, partial(_basis, edges=edges), steps=4)
@@ -252,7 +249,8 @@ def _inner_rim(radius: FloatArray, value: FloatArray, found: FoundStar) -> float
 
 
 def _knots(edges: tuple[float, float]) -> FloatArray:
-    inner = np.linspace(*edges, max(2, int(np.ceil((edges[1] - edges[0]) / _INTERVAL)) + 1))
+    # The knots of the spline are at most 0.09 cycles/px apart.
+    inner = np.linspace(*edges, max(2, int(np.ceil((edges[1] - edges[0]) / 0.09)) + 1))
     return np.concatenate([[edges[0]] * 3, inner, [edges[1]] * 3])
 
 

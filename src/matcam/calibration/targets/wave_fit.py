@@ -22,18 +22,8 @@ from matcam.core.arrays import FloatArray
 from matcam.numerics.linalg import scaled_inverse
 from matcam.numerics.polynomials import plane_powers
 
-_ROUNDING = 1e-13
-"""Smallest variance of a pixel relative to the mean square. It represents rounding, and keeps the weights finite."""
 _STEP = 1e-3
 """Step of the numerical derivatives of the phase, px."""
-_DEGREE = 2
-"""Order of the polynomial that models the uneven illumination."""
-_WEIGHTED = 4
-"""Number of steps that are made in any case, so that the weights follow from the noise."""
-_SETTLED, _ROUGH = 1e-4, 1e-2
-"""Change of the phase below which the fit has converged, rad: for a final and for a preliminary fit."""
-_MOST = 200_000
-"""Largest number of pixels in a fit. More pixels require memory, and add little information."""
 _FEWEST = 3.0
 """Smallest number of pixels for each parameter."""
 
@@ -75,7 +65,8 @@ class WavePixels(NamedTuple):
     def subset(self, mask: np.ndarray | None = None, most: int | None = None) -> np.ndarray:
         """Select the indices of at most `most` pixels, a reproducible random subset of a mask (n,)."""
         positions = np.arange(self.value.size) if mask is None else np.flatnonzero(mask)
-        most = _MOST if most is None else most
+        # More than 200,000 pixels require memory, and add little information.
+        most = 200_000 if most is None else most
         if len(positions) <= most:
             return positions
         return np.sort(np.random.default_rng(0).choice(positions, most, replace=False))
@@ -143,7 +134,7 @@ def fit_wave(
     """
     (value, x, y), scale = pixels, phase.scale
     u, v = ((c - c.mean()) / max(float(np.ptp(c)) / 2, 1.0) for c in (x, y))
-    powers = plane_powers(u, v, _DEGREE)
+    powers = plane_powers(u, v, 2)
     parameters = np.array(start, dtype=float)
     weight = np.ones_like(value)
     light = np.zeros(powers.shape[1])
@@ -189,7 +180,9 @@ def fit_wave(
             shift = np.zeros_like(scale)
         if not (np.isfinite(change).all() and np.isfinite(parameters).all()):
             return None
-        if np.abs(shift / scale).max() < (_ROUGH if rough else _SETTLED) and (rough or step > _WEIGHTED) and moving:
+        # The fit has converged if the phase changes by less than 1e-4 rad, or 0.01 rad in a preliminary fit. At least 4
+        # steps are made, so that the weights follow from the noise.
+        if np.abs(shift / scale).max() < (1e-2 if rough else 1e-4) and (rough or step > 4) and moving:
             break
     last = inverse[light.size + coefficients.size :, light.size + coefficients.size :]
     std = np.sqrt(np.maximum(np.diag(last), 0))
@@ -226,7 +219,8 @@ def noise_from_residuals(residual: np.ndarray, value: np.ndarray) -> tuple[float
     read variance is at least that of rounding, so that the variance is never 0.
     """
     square, level = residual**2, np.maximum(value, 0)
-    least = _ROUNDING * float((value**2).mean()) + 1e-300
+    # The smallest variance represents rounding, and keeps the weights finite.
+    least = 1e-13 * float((value**2).mean()) + 1e-300
     off = level - level.mean()
     gain = float((off * (square - square.mean())).sum() / max(float((off * off).sum()), 1e-300))
     gain = min(max(gain, 0.0), float(square.mean() / max(float(level.mean()), 1e-300)))

@@ -23,16 +23,10 @@ from matcam.numerics.polynomials import plane_orders, plane_powers
 
 MARGIN = 4.0
 """Distance from the border of a grating within which its surroundings affect the pixels, px."""
-_ROUNDS = 12
-"""Number of iterations of the robust search for the centre of a star."""
 _CLEAR_IN_RING = 0.5
 """Smallest share of the power on a ring that belongs to its wave."""
 _KEPT = 0.8
 """Smallest amplitude of a ring relative to the median of the outer rings. Beyond the rim, the amplitude is smaller."""
-_BAND = 0.35
-"""Half bandwidth of the wave on a ring relative to the number of cycles. Perspective widens the spectrum."""
-_FINE = 4
-"""Number of samples of a ring per px."""
 _LOW = (0.03, 0.3)
 """Smallest and largest frequency of the rings on which the phase is computed, cycles/px."""
 _WIDE = 50.0
@@ -182,7 +176,7 @@ def _centre(filled: FloatArray) -> tuple[float, float]:
     at = np.array([(filled.shape[1] - 1) / 2, (filled.shape[0] - 1) / 2])
     normals, found = np.stack([nx.ravel(), ny.ravel()]), (nx * x + ny * y).ravel()
     scale = max(filled.shape) / 3
-    for _ in range(_ROUNDS):
+    for _ in range(12):
         # Gradients of other structures (a rim, another target) get less weight.
         weight = strength.ravel() / (1 + ((found - at @ normals) / scale) ** 2) ** 2
         normal = (normals * weight) @ normals.T
@@ -205,7 +199,7 @@ def _rings(filled: FloatArray, centre: tuple[float, float]) -> list[_Ring]:
     most = min(centre[0], centre[1], width - 1 - centre[0], height - 1 - centre[1])
     found = []
     for radius in np.arange(6.0, most, max(1.0, most / 80)):
-        count = 2 * int(np.pi * radius * _FINE / 2)
+        count = 2 * int(2 * np.pi * radius)  # about four samples per px
         turn = 2 * np.pi * np.arange(count) / count
         x, y = centre[0] + radius * np.cos(turn), centre[1] + radius * np.sin(turn)
         spectrum = np.fft.rfft(ndimage.map_coordinates(filled, [y, x], order=1))
@@ -214,7 +208,8 @@ def _rings(filled: FloatArray, centre: tuple[float, float]) -> list[_Ring]:
         if high - low < 3:
             continue
         peak = low + int(np.argmax(power[low:high]))
-        spread = int(max(2, _BAND * peak))
+        # Perspective widens the spectrum of the wave on a ring.
+        spread = int(max(2, 0.35 * peak))
         near = slice(peak - spread, peak + spread + 1)
         band = np.zeros(count, complex)
         band[near] = spectrum[near]
