@@ -111,18 +111,6 @@ def _marks_below(share: FloatArray, dark: float) -> list[Mark]:
     return found
 
 
-class Match(NamedTuple):
-    """Pairs of a fiducial of the chart and a mark in the image.
-
-    Attributes:
-        pairs: indices of fiducial and mark.
-        sure: whether more than four marks agree, or the image agrees with the printed elements.
-    """
-
-    pairs: list[tuple[int, int]]
-    sure: bool
-
-
 class _Views(NamedTuple):
     """Pinhole views of the page, and the marks that they explain.
 
@@ -149,10 +137,11 @@ class _Views(NamedTuple):
         return _Views(*(column[which] for column in self))
 
 
-def match_marks(chart: Chart, marks: list[Mark], smooth: FloatArray) -> Match:
-    """Find the match with the most marks that agrees best with the image.
+def match_marks(chart: Chart, marks: list[Mark], smooth: FloatArray) -> list[tuple[int, int]]:
+    """Find the match with the most marks that agrees best with the image: pairs of indices of fiducial and mark.
 
-    `smooth`: (height, width) image with little noise, without missing pixels.
+    The result is empty unless more than four marks agree, or the image agrees with the printed elements. `smooth`: (height,
+    width) image with little noise, without missing pixels.
     """
     similar_marks = _similar_marks(marks)
     positions = np.array([fiducial.centre for fiducial in chart.fiducials])
@@ -181,7 +170,7 @@ def match_marks(chart: Chart, marks: list[Mark], smooth: FloatArray) -> Match:
         if top >= max(min(5, len(positions)), min(len(seen), len(positions)) - 2):
             break
     if best is None or not top:
-        return Match([], False)
+        return []
     # At most 40 views with equally many marks are compared with the image.
     candidates = best if top < 5 else best.subset(np.arange(len(best.off))[:40])
     scores = np.array(
@@ -189,10 +178,11 @@ def match_marks(chart: Chart, marks: list[Mark], smooth: FloatArray) -> Match:
     )
     # The image selects among matches of four marks. With more marks, it only selects among nearly equal matches.
     chosen = int(np.argmin(candidates.off - (scores if top < 5 else 0.01 * scores)))
-    pairs = [(i, marks_used[int(j)]) for i, j in enumerate(candidates.nearest[chosen]) if j >= 0]
     # Marks that are not explained while fiducials are missing may be those of another chart.
     astray = top < len(positions) and len(marks) > top + 1
-    return Match(pairs, bool(scores[chosen] > _CLEAR) if top < 5 or astray else True)
+    if (top < 5 or astray) and not scores[chosen] > _CLEAR:
+        return []
+    return [(i, marks_used[int(j)]) for i, j in enumerate(candidates.nearest[chosen]) if j >= 0]
 
 
 def _similar_marks(marks: list[Mark]) -> list[int]:

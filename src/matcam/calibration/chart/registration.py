@@ -135,14 +135,14 @@ def register_chart(image: ArrayLike | LinearImage, chart: Chart, *, mosaic: bool
             "are visible, but 4 are needed"
         )
     smooth = smoothed(picture)
-    match = match_marks(chart, marks, smooth)
-    if not match.sure:
+    pairs = match_marks(chart, marks, smooth)
+    if not pairs:
         raise FitError(
             f"no chart of this description was found in the image: {len(marks)} fiducials are visible, but not at the "
             "described positions"
         )
-    positions = np.array([chart.fiducials[i].centre for i, _ in match.pairs])
-    seen = np.array([marks[j][:2] for _, j in match.pairs])
+    positions = np.array([chart.fiducials[i].centre for i, _ in pairs])
+    seen = np.array([marks[j][:2] for _, j in pairs])
     shape = (picture.shape[0], picture.shape[1])
     found = _registration_through(positions, seen, shape, chart.page)
     # Each search for sides starts from the improved registration.

@@ -43,8 +43,6 @@ from matcam.files.photographs import Photograph
 T = TypeVar("T")
 AT_ONCE = 10
 """Number of edges that are processed together. Their data fit into the cache of the processor."""
-Fit = Callable[[EdgeRegions], EdgeFits]
-"""Function that fits the edges of n regions. The arrays of its result have a leading axis of n."""
 _WIDEST = 0.1
 """Largest standard deviation of the blur, as a share of the region width, at which the illumination is estimated.
 
@@ -52,8 +50,6 @@ With a wider blur, too little of the two flat sides remains.
 """
 _BRIGHTEST = 0.2
 """Relative standard deviation of the estimated light above which the variation is attributed to a pattern of the scene."""
-_WHOLE = 0.5
-"""Half width of a pixel that is sensitive over its whole area, px."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +65,7 @@ class EdgeSettings:
 
     lens: LensModel = field(default_factory=Gaussian)
     noise: Noise = UNKNOWN_NOISE
-    half_width: float = _WHOLE
+    half_width: float = 0.5
     accept_sharpened: bool = False
 
 
@@ -346,8 +342,7 @@ def _settings(
             if value is None:
                 raise ArgumentError(f"{name} must be given in m for the {model} model")
         check_light(wavelength, pixel_pitch)
-    if not (isinstance(half_width, float) and half_width == _WHOLE):
-        checks.scalar("half_width", checks.within("half_width", half_width, 0, 0.5, "px", open_low=True))
+    checks.scalar("half_width", checks.within("half_width", half_width, 0, 0.5, "px", open_low=True))
     if (gain is None) != (read_noise is None):
         raise ArgumentError("gain and read_noise must be given together: give both, or omit both to estimate them")
     noise = UNKNOWN_NOISE

@@ -35,7 +35,7 @@ from matcam.calibration.edge.free_curve import (
     line_width,
 )
 from matcam.calibration.edge.geometry import TERMS, EdgeCells
-from matcam.calibration.edge.maximum_likelihood import ADDED, LINEAR, SHIFT, EdgeModel, Noise, light_of
+from matcam.calibration.edge.maximum_likelihood import ADDED, LINEAR, SHIFT, EdgeModel, Noise, lit_edge
 from matcam.core.arrays import changed, last_of, linalg, repeated, slope_along, xp
 from matcam.numerics.linalg import FLOOR, lifted_inverse
 
@@ -107,8 +107,7 @@ class LinearFit(NamedTuple):
         """Compute the residual (n,) of the cells about a curve with the basis functions of this fit."""
         columns = changed(self.columns, _COLUMN, _column(self, xp.log(curve.shape.radius)))[_LEVELS:] / self.step
         response = self.pilot + xp.concatenate([curve.even, curve.odd]) @ columns
-        light, (dark, bright) = light_of(curve.levels, self.cells.terms), curve.levels[:2]
-        return self.cells.value - light.addend - light.factor * (dark + (bright - dark) * response)
+        return self.cells.value - lit_edge(response, curve.levels, self.cells.terms).value
 
     @property
     def chi2(self) -> jax.Array:
@@ -166,16 +165,10 @@ def linear_fit(
     weight = cells.pixels / (variance + cells.pixels * (2e-4 * (state.linear[1] - state.linear[0])) ** 2)
 
     def problem(linear: jax.Array, used: jax.Array) -> LinearFit:
-        light = light_of(linear, cells.terms)
-        step = (linear[1] - linear[0]) * light.factor
-        level = linear[0] + (linear[1] - linear[0]) * basis.pilot
-        levels = xp.stack([(1 - basis.pilot) * light.factor, basis.pilot * light.factor])
-        levels = xp.concatenate([levels, level * cells.terms, cells.terms[:ADDED]]) * used[:_LEVELS, None]
-        columns = xp.concatenate([levels, even * step, odd * step])
-        residual = cells.value - level * light.factor - light.addend
-        return LinearFit(
-            shape, cells, basis.pilot, step, linear, used, weight, variance, residual, columns, *[unknown] * 3
-        )
+        lit = lit_edge(basis.pilot, linear, cells.terms)
+        columns = xp.concatenate([lit.columns * used[:_LEVELS, None], even * lit.step, odd * lit.step])
+        known = (basis.pilot, lit.step, linear, used, weight, variance, cells.value - lit.value, columns)
+        return LinearFit(shape, cells, *known, *[unknown] * 3)
 
     used = _chosen_light(problem(state.linear, xp.ones(LINEAR)))
 

@@ -89,43 +89,57 @@ class EdgeModel(NamedTuple):
     Attributes:
         state: parameters.
         value: (n,) model values.
-        edge: (n,) edge response E.
         light: (n,) factor that multiplies the scene.
         design: (LINEAR + k, n) derivatives with respect to the parameters; 0 for fixed ones.
     """
 
     state: State
     value: jax.Array
-    edge: jax.Array
     light: jax.Array
     design: jax.Array
 
 
-class Light(NamedTuple):
-    """Effect of the light on a scene: `factor` times the scene plus `addend`."""
+class LitEdge(NamedTuple):
+    """Values of n points of an edge in uneven light.
 
+    Attributes:
+        value: (n,) expected values.
+        factor: (n,) factor of the light.
+        step: (n,) bright minus dark level in this light.
+        columns: (SHIFT, n) derivatives with respect to the levels and the light.
+    """
+
+    value: jax.Array
     factor: jax.Array
-    addend: jax.Array
+    step: jax.Array
+    columns: jax.Array
 
 
-def light_of(linear: jax.Array, terms: jax.Array) -> Light:
-    """Evaluate the light from its polynomial terms (TERMS, n) and the parameters `State.linear`."""
-    return Light(1 + linear[2 : 2 + TERMS] @ terms, linear[2 + TERMS : SHIFT] @ terms[:ADDED])
+def light_of(linear: jax.Array, terms: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Evaluate the factor of the light, and the light that is added to the scene, (n,) each.
+
+    `linear`: parameters `State.linear`. `terms`: (TERMS, n) polynomial terms.
+    """
+    return 1 + linear[2 : 2 + TERMS] @ terms, linear[2 + TERMS : SHIFT] @ terms[:ADDED]
+
+
+def lit_edge(edge: jax.Array, linear: jax.Array, terms: jax.Array) -> LitEdge:
+    """Evaluate an edge response (n,) with levels and light. `linear`, `terms`: as in `light_of`."""
+    factor, addend = light_of(linear, terms)
+    step = linear[1] - linear[0]
+    level = linear[0] + step * edge
+    parts = [((1 - edge) * factor)[None], (edge * factor)[None], level * terms, terms[:ADDED]]
+    return LitEdge(level * factor + addend, factor, step * factor, xp.concatenate(parts))
 
 
 def edge_model(cells: EdgeCells, state: State, profile: Profile) -> EdgeModel:
     """Evaluate the model of the bins, and its derivatives."""
-    dark, bright, shift = state.linear[0], state.linear[1], state.linear[SHIFT]
-    edge, line, slopes = profile(cells._replace(distance=cells.distance + shift), state.profile)
-    light = light_of(state.linear, cells.terms)
-    level = dark + (bright - dark) * edge
-    step = (bright - dark) * light.factor
-    parts = [
-        ((1 - edge) * light.factor)[None], (edge * light.factor)[None], level * cells.terms, cells.terms[:ADDED],
-        (step * line)[None], step * slopes,
-    ]  # fmt: skip
-    design = xp.concatenate(parts) * xp.concatenate([state.used, xp.ones(len(slopes))])[:, None]
-    return EdgeModel(state, level * light.factor + light.addend, edge, light.factor, design)
+    moved = cells._replace(distance=cells.distance + state.linear[SHIFT])
+    edge, line, slopes = profile(moved, state.profile)
+    lit = lit_edge(edge, state.linear, cells.terms)
+    design = xp.concatenate([lit.columns, (lit.step * line)[None], lit.step * slopes])
+    free = xp.concatenate([state.used, xp.ones(len(slopes))])
+    return EdgeModel(state, lit.value, lit.factor, design * free[:, None])
 
 
 def scoring_step(cells: EdgeCells, state: State, profile: Profile, noise: Noise, longest: AnyArray) -> State:
@@ -181,9 +195,9 @@ def curve_step(phased: PhasedRows, cells: EdgeCells, at: EdgeModel, noise: Noise
     y, distance = aligned.y[:, None], phased.distance[:, near]
     terms = light_terms(aligned.x[:, near], y, distance, aligned.length).reshape(TERMS, -1)
     factor, addend = (part.reshape(distance.shape) for part in light_of(state.linear, terms))
-    of_cell = light_of(state.linear, cells.terms)
+    _, of_cell = light_of(state.linear, cells.terms)
     slope = of_row(at.design[SHIFT] / at.light) * factor
-    scene = of_row((at.value - of_cell.addend) / at.light)
+    scene = of_row((at.value - of_cell) / at.light)
     expected = scene * factor + addend + slope * (distance - of_row(cells.distance))
     weight = aligned.valid[:, near] / noise.variance(expected, 1 / aligned.light[:, None])
     # A shift of the curve by 1 px along x changes the distance by `tilt` px.

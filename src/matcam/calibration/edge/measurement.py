@@ -17,14 +17,15 @@ from matcam.calibration.edge.maximum_likelihood import (
     CurveStep,
     EdgeModel,
     Noise,
+    Profile,
     State,
     curve_step,
     edge_model,
     scoring_step,
 )
-from matcam.calibration.edge.profiles import Gaussian, LensAtEdge, LensModel
+from matcam.calibration.edge.profiles import Gaussian, LensModel
 from matcam.calibration.edge.start import find_curve, in_even_rows, side_levels
-from matcam.calibration.edge.unexplained import Unexplained, estimated_noise, misfit_of, without_outliers
+from matcam.calibration.edge.unexplained import estimated_noise, misfit_of, with_unexplained, without_outliers
 from matcam.core import checks
 from matcam.core.arrays import (
     changed,
@@ -143,7 +144,7 @@ def edge_fits(
     `value`, `y`, `start`, `step`: as in `geometry.Rows`. The parametric estimate uses a Gaussian lens. `noise`: its unknown
     parameters are NaN, and are estimated. `turns`: number of alternating fits of the profile and of the curve.
     """
-    rows, half = Rows.of(value, y, start, step), xp.asarray(half_width)
+    rows, half, lens = Rows.of(value, y, start, step), xp.asarray(half_width), Gaussian()
     first_curve, crossing = find_curve(rows)
     bare = geometry.aligned_rows(rows, first_curve)
     known = ~(xp.isnan(noise.gain) | xp.isnan(noise.read))
@@ -159,9 +160,9 @@ def edge_fits(
         curve, state = at
         phased = geometry.phased_rows(aligned, curve)
         cells = geometry.edge_cells(phased)
-        seen = LensAtEdge(Gaussian(), xp.arctan(curve[1] / rows.length), half)
-        state = _climb(cells, state._replace(used=used), seen, noise, _STEPS)
-        now = edge_model(cells, state, seen.profile)
+        profile = lens.profile(xp.arctan(curve[1] / rows.length), half)
+        state = _climb(cells, state._replace(used=used), lens, profile, noise, _STEPS)
+        now = edge_model(cells, state, profile)
         moved = curve_step(phased, cells, now, noise)
         centred = state._replace(linear=changed(state.linear, SHIFT, 0.0))
         return (moved.curve, centred), (curve, cells, now, moved)
@@ -174,8 +175,9 @@ def edge_fits(
     curve, cells, at, moved = last_of(turn, (first_curve, State(levels, xp.array([-0.5]), even)), uses)
     # The slope of the least-squares line through a curve is its coefficient of order 1.
     slope, one = curve[1] / rows.length, xp.ones(())
-    seen = LensAtEdge(Gaussian(), xp.arctan(slope), half)
-    shape = CoreShape(xp.exp(at.state.profile[0]), seen.angle, half, radius=one, apart=one)
+    angle = xp.arctan(slope)
+    profile = lens.profile(angle, half)
+    shape = CoreShape(xp.exp(at.state.profile[0]), angle, half, radius=one, apart=one)
 
     def fitted(position: jax.Array, ghost: float) -> tuple[free_fit.LinearFit, tuple[jax.Array, jax.Array]]:
         """Fit the free curve without glare, and find the most probable glare."""
@@ -188,7 +190,7 @@ def edge_fits(
     linear, (log_radius, rise) = either(ghost, lambda _, at: fitted(at, 1.0), lambda same, _: same, first, position)
     # Fit the Gaussian lens in the selected light.
     chosen = at.state._replace(linear=at.state.linear * linear.used, used=linear.used)
-    model = edge_model(cells, _climb(cells, chosen, seen, noise, _STEPS), seen.profile)
+    model = edge_model(cells, _climb(cells, chosen, lens, profile, noise, _STEPS), profile)
     # If the noise is unknown, the significance of glare follows from the residual with glare.
     left = (linear.weight * linear.left**2).sum() - rise
     glares = rise > free_fit.FOUND * xp.where(known, 1.0, xp.maximum(left / linear.degrees, 1.0))
@@ -199,11 +201,11 @@ def edge_fits(
     excess = xp.where(scatter < _EXPECTED, 1.0, scatter)
     free = free._replace(covariance=free.covariance * excess)
     misfit = misfit_of(linear, free, excess)
-    unexplained = Unexplained(moved.roughness, misfit)
+    widened = partial(with_unexplained, roughness=moved.roughness, misfit=misfit)
 
     def transfer(f: jax.Array) -> tuple[SampledCurve, SampledCurve]:
         total, core = free_curve.transfer(free, f)
-        return unexplained.of(total, f), unexplained.of(core, f)
+        return widened(total, f), widened(core, f)
 
     def core_half() -> SampledCurve:
         return free_curve.half_frequency(core.value, lambda f: transfer(f)[1])
@@ -215,11 +217,11 @@ def edge_fits(
         length=rows.length,
         slope=slope,
         slope_std=xp.sqrt(excess * moved.covariance[1, 1]) / rows.length,
-        angle=seen.angle,
+        angle=angle,
         crossing=crossing,
         noise=noise,
         residual=moved.residual,
-        parametric=_lens_fit(cells, model, noise, free_fit.structure(linear, model), seen, excess, unexplained),
+        parametric=_lens_fit(cells, model, noise, linear, lens, angle, half, excess, widened),
         free=free,
         mtf=mtf,
         mtf50=mtf50,
@@ -239,15 +241,15 @@ def edge_fits(
 @checks.trusted()
 def lens_fit(found: EdgeFits, half_width: AnyArray | np.float64, lens: LensModel) -> LensFit:
     """Compute the parametric estimate for another lens model."""
-    seen = LensAtEdge(lens, found.angle, xp.asarray(half_width))
+    half = xp.asarray(half_width)
+    profile, gaussian = (one.profile(found.angle, half) for one in (lens, Gaussian()))
     first = found.state._replace(profile=lens.start(found.state.profile[0]))
-    fitted = _climb(found.cells, first, seen, found.noise, 12)
-    tested = edge_model(found.cells, fitted, seen.profile)
-    at = edge_model(found.cells, found.state, seen._replace(lens=Gaussian()).profile)
+    tested = edge_model(found.cells, _climb(found.cells, first, lens, profile, found.noise, 12), profile)
+    at = edge_model(found.cells, found.state, gaussian)
     ghost = (found.free.even[GHOSTS] != 0).any()
     fit = free_fit.linear_fit(found.cells, at, found.noise, found.free.shape, ghost)
-    unexplained = Unexplained(found.roughness, found.misfit)
-    return _lens_fit(found.cells, tested, found.noise, free_fit.structure(fit, tested), seen, found.excess, unexplained)
+    widened = partial(with_unexplained, roughness=found.roughness, misfit=found.misfit)
+    return _lens_fit(found.cells, tested, found.noise, fit, lens, found.angle, half, found.excess, widened)
 
 
 @cache
@@ -276,10 +278,9 @@ def _fits_of_stack(
     return jax.vmap(of_one)(values, y, start)
 
 
-def _climb(cells: EdgeCells, state: State, seen: LensAtEdge, noise: Noise, steps: int) -> State:
-    longest = np.array([np.inf] * SHIFT + [1.0, *seen.lens.longest])
-    step = partial(scoring_step, cells, profile=seen.profile, noise=noise, longest=longest)
-    return repeated(steps, step, state)
+def _climb(cells: EdgeCells, state: State, lens: LensModel, profile: Profile, noise: Noise, steps: int) -> State:
+    longest = np.array([np.inf] * SHIFT + [1.0, *lens.longest])
+    return repeated(steps, partial(scoring_step, cells, profile=profile, noise=noise, longest=longest), state)
 
 
 def _overshoot(free: FreeCurve) -> SampledCurve:
@@ -294,29 +295,32 @@ def _lens_fit(
     cells: EdgeCells,
     at: EdgeModel,
     noise: Noise,
-    structure: free_fit.Structure,
-    seen: LensAtEdge,
+    free: free_fit.LinearFit,
+    lens: LensModel,
+    angle: jax.Array,
+    half_width: jax.Array,
     excess: jax.Array,
-    unexplained: Unexplained,
+    widened: Callable[[SampledCurve, jax.Array], SampledCurve],
 ) -> LensFit:
+    """Compute the result of a fit of a lens model, `at`. `widened`: `with_unexplained` for this edge."""
     parameters = at.state.profile
     weight = cells.pixels / noise.variance(at.value, cells.dim)
     covariance = excess * lifted_inverse((at.design * weight) @ at.design.T)
     lens_covariance = covariance[LINEAR:, LINEAR:]
 
     def response(f: jax.Array) -> SampledCurve:
-        value, slopes = _with_slopes(lambda p: seen.mtf(p, f), parameters)
+        value, slopes = _with_slopes(lambda p: lens.mtf(p, f, angle, half_width), parameters)
         std = xp.sqrt(xp.maximum((slopes @ lens_covariance * slopes).sum(-1), 0.0))
-        return unexplained.of(SampledCurve(value, std), f)
+        return widened(SampledCurve(value, std), f)
 
-    numbers, by = _with_slopes(seen.lens.numbers, parameters)
+    numbers, by = _with_slopes(lens.numbers, parameters)
     mtf = response(xp.asarray(FREQUENCIES))
     return LensFit(
         state=at.state,
         covariance=covariance,
         chi2=(weight * (cells.value - at.value) ** 2).sum(),
         degrees=(cells.pixels > 0).sum() - parameters.size - LINEAR,
-        structure=structure,
+        structure=free_fit.structure(free, at),
         numbers=numbers,
         numbers_covariance=by @ lens_covariance @ by.T,
         expected=at.value,

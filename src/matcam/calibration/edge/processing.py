@@ -137,17 +137,17 @@ class _EdgeRegion:
         fits = self.edge.fits
         cells, used = fits.cells, fits.cells.pixels > 0
         terms, levels, free = cells.terms[:, used], fits.free.levels, fits.state.used
-        light = light_of(levels, terms)
+        factor, addend = light_of(levels, terms)
         variance = fits.noise.variance(fits.parametric.expected[used], cells.dim[used])
-        value = cells.value[used] - light.addend
-        light_columns = value / light.factor * terms[free[2 : SHIFT - ADDED] > 0]
+        value = cells.value[used] - addend
+        light_columns = value / factor * terms[free[2 : SHIFT - ADDED] > 0]
         return BareEdge(
             distance=np.asarray(cells.distance[used] + fits.state.linear[SHIFT]),
             spread=np.asarray(cells.spread[used]),
             value=np.asarray(value),
             std=np.asarray(np.sqrt(fits.excess * variance / cells.pixels[used])),
-            step=np.asarray((levels[1] - levels[0]) * light.factor),
-            light=np.concatenate([light.factor[None], light_columns, terms[:ADDED][free[SHIFT - ADDED : SHIFT] > 0]]),
+            step=np.asarray((levels[1] - levels[0]) * factor),
+            light=np.concatenate([factor[None], light_columns, terms[:ADDED][free[SHIFT - ADDED : SHIFT] > 0]]),
             blur=self.blur,
         )
 

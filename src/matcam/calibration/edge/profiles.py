@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from functools import lru_cache
-from typing import TYPE_CHECKING, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, ClassVar
 
 from matcam.calibration.edge.geometry import EdgeCells
 from matcam.calibration.edge.maximum_likelihood import Profile
@@ -73,29 +73,6 @@ class LensModel(Module):
     def mtf(self, parameters: jax.Array, f: jax.Array, angle: jax.Array, half_width: jax.Array) -> jax.Array:
         """Compute the signed total MTF at f cycles/px."""
         return transfer_along(self.optics(parameters), BoxPixel(half_width), f, angle)
-
-
-class LensAtEdge(NamedTuple):
-    """Lens model for an edge of given direction.
-
-    Attributes:
-        lens: the lens model.
-        angle: angle between the edge normal and the grid, rad.
-        half_width: half width of the pixel, px.
-    """
-
-    lens: LensModel
-    angle: jax.Array
-    half_width: jax.Array
-
-    @property
-    def profile(self) -> Profile:
-        """Edge profile."""
-        return self.lens.profile(self.angle, self.half_width)
-
-    def mtf(self, parameters: jax.Array, f: jax.Array) -> jax.Array:
-        """Compute the signed total MTF at f cycles/px."""
-        return self.lens.mtf(parameters, f, self.angle, self.half_width)
 
 
 class Gaussian(LensModel):

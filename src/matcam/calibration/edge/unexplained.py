@@ -8,7 +8,7 @@ cells, and a rough edge causes blur. Both effects increase the standard deviatio
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -105,24 +105,16 @@ _WINDOWS = np.arange(-10.0, 9.0)
 """Distances from the edge at which the windows begin, px."""
 
 
-class Unexplained(NamedTuple):
-    """Roughness and misfit that noise does not explain, and their effect on an MTF.
+def with_unexplained(curve: SampledCurve, f: jax.Array, roughness: jax.Array, misfit: jax.Array) -> SampledCurve:
+    """Increase the standard deviation of an MTF at f cycles/px by the effect of roughness and misfit.
 
-    Attributes:
-        roughness: standard deviation of the position of the edge between rows, px. It blurs the edge, as a lens does.
-        misfit: standard deviation of the bins near the edge beyond noise, in units of the step.
+    `roughness`: standard deviation of the position of the edge between rows, px; it blurs the edge, as a lens does. `misfit`:
+    standard deviation of the bins near the edge beyond noise, in units of the step.
     """
-
-    roughness: jax.Array
-    misfit: jax.Array
-
-    def of(self, curve: SampledCurve, f: jax.Array) -> SampledCurve:
-        """Increase the standard deviation of an MTF at f cycles/px by the effect of roughness and misfit."""
-        blurred = 2 * (xp.pi * self.roughness * f) ** 2 * xp.abs(curve.value)
-        # The ratio 5 follows from the ghosts and shadows of tests/oracle/real_edges.py. At frequency 0, the MTF is
-        # always 1.
-        unknown = 5.0 * self.misfit * xp.minimum(f / 0.1, 1.0)
-        return SampledCurve(curve.value, xp.sqrt(curve.std**2 + blurred**2 + unknown**2))
+    blurred = 2 * (xp.pi * roughness * f) ** 2 * xp.abs(curve.value)
+    # The ratio 5 follows from the ghosts and shadows of tests/oracle/real_edges.py. At frequency 0, the MTF is always 1.
+    unknown = 5.0 * misfit * xp.minimum(f / 0.1, 1.0)
+    return SampledCurve(curve.value, xp.sqrt(curve.std**2 + blurred**2 + unknown**2))
 
 
 def misfit_of(fit: LinearFit, curve: FreeCurve, excess: jax.Array) -> jax.Array:
