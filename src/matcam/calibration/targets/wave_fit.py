@@ -24,6 +24,8 @@ from matcam.numerics.polynomials import plane_powers
 
 _STEP = 1e-3
 """Step of the numerical derivatives of the phase, px."""
+_MOST = 200_000
+"""Largest number of pixels in a fit. More pixels require memory, and add little information."""
 _FEWEST = 3.0
 """Smallest number of pixels for each parameter."""
 
@@ -65,8 +67,7 @@ class WavePixels(NamedTuple):
     def subset(self, mask: np.ndarray | None = None, most: int | None = None) -> np.ndarray:
         """Select the indices of at most `most` pixels, a reproducible random subset of a mask (n,)."""
         positions = np.arange(self.value.size) if mask is None else np.flatnonzero(mask)
-        # More than 200,000 pixels require memory, and add little information.
-        most = 200_000 if most is None else most
+        most = _MOST if most is None else most
         if len(positions) <= most:
             return positions
         return np.sort(np.random.default_rng(0).choice(positions, most, replace=False))
