@@ -24,6 +24,14 @@ class Remark(NamedTuple):
     def __str__(self) -> str:
         return self.text
 
+    def about(self, subject: str) -> Remark:
+        """Return the remark with the name of its subject in front of the text.
+
+        Args:
+            subject: name of an image or channel.
+        """
+        return Remark(self.code, f"{subject}: {self.text}")
+
     def to_dict(self) -> dict[str, str]:
         """Return the remark as a JSON object.
 

@@ -21,7 +21,8 @@ def first_fall(x: FloatArray, curve: FloatArray, level: float = 0.5) -> FloatArr
     curve = np.asarray(curve)
     below = curve < level
     k = np.maximum(below.argmax(-1), 1)
-    before, after = (np.take_along_axis(curve, at[..., None], -1)[..., 0] for at in (k - 1, k))
+    flat, row = curve.reshape(-1, curve.shape[-1]), np.arange(k.size)
+    before, after = (flat[row, at.ravel()].reshape(k.shape) for at in (k - 1, k))
     crosses = below.any(-1) & ~below[..., 0]
     share = (before - level) / np.where(crosses, before - after, 1.0)
     return np.asarray(np.where(crosses, x[k - 1] + share * (x[k] - x[k - 1]), np.nan))

@@ -308,7 +308,7 @@ class _Pictures:
         else:
             self.used.append(short)
             self.findings += findings
-            self.remarks += [Remark(remark.code, f"{short}: {remark.text}") for remark in remarks]
+            self.remarks += [remark.about(short) for remark in remarks]
 
     def check(self) -> None:
         """Raise an error if the images do not determine one camera.

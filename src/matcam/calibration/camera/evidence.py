@@ -222,7 +222,7 @@ class PicturePlan:
                 edges = described_edges(seen, self.chart, registration)
             even = plane if registration is None else _without_waves(plane, self.chart, registration)
             software = processed(even, accept=self.accept_sharpened)
-            remarks += [Remark(r.code, f"{plane.channel}: {r.text}") for r in software.remarks]
+            remarks += [r.about(plane.channel) for r in software.remarks]
             result: EdgeStack | None = None
             samples: tuple[MTFSamples, ...] = ()
             dots: tuple[BlurSamples, ...] = ()
@@ -232,9 +232,7 @@ class PicturePlan:
                 dots = dot_positions(self.chart, targets)
                 assumed = any(remark.code == "tone-assumed" for remark in plane.remarks)
                 printed_remarks = [targets.printed.remark(assumed=assumed)] if targets.printed is not None else []
-                remarks += [
-                    Remark(r.code, f"{plane.channel}: {r.text}") for r in (*targets.problems, *printed_remarks) if r
-                ]
+                remarks += [r.about(plane.channel) for r in (*targets.problems, *printed_remarks) if r]
             if edges is not None:
                 try:
                     result = plane_edge_stack(plane, edges, self.half_width, accept_sharpened=self.accept_sharpened)

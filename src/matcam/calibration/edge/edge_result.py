@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -361,9 +361,9 @@ class EdgeStack(Summarised, EdgeValues[np.ndarray]):
         }
 
     def __getitem__(self, index: int) -> EdgeMTF:
-        lens = {f.name: _of_one(getattr(self.parametric, f.name), index) for f in fields(ParametricEdge)}
-        own = (f.name for f in fields(EdgeValues) if f.name != "frequency")
-        numbers = {"frequency": self.frequency} | {name: _of_one(getattr(self, name), index) for name in own}
+        lens = {name: _of_one(getattr(self.parametric, name), index) for name in ParametricEdge.__dataclass_fields__}
+        own = EdgeValues.__dataclass_fields__.keys() - {"frequency"}
+        numbers = {name: _of_one(getattr(self, name), index) for name in own} | {"frequency": self.frequency}
         fits, given = tuple_map(lambda a: a[index], self.fits), self.given[index] if self.given else ()
         return EdgeMTF(**numbers, parametric=ParametricEdge(**lens), fits=fits, given=given)
 

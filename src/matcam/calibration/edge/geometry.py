@@ -229,7 +229,7 @@ def light_terms(x: AnyArray, y: AnyArray, distance: AnyArray, length: AnyArray) 
     """
     d, v = distance / length, y / length
     powers = ((1.0, d, d * d, d * d * d), (1.0, v, v * v))
-    return xp.stack([xp.broadcast_to(t, d.shape) for t in (x, y, *(powers[0][i] * powers[1][j] for i, j in _ORDERS))])
+    return xp.stack([x, y * xp.ones_like(d), *(powers[0][i] * powers[1][j] for i, j in _ORDERS)])
 
 
 _ORDERS = ((2, 0), (1, 1), (3, 0), (2, 1), (1, 2))

@@ -244,6 +244,8 @@ def parametric_stack(
 
 def with_nan(values: AnyArray | np.float64, bad: np.ndarray) -> np.ndarray:
     """Replace the values of the edges in the mask `bad` (n,) by NaN."""
+    if not bad.any():
+        return np.asarray(values)
     return np.where(bad.reshape(-1, *[1] * (np.ndim(values) - 1)), np.nan, values)
 
 

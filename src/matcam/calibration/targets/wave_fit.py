@@ -156,8 +156,7 @@ def fit_wave(
             for i, size in enumerate(scale * 1e-4):
                 moved = parameters.copy()
                 moved[i] += size
-                turned = np.mod(phase.at(moved, x, y) - at + np.pi, 2 * np.pi) - np.pi
-                design.append((tilt * turned / size)[:, None])
+                design.append((tilt * wrapped(phase.at(moved, x, y) - at) / size)[:, None])
         matrix = np.concatenate(design, axis=1)
         if value.size < _FEWEST * matrix.shape[1]:
             return None
@@ -203,12 +202,16 @@ def fit_wave(
     )
 
 
+def wrapped(phase: FloatArray) -> FloatArray:
+    """Reduce phases to [-pi, pi), rad."""
+    return np.mod(phase + np.pi, 2 * np.pi) - np.pi
+
+
 def local_wave(phase: Phase, parameters: FloatArray, x: FloatArray, y: FloatArray) -> LocalWave:
     """Evaluate phase, frequency and direction of a wave at pixels."""
-    by_x = phase.at(parameters, x + _STEP, y) - phase.at(parameters, x - _STEP, y)
-    by_y = phase.at(parameters, x, y + _STEP) - phase.at(parameters, x, y - _STEP)
     # The two ends of a step may lie on different sides of the branch cut of the angle.
-    by_x, by_y = (np.mod(d + np.pi, 2 * np.pi) - np.pi for d in (by_x, by_y))
+    by_x = wrapped(phase.at(parameters, x + _STEP, y) - phase.at(parameters, x - _STEP, y))
+    by_y = wrapped(phase.at(parameters, x, y + _STEP) - phase.at(parameters, x, y - _STEP))
     frequency = np.hypot(by_x, by_y) / (4 * np.pi * _STEP)
     return LocalWave(phase.at(parameters, x, y), frequency, np.arctan2(by_y, by_x))
 

@@ -17,6 +17,7 @@ from scipy import ndimage
 from scipy.optimize import least_squares
 
 from matcam.calibration.photograph.linear_image import local_mean, smoothed
+from matcam.calibration.targets.wave_fit import wrapped
 from matcam.core.arrays import FloatArray
 from matcam.core.errors import FitError
 from matcam.numerics.polynomials import plane_orders, plane_powers
@@ -90,7 +91,7 @@ class StarPhase(NamedTuple):
         size = self.scale
 
         def residual(p: FloatArray) -> FloatArray:
-            return np.mod(self.at(p * size, x, y) - phase + np.pi, 2 * np.pi) - np.pi
+            return wrapped(self.at(p * size, x, y) - phase)
 
         start = np.zeros(size.size)
         start[:2] = np.array(centre) / size[:2]
