@@ -31,12 +31,12 @@ _TILT = math.radians(7)
 
 The pixels then sample all phases, and no harmonic coincides with a frequency of the pixel grid.
 """
-_SQUARE, _PATCH, _GAP = 80.0, 76.0, 1.4
-"""Side of a square and of a grating, px; size of a grating with the paper around it, relative to the grating."""
+_GAP = 1.4
+"""Size of a grating with the paper around it, relative to the grating."""
 _SPACING = 1.6
 """Distance between the centres of neighbouring squares, relative to their side."""
-_DOT, _PITCH = 1.3, 14.0
-"""Radius and distance of dots, px. Half way between two dots, their blur is negligible."""
+_PITCH = 14.0
+"""Distance of dots, px. Half way between two dots, their blur is negligible."""
 _STEPS = (0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.6, 0.75, 0.9)
 """Linear levels of the tone patches."""
 _CYCLES = (144, 108, 72, 48, 36, 24)
@@ -163,7 +163,7 @@ def _fitting_side(size: Point, usual: float, pitch: float, least: int) -> float:
 
 
 def _squares(corner: Point, size: Point, pixel: float) -> Iterator[Square]:
-    side = _fitting_side(size, _SQUARE * pixel, _SPACING, 1)
+    side = _fitting_side(size, 80.0 * pixel, _SPACING, 1)  # 80 px if there is space
     for _, _, x, y in _positions(corner, size, _SPACING * side):
         points = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * side / 2 @ _SLANTED.T + (x, y)
         a, b, c, d = ((float(px), float(py)) for px, py in points)
@@ -175,7 +175,7 @@ def _gratings(profile: str) -> Callable[[Point, Point, float], Iterator[Grating]
     duty, bright = (0.25 if profile == "lines" else 0.5), (_SINE_BRIGHT if profile == "sine" else 1.0)
 
     def panel(corner: Point, size: Point, pixel: float) -> Iterator[Grating]:
-        side = _fitting_side(size, _PATCH * pixel, _GAP, 2)
+        side = _fitting_side(size, 76.0 * pixel, _GAP, 2)  # 76 px if there is space
         positions = list(_positions(corner, size, _GAP * side))
         count = min(len(positions) // 2, len(_FREQUENCIES))
         # A single pair of gratings has a medium frequency, which is sensitive to blur.
@@ -209,7 +209,7 @@ def _dots(corner: Point, size: Point, pixel: float) -> Iterator[Dots]:
         for _, _, x, y in _positions((-inner[0] / 2, -inner[1] / 2), (inner[0], inner[1]), _PITCH * pixel)
     ]
     if len(points) >= 9:
-        yield Dots(tuple((x, y) for x, y in points), _DOT * pixel, _PITCH * pixel, _INK)
+        yield Dots(tuple((x, y) for x, y in points), 1.3 * pixel, _PITCH * pixel, _INK)
 
 
 _PANELS: dict[str, Callable[[Point, Point, float], Iterator[Element]]] = {

@@ -51,9 +51,9 @@ _SIDE = 40.0
 """Largest distance from the edge at which its response is sampled, px."""
 _TRANSFORM = 4096
 """Number of samples of the Fourier transform of a line spread function. The frequencies are 2.4e-3 cycles/px apart."""
-_TONE_CURVATURE, _TONE_PROBABILITIES, _RAISED = 0.3, (0.02, 0.5), 1.15
-"""Prior of a tone curve: standard deviation of its curvature; its probabilities if the noise variance of the dark side is that
-of photon noise, and if it is larger; ratio to photon noise above which the variance is larger."""
+_TONE_PROBABILITIES, _RAISED = (0.02, 0.5), 1.15
+"""Prior probabilities of a tone curve if the noise variance of the dark side is that of photon noise, and if it is larger; ratio
+to photon noise above which the variance is larger."""
 _SURE_TONE, _NO_TONE = 0.99, 0.01
 """Probabilities of a tone curve above which it is reported, and below which its effect is not computed."""
 _OVERSHOOT, _SURE = 0.003, 3.5
@@ -63,8 +63,6 @@ _CRUSHED, _LEAST_REPORTED, _SURE_GLARE = 0.01, 1e-3, 0.005
 _MOST_LEVELS, _NEAR_LEVELS = 2000, 4
 """Number of different values above which codes are not coarse; number of levels on both sides of the level of a flat side that
 are searched for the smallest distance of levels, because an image without noise lacks some levels."""
-_TAILS, _FADING = 0.08, 0.6
-"""Blur that extends to the border of the region: largest error of MTF50; blur widths over which the error decreases to 0."""
 _GHOST, _SURE_GHOST = 0.01, 4.0
 """Height relative to the step, and number of standard deviations, above which a ghost is reported."""
 
@@ -194,7 +192,8 @@ def with_traces(
 
 def _narrow(region: _EdgeRegion) -> list[Trace]:
     """Test whether the blur extends to the border of the region, which makes the model-free estimate uncertain."""
-    share = _TAILS * float(np.clip((CLEAR - region.clear) / _FADING, 0.0, 1.0))
+    # The error is at most 8 % of MTF50, and decreases to 0 over 0.6 blur widths.
+    share = 0.08 * float(np.clip((CLEAR - region.clear) / 0.6, 0.0, 1.0))
     if not share:
         return []
     text = (
@@ -378,7 +377,8 @@ def _asymmetric(region: _EdgeRegion) -> list[Trace]:
     inverse = np.linalg.pinv((columns * weight / np.maximum(scale, 1e-300)[:, None]).T, rcond=1e-6)
     curvature = float(inverse[0] @ (bare.value * weight)) / scale[0]
     variance = float(inverse[0] @ inverse[0]) / scale[0] ** 2
-    prior = _TONE_CURVATURE**2
+    # The curvature of tone curves has a prior standard deviation of 0.3.
+    prior = 0.3**2
     gain = curvature**2 / variance * prior / (prior + variance) / 2
     odds = np.exp(min(gain, 50.0)) / np.sqrt(1 + prior / variance)
     raised = ndtr((noise.tilt - _RAISED * edge.dark / edge.bright) / noise.tilt_std)

@@ -38,8 +38,6 @@ _UNEVEN, _SLOPE = 0.06, 0.002
 """Largest deviation of the mean of a side relative to the step, and its increase per px of distance."""
 _SPOT = 0.4
 """Largest variation along an edge at one distance from it, relative to the step."""
-_ENOUGH = 4
-"""Smallest number of edges that makes a search at a finer scale unnecessary."""
 _FEWEST = 5
 """Smallest number of positions along a side at which the side must be found."""
 _STRAIGHT = 0.7
@@ -78,7 +76,8 @@ def find_edges(picture: np.ndarray, *, mosaic: bool = False) -> EdgePositions:
     while True:
         found = _at_scale(picture, factor)
         finer = factor // 2 // least * least
-        if found.x.size >= _ENOUGH or finer < least:
+        # Four edges make a search at a finer scale unnecessary.
+        if found.x.size >= 4 or finer < least:
             return found
         factor = finer
 

@@ -26,8 +26,6 @@ _STEP = 1e-3
 """Step of the numerical derivatives of the phase, px."""
 _MOST = 200_000
 """Largest number of pixels in a fit. More pixels require memory, and add little information."""
-_FEWEST = 3.0
-"""Smallest number of pixels for each parameter."""
 
 
 Basis = Callable[[FloatArray, FloatArray], FloatArray]
@@ -158,7 +156,8 @@ def fit_wave(
                 moved[i] += size
                 design.append((tilt * wrapped(phase.at(moved, x, y) - at) / size)[:, None])
         matrix = np.concatenate(design, axis=1)
-        if value.size < _FEWEST * matrix.shape[1]:
+        # A fit requires at least 3 pixels for each parameter.
+        if value.size < 3.0 * matrix.shape[1]:
             return None
         residual = value - level * (1 + wave)
         if moving and step > 2:
