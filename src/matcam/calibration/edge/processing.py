@@ -52,8 +52,8 @@ _SIDE = 40.0
 _TRANSFORM = 4096
 """Number of samples of the Fourier transform of a line spread function. The frequencies are 2.4e-3 cycles/px apart."""
 _TONE_PROBABILITIES, _RAISED = (0.02, 0.5), 1.15
-"""Prior probabilities of a tone curve if the noise variance of the dark side is that of photon noise, and if it is larger; ratio
-to photon noise above which the variance is larger."""
+"""Prior probabilities of a tone curve if the noise variance of the dark side is that of photon noise, and if it is larger;
+ratio to photon noise above which the variance is larger."""
 _SURE_TONE, _NO_TONE = 0.99, 0.01
 """Probabilities of a tone curve above which it is reported, and below which its effect is not computed."""
 _OVERSHOOT, _SURE = 0.003, 3.5
