@@ -253,16 +253,16 @@ def _chosen_light(full: LinearFit) -> jax.Array:
 
     # For each light, chi-square and its decrease by glare. Parameters that are not free are 0, which changes the residual
     # linearly; they are decoupled. The units make the diagonal 1.
-    free = np.pad(LIGHTS[:, :_LEVELS], ((0, 0), (0, EVEN + ODD)), constant_values=1.0)
-    given = xp.pad((full.levels * (1 - LIGHTS))[:, :_LEVELS], ((0, 0), (0, EVEN + ODD)))
-    towards, scale = given @ normal, free * unit
+    free = np.concatenate([LIGHTS[:, :_LEVELS], np.ones((len(LIGHTS), EVEN + ODD))], 1)
+    given = (full.levels * (1 - LIGHTS))[:, :_LEVELS]
+    towards, scale = given @ normal[:_LEVELS], free * unit
     precise = (normal + np.diag(_PRECISIONS)) * scale[:, None] * scale[..., None]
     root = linalg.cholesky(precise + xp.where(scale > 0, FLOOR, 1.0)[..., None] * np.eye(len(_PRECISIONS)))
     both = xp.concatenate([((score + towards) * scale)[:, None], cross * scale[:, None]], 1)
     solved = linalg.solve(root, both.swapaxes(1, 2))
     mine, shared = solved[..., 0], solved[..., 1:]
-    chi2 = before + 2 * given @ score + (given * towards).sum(1) - (mine**2).sum(1)
-    left = by_glare + given @ cross.T - (mine[..., None] * shared).sum(1)
+    chi2 = before + 2 * given @ score[:_LEVELS] + (given * towards[:, :_LEVELS]).sum(1) - (mine**2).sum(1)
+    left = by_glare + given @ cross[:, :_LEVELS].T - (mine[..., None] * shared).sum(1)
     rise = xp.maximum((xp.maximum(left, 0.0) ** 2 / (alone - (shared**2).sum(1)) - unlikely).max(1), 0.0)
     # Structure that neither light nor glare explains is treated as noise.
     scatter = xp.maximum(xp.min(chi2 - rise) / degrees, 1.0)
@@ -278,7 +278,8 @@ def _chosen_light(full: LinearFit) -> jax.Array:
 def curve_without_glare(fit: LinearFit) -> FreeCurve:
     """Convert a fit without glare to a curve, with its covariance."""
     covariance = fit.inverse @ ((fit.columns * fit.noisy) @ fit.columns.T) @ fit.inverse
-    return _per_step(fit, fit.strength, xp.pad(covariance, ((0, 1), (0, 1))), xp.ones(()))
+    with_radius = changed(np.zeros((len(covariance) + 1,) * 2), np.s_[:-1, :-1], covariance)
+    return _per_step(fit, fit.strength, with_radius, xp.ones(()))
 
 
 def glare_candidate(fit: LinearFit) -> tuple[jax.Array, jax.Array]:

@@ -28,7 +28,7 @@ from matcam.calibration.edge.geometry import (
     edge_slope,
     light_terms,
 )
-from matcam.core.arrays import linalg, xp
+from matcam.core.arrays import changed, linalg, xp
 from matcam.numerics.linalg import lifted_inverse
 
 if TYPE_CHECKING:
@@ -230,7 +230,8 @@ def _of_seen_orders(normal: jax.Array, score: jax.Array, curve: jax.Array) -> tu
     The coefficients beyond the bow are set to 0 if noise explains them. `normal`: (CURVE, CURVE) information. `score`:
     (CURVE,) score at the current coefficients `curve`.
     """
-    free, bow = linalg.inv(normal), xp.pad(linalg.inv(normal[:_BOWS, :_BOWS]), (0, CURVE - _BOWS))
+    free = linalg.inv(normal)
+    bow = changed(np.zeros((CURVE, CURVE)), np.s_[:_BOWS, :_BOWS], linalg.inv(normal[:_BOWS, :_BOWS]))
     change = free @ score
     # The inverse covariance of the higher orders is a Schur complement.
     beyond, inverse = (curve + change)[_BOWS:], (normal - normal @ bow @ normal)[_BOWS:, _BOWS:]

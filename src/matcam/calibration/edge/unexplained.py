@@ -38,13 +38,16 @@ def without_outliers(phased: PhasedRows, noise: Noise) -> AlignedRows:
     value = aligned.value / level
     variance = noise.variance(aligned.value, 1 / aligned.light[:, None]) / level**2
 
+    border = np.zeros((len(member), 1))
+
     def again(valid: jax.Array) -> jax.Array:
         count = member @ valid
         some = xp.maximum(count, 1.0)
         mean, apart = (member @ (valid * q) / some for q in (value, phased.distance))
         # The distances in a group differ by at most an eighth of a px, which a linear term corrects.
         ends = (count[:, 2:] > 0) & (count[:, :-2] > 0)
-        slope = xp.pad(xp.where(ends, (mean[:, 2:] - mean[:, :-2]) / (2 * aligned.step), 0.0), ((0, 0), (1, 1)))
+        slope = xp.where(ends, (mean[:, 2:] - mean[:, :-2]) / (2 * aligned.step), 0.0)
+        slope = xp.concatenate([border, slope, border], 1)
         of = lambda a: a[phased.phase]  # noqa: E731
         # Of each pixel, from the means of its group: value minus slope times distance.
         off = value - of(mean - slope * apart) - of(slope) * phased.distance

@@ -158,7 +158,7 @@ def _sums_of_products(values: FloatArray) -> FloatArray:
 
 def _log_likelihoods(seen: Correlations) -> FloatArray:
     """Compute the logarithm of the likelihood of each of `_filters()`, up to a constant."""
-    expected = np.pad(_filters().correlation, ((0, 0), (0, len(_FAR_LAGS))))
+    expected = _filters().correlation
     # Variance of a correlation after a filter (Bartlett 1946), and by uneven light. One basis serves all filters.
     spread = 1 + 2 * (expected**2).sum(1, keepdims=True)
     apart = np.hypot(*np.array(LAGS + _FAR_LAGS).T)
@@ -174,8 +174,7 @@ def _log_likelihoods(seen: Correlations) -> FloatArray:
 def mask_gain(seen: Correlations) -> float:
     """Compute the increase of 2 ln likelihood of the noise due to the unsharp mask, assuming even light."""
     expected = _filters().correlation[1 + len(_WIDTHS) + _MASKS.index((AMOUNT, RADIUS))]
-    value, pairs = seen.value[: len(LAGS)], seen.pairs[: len(LAGS)]
-    return float(pairs @ (value**2 - (value - expected) ** 2))
+    return float(seen.pairs @ (seen.value**2 - (seen.value - expected) ** 2))
 
 
 def edge_gain(edge: BareEdge) -> float:
@@ -296,9 +295,10 @@ def _filters() -> _Filters:
     correlation = []
     for power in of_noise:
         covariance = np.fft.irfft2(power, (_GRID, _GRID))
-        correlation.append([covariance[dy, dx] / covariance[0, 0] for dy, dx in LAGS])
+        near = [covariance[dy, dx] / covariance[0, 0] for dy, dx in LAGS]
+        correlation.append(near + [0.0] * len(_FAR_LAGS))
     return _Filters(
-        np.array([[0.0] * len(LAGS), *correlation]),
+        np.array([[0.0] * len(correlation[0]), *correlation]),
         np.array([np.ones(_GRID // 2 + 1), *transfers]),
         np.array([_NO_FILTER, *priors]),
     )
