@@ -323,6 +323,8 @@ def planes_of(
     for channel in channels or ():
         if channel not in there and not (channel == "Y" and photograph.values.ndim == 3):
             raise ArgumentError(f"channel {channel!r} is not in this image; it has {', '.join(there)}")
+    if photograph.cfa is not None and not is_linear(tone) and not (isinstance(tone, str) and tone == "auto"):
+        raise ArgumentError("camera raw is linear and has no tone curve: omit tone")
     names = there if channels is None else channels
     return (LinearImage.of(photograph, name, cfa, tone, f_number=f_number, source=source) for name in names)
 
