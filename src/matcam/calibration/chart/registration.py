@@ -297,9 +297,7 @@ def _homography(source: FloatArray, target: FloatArray) -> FloatArray:
     for (x, y), (u, v) in zip(source / scale, target, strict=True):
         rows.append([x, y, 1, 0, 0, 0, -u * x, -u * y])
         rows.append([0, 0, 0, x, y, 1, -v * x, -v * y])
-    design = np.array(rows)
-    if len(source) == 4:
-        solution = np.linalg.solve(design, target.ravel())
-    else:
-        solution = np.linalg.lstsq(design, target.ravel(), rcond=None)[0]
+    solution, _, rank, _ = np.linalg.lstsq(np.array(rows), target.ravel(), rcond=None)
+    if rank < 8:
+        raise np.linalg.LinAlgError("the points do not determine a homography")
     return np.append(solution, 1.0).reshape(3, 3) @ np.diag([1 / scale, 1 / scale, 1])
