@@ -86,10 +86,9 @@ def as_index(number: Any) -> Any:
 
 def tuple_map(function: Callable[..., Any], tree: Any, *others: Any) -> Any:
     """Apply a function to corresponding arrays of nested tuples."""
-    parts = [
-        tuple_map(function, *them) if isinstance(them[0], tuple) else function(*them)
-        for them in zip(tree, *others, strict=True)
-    ]
+    if not isinstance(tree, tuple):
+        return function(tree, *others)
+    parts = [tuple_map(function, *them) for them in zip(tree, *others, strict=True)]
     return tree._make(parts) if hasattr(tree, "_make") else tuple(parts)
 
 
