@@ -31,7 +31,9 @@ of a block fit into its cache.
 _ROWS_ON_GPU = 1 << 20
 """Rows of a tile on a GPU, in a single block. All rows of a block are computed in parallel."""
 _RULES = 32, MOST_NODES
-"""Largest numbers of nodes on an arc, with a program for each. A program skips unused nodes."""
+"""Largest numbers of nodes on an arc. A program skips unused nodes, so one program serves all arcs, except for derivatives,
+which require all nodes.
+"""
 
 
 class Subject(NamedTuple):
@@ -71,8 +73,8 @@ def record(material: Material, imaging: Imaging, plan: RecordPlan, turning: jax.
         Radiance under unit irradiance, 1/sr, (positions, channels). Differentiable in material, sample, blur and turning.
     """
     subject = Subject(material, imaging, jnp.asarray(turning, dtype=float))
-    on_gpu = computes_on_gpu()
-    tiles = _tiles_on_gpu(plan) if on_gpu else _tiles(plan)
+    on_gpu, lengths = subject.known and computes_on_gpu(), _RULES[-1:] if subject.known else _RULES
+    tiles = _tiles_on_gpu(plan) if on_gpu else _tiles(plan, lengths)
     workers = available_cores() if subject.known and not on_gpu else 1
     shape = plan.positions.x.size, subject.under(jnp.zeros(())).channels()
     total: Any = jnp.zeros(shape) if on_gpu else np.zeros(shape, order="F")
@@ -101,8 +103,11 @@ class _Tile(NamedTuple):
     rules: Any
 
 
-def _tiles(plan: RecordPlan) -> list[Callable[[], _Tile]]:
-    """List the tiles of a plan, as functions because the rows of all tiles would occupy several GB."""
+def _tiles(plan: RecordPlan, lengths: tuple[int, ...]) -> list[Callable[[], _Tile]]:
+    """List the tiles of a plan, as functions because the rows of all tiles would occupy several GB.
+
+    lengths: largest numbers of nodes on an arc, with a program for each.
+    """
     on_gpu = computes_on_gpu()
     pixels, arcs = ((1, _ROWS_ON_GPU),) * 2 if on_gpu else ((_BLOCKS, _SMOOTH), (_BLOCKS, _ARCS))
     tiles: list[Callable[[], _Tile]] = []
@@ -112,14 +117,14 @@ def _tiles(plan: RecordPlan) -> list[Callable[[], _Tile]]:
             tiles += [partial(_pixel_tile, plan.positions, part.terms, rule, one, pixels) for one in some]
         count = part.arcs.position.size
         parts = (slice(begin, begin + math.prod(arcs)) for begin in range(0, count, math.prod(arcs)))
-        tiles += [partial(_arc_tile, plan.positions, part, one, arcs) for one in parts]
+        tiles += [partial(_arc_tile, plan.positions, part, one, arcs, lengths) for one in parts]
     return tiles
 
 
 @lru_cache(maxsize=1)
 def _tiles_on_gpu(plan: RecordPlan) -> list[Callable[[], _Tile]]:
     """Transfer all tiles of a plan to the GPU once, because the transfer takes longer than the computation."""
-    return [partial(lambda tile: tile, transferred(tile())) for tile in _tiles(plan)]
+    return [partial(lambda tile: tile, transferred(tile())) for tile in _tiles(plan, _RULES[-1:])]
 
 
 def _pixel_tile(
@@ -135,15 +140,15 @@ def _pixel_tile(
     return _Tile(terms, index, used, rows, None, rule)
 
 
-def _arc_tile(positions: RecordPositions, part: PlanPart, some: slice, shape: tuple[int, int]) -> _Tile:
-    """Collect some arcs with the pixels to whose records they contribute."""
+def _arc_tile(
+    positions: RecordPositions, part: PlanPart, some: slice, shape: tuple[int, int], lengths: tuple[int, ...]
+) -> _Tile:
+    """Collect some arcs with the pixels to whose records they contribute. lengths: see `_tiles`."""
     own = part.arcs.at(some)
     pixels = positions.at(own.position)
     arcs = own if isinstance(own, CrossArcs) else own.on_circles(part.frames)
     used, rows = shaped(_ArcInputs(*pixels[:3], pixels.turn, arcs), *shape)
     counts = np.resize(own.nodes, shape).max(axis=1)
-    # on a GPU, the compilation of a second program takes longer than all of its runs
-    lengths = _RULES[-1:] if computes_on_gpu() else _RULES
     rules = next(rules for rules in map(gauss_rules, lengths) if counts.max() < rules.shape[1])
     return _Tile(part.terms, own.position, used, rows, counts, rules)
 
