@@ -83,10 +83,12 @@ def corrected_table(
         above, factor = data[rows] - body, ratio[rows, ..., None]
         corrected[rows] = body + above * factor
         variance = (above * factor * ratio_of_lobes.std[rows, ..., None]) ** 2
+        # the body is fitted to all slices together, whose images have independent gains
+        body_variance = body_std**2 + (noise.picture_gain * body) ** 2 / found.theta_d.size
         added = (
             VariancePart("glare", "B", (scattered.of(rows) ** 2 + (glare * data[rows]) ** 2) * factor**2),
             VariancePart(
-                "light from below the lobe", "A", body_std**2 * (factor - 1) ** 2, degrees=max(found.freedom, 1)
+                "light from below the lobe", "A", body_variance * (factor - 1) ** 2, degrees=max(found.freedom, 1)
             ),
             VariancePart("shape of the body", "B", (lambert * bodies[rows, ..., None]) ** 2 * (factor - 1) ** 2),
         )
