@@ -1,8 +1,9 @@
-"""Records of any rig against sums over a fine grid of the sensor, which choose no nodes: every combination of near and distant
-camera and lamp, azimuth, lens, focus and lobe by the same code."""
+"""Records of any rig against sums over equal squares of the sensor, which follow nothing but the end of the light: every
+combination of near and distant camera and lamp, azimuth, lens, focus and lobe by the same code."""
 
 import numpy as np
 import pytest
+from scipy.ndimage import maximum_filter, minimum_filter
 
 from docs_claims import limit
 from matcam import EPD, GGX, BoxPixel, Camera, GaussianOptics, HaloOptics, Microfacet, NearLamp, Rig, Schlick, Sphere
@@ -13,7 +14,9 @@ from matcam.forward.sampler.plan import RecordPositions, record_plan
 from matcam.forward.sampler.record import record
 from matcam.lamp.lamps import DistantLamp
 
-SMOOTH, AT_END = 0.04, 0.006  # px
+SQUARE = 0.24  # px
+SMOOTH, AT_END = 6, 40  # nodes along a square: of Gauss and Legendre, and of the midpoint rule where light ends
+TOGETHER = 32  # squares
 FAST, SLOW = 1, 60
 
 
@@ -42,27 +45,39 @@ def drawn(seed):
 
 
 @jax.jit
-def summed(scene, blur, x, y, line):
-    """The sum over a square grid, and whether all of it is visible and lit."""
+def summed(scene, blur, x, y, corners, nodes, weights):
+    """Sums over squares of the sensor by a product rule, whether all of a square is visible and lit, and whether any of it shines."""
+    dx, dy = nodes[:, None], nodes[None, :]
 
-    def row(dy):
-        element, lit = scene.shown(x + line, y + dy)
+    def square(corner):
+        right, up = corner[0] + dx, corner[1] + dy
+        element, lit = scene.shown(x + right, y + up)
         spread = blur.spread(scene.sample, element.normal[2], scene.lamp_angle, scene.lamp_nearness)
-        kernel = sum(blur.share(term) * blur.at(term, spread, -line, -dy) for term in blur.terms)
-        return jnp.sum(jnp.where(lit, scene.sent(element)[..., 0] * kernel, 0.0)), jnp.all(lit)
+        kernel = sum(blur.share(term) * blur.at(term, spread, -right, -up) for term in blur.terms)
+        light = jnp.where(lit, scene.sent(element)[..., 0] * kernel, 0.0)
+        return weights @ light @ weights, jnp.all(lit), jnp.any(light > 0)
 
-    sums, whole = jax.lax.map(row, line)
-    return jnp.sum(sums), jnp.all(whole)
+    return jax.lax.map(square, corners)
 
 
 def brute(scene, blur, x, y, reach):
-    """Where the border of the light crosses cells of the grid, their sum is certain to some 2e-5."""
-    for step in (SMOOTH, AT_END):
-        count = int(reach / step)
-        total, whole = summed(scene, blur, x, y, jnp.asarray((np.arange(2 * count) + 0.5 - count) * step))
-        if bool(whole):
-            break
-    return float(total) * step**2
+    """Where the border of the light crosses squares of the sensor, the sum is certain to some 2e-5."""
+    line = np.arange(-np.ceil(reach / SQUARE), np.ceil(reach / SQUARE)) * SQUARE
+    corners = np.stack(np.meshgrid(line, line, indexing="ij"), axis=-1)
+    unit, weight = np.polynomial.legendre.leggauss(SMOOTH)
+    smooth = SQUARE / 2 * (1 + unit), SQUARE / 2 * weight
+    found = summed(scene, blur, x, y, corners.reshape(-1, 2), *smooth)
+    sums, whole, some = (np.asarray(each).reshape(corners.shape[:2]) for each in found)
+    # a border may cross a square between its nodes: then it crosses one beside it
+    at_end = ~minimum_filter(whole, 3) & maximum_filter(some, 3)
+    total = sums[~at_end].sum()
+    fine = (np.arange(AT_END) + 0.5) * SQUARE / AT_END, np.full(AT_END, SQUARE / AT_END)
+    at = corners[at_end]
+    for k in range(0, len(at), TOGETHER):
+        some = at[k : k + TOGETHER]
+        padded = np.pad(some, ((0, TOGETHER - len(some)), (0, 0)))
+        total += np.asarray(summed(scene, blur, x, y, padded, *fine)[0])[: len(some)].sum()
+    return total
 
 
 @pytest.mark.parametrize(
