@@ -7,6 +7,7 @@ import subprocess
 import sys
 import tempfile
 import threading
+from contextlib import nullcontext
 from importlib import metadata
 from pathlib import Path
 
@@ -23,9 +24,13 @@ _OWNER = _CACHE not in os.environ
 os.environ["XDG_CACHE_HOME"] = os.environ.setdefault(_CACHE, tempfile.mkdtemp(prefix="matcam-tests-") if _OWNER else "")
 
 _QUICKLY = "MATCAM_TESTS_COMPILE_QUICKLY" in os.environ
-# Without this part of XLA programs compile in two thirds of the time. Later versions refuse to start with the flag
+# Without this part of XLA programs compile in two thirds of the time, and undivided in four fifths of that. Later versions
+# refuse to start with the flags
+_QUICK_FLAGS = (
+    "--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=1 --xla_cpu_parallel_codegen_split_count=1"
+)
 if _QUICKLY and tuple(int(part) for part in metadata.version("jaxlib").split(".")[:2]) < (0, 11):
-    os.environ.setdefault("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=1")
+    os.environ.setdefault("XLA_FLAGS", _QUICK_FLAGS)
 
 hypothesis.settings.register_profile(
     "matcam",
@@ -96,6 +101,20 @@ def compiled_quickly(request):
     here = request.path.relative_to(REPOSITORY / "tests").as_posix()
     quick = _QUICKLY and not here.startswith(_COMPUTE)
     jax.config.update("jax_disable_most_optimizations", quick)
+
+
+_OWN_FILES = ("acquisition", "reconstruction")
+"""What reads hundreds of small photographs that it has just written. Processes that read files have tests of their own."""
+
+
+@pytest.fixture(scope="module", autouse=True)
+def own_files_are_trusted(request):
+    """A process for every photograph takes ten times as long as the photograph."""
+    from matcam.core.readers.apart import reading_limits
+
+    here = request.path.relative_to(REPOSITORY / "tests").as_posix()
+    with reading_limits(None) if here.startswith(_OWN_FILES) else nullcontext():
+        yield
 
 
 @pytest.fixture(scope="session")

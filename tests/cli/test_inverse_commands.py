@@ -147,10 +147,10 @@ def test_limits_speaks(monkeypatch):
 
 
 def test_limits_of_a_cylinder_speak_of_it():
+    sphere = json.loads(run("limits", 0.01, "--json").stdout)  # its rules are those of the test before
     done = run("limits", 0.01, "--sample", "cylinder", "--json")
     assert done.exit_code == 0, done.output
     document = json.loads(done.stdout)
     assert document["change"][0] == "cylinder twice as large in the image"
-    sphere = json.loads(run("limits", 0.01, "--json").stdout)
     assert document["width_std"][0] != sphere["width_std"][0]
     assert "a Sphere or Cylinder" in str(run("limits", 0.01, "--sample", "flat").exception)

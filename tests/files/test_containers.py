@@ -117,7 +117,7 @@ def test_arrays_that_cannot_be_in_there_are_not_asked_for(result, tmp_path):
 
 
 @pytest.mark.parametrize("suffix", FORMATS)
-@pytest.mark.parametrize("count", [300, pytest.param(10_000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [100, pytest.param(10_000, marks=pytest.mark.slow)])
 def test_damaged(result, tmp_path, suffix, count):
     write, read = FORMATS[suffix]
     write(tmp_path / f"a.{suffix}", result)

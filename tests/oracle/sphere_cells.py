@@ -198,12 +198,13 @@ class Cells:
             x, y = x[seen], self.setup.radius * across[seen]
             self.grids.append(grid)
             order = np.argsort(y)
+            sorted_x, sorted_y = x[order], y[order]
             s_x, s_y = self._spread(j)
             reach = [self.setup.half_width + self._wings() + 7.5 * s for s in (s_x, s_y)]
             data, index, pointer = [], [], [0]
             for px, py in zip(self.x[j][self.near[j]], self.y[j][self.near[j]], strict=True):
-                a, b = np.searchsorted(y[order], [py - reach[1], py + reach[1]])
-                inside = order[a:b][np.abs(x[order[a:b]] - px) < reach[0]]
+                a, b = np.searchsorted(sorted_y, [py - reach[1], py + reach[1]])
+                inside = order[a:b][np.abs(sorted_x[a:b] - px) < reach[0]]
                 data.append(self._both(x[inside] - px, y[inside] - py, s_x, s_y))
                 index.append(inside)
                 pointer.append(pointer[-1] + inside.size)

@@ -10,6 +10,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextvars import copy_context
 from itertools import islice
 from typing import TypeVar
 
@@ -102,7 +103,7 @@ def in_order(work: Callable[[T], U], items: Sequence[T], workers: int) -> Iterat
             for _ in range(1, len(items)):
                 _check_wanted()
                 # limits the number of waiting results
-                waiting += [pool.submit(work, item) for item in islice(left, _at_a_time(workers) - len(waiting))]
+                waiting += [pool.submit(copy_context().run, work, item) for item in islice(left, _at_a_time(workers) - len(waiting))]
                 yield waiting.pop(0).result()
         finally:
             for one in waiting:
