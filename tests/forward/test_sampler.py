@@ -46,7 +46,7 @@ def drawn(seed):
 
 @jax.jit
 def summed(scene, blur, x, y, corners, nodes, weights):
-    """Sums over squares of the sensor by a product rule, whether all of a square is visible and lit, and whether any of it shines."""
+    """Sums over squares of the sensor by a product rule; whether all of a square is visible and lit, and whether any shines."""
     dx, dy = nodes[:, None], nodes[None, :]
 
     def square(corner):

@@ -103,7 +103,10 @@ def in_order(work: Callable[[T], U], items: Sequence[T], workers: int) -> Iterat
             for _ in range(1, len(items)):
                 _check_wanted()
                 # limits the number of waiting results
-                waiting += [pool.submit(copy_context().run, work, item) for item in islice(left, _at_a_time(workers) - len(waiting))]
+                waiting += [
+                    pool.submit(copy_context().run, work, item)
+                    for item in islice(left, _at_a_time(workers) - len(waiting))
+                ]
                 yield waiting.pop(0).result()
         finally:
             for one in waiting:
