@@ -19,6 +19,9 @@ test test-all test-oldest test-versions: export OPENBLAS_NUM_THREADS = 1
 test test-all test-oldest test-versions: export MALLOC_MMAP_THRESHOLD_ = 1000000000
 test test-all test-oldest test-versions: export MALLOC_TRIM_THRESHOLD_ = 4000000000
 
+# Processes that tests start load the package as it was compiled before
+test test-all test-oldest test-versions: export PYTHONDONTWRITEBYTECODE =
+
 # Most tests compile a program and run it once: most do without XLA's optimisation (tests/conftest.py).
 # `test-all` runs the programs as users do
 test test-oldest test-versions: export MATCAM_TESTS_COMPILE_QUICKLY = 1

@@ -27,20 +27,20 @@ EXCEPTIONS = {
 """Messages whose values say what would be right, and how."""
 
 
-MESSAGES = list(collected())
-OWN = [m for m in MESSAGES if re.search("[a-z]", m.text)]
-"""The others pass on, behind a file's name at most, what another message of the family says."""
+def own():
+    """The others pass on, behind a file's name at most, what another message of the family says."""
+    return [m for m in collected() if re.search("[a-z]", m.text)]
 
 
-def wrong(rule, messages=OWN):
-    """The messages that break a rule, for a failure that names them all."""
-    return [str(message) for message in messages if not rule(message)]
+def wrong(rule, messages=None):
+    """The messages that break a rule, by default of all of our own, for a failure that names them all."""
+    return [str(message) for message in (own() if messages is None else messages) if not rule(message)]
 
 
 def test_all_are_found():
-    assert len(MESSAGES) > 350
-    assert {m.error for m in MESSAGES} >= FAMILY - {"MatcamError"}
-    assert set(ABOVE) <= {m.error for m in MESSAGES}
+    assert len(collected()) > 350
+    assert {m.error for m in collected()} >= FAMILY - {"MatcamError"}
+    assert set(ABOVE) <= {m.error for m in collected()}
     raised = re.compile(r"raise (\w+Error)\(")
     for path in SOURCES.rglob("*.py"):
         unknown = set(raised.findall(path.read_text(encoding="utf-8"))) - FAMILY - set(ABOVE)
@@ -58,9 +58,9 @@ def test_all_are_found():
 
 
 def test_each_is_one_line_without_an_end():
-    assert wrong(lambda m: "\n" not in m.text, MESSAGES) == []
-    assert wrong(lambda m: not m.text.rstrip().endswith((".", "!")), MESSAGES) == []
-    assert wrong(lambda m: m.text == m.text.strip() and "  " not in m.text, MESSAGES) == []
+    assert wrong(lambda m: "\n" not in m.text, collected()) == []
+    assert wrong(lambda m: not m.text.rstrip().endswith((".", "!")), collected()) == []
+    assert wrong(lambda m: m.text == m.text.strip() and "  " not in m.text, collected()) == []
 
 
 def test_each_begins_in_the_middle_of_a_sentence_or_with_a_name():
@@ -69,17 +69,17 @@ def test_each_begins_in_the_middle_of_a_sentence_or_with_a_name():
 
 def test_those_of_a_file_begin_with_its_name():
     """And say behind it what is wrong there, with its own reason or what is read instead."""
-    of_files = [m for m in OWN if m.error in ("FileFormatError", "DownloadError")]
+    of_files = [m for m in own() if m.error in ("FileFormatError", "DownloadError")]
     assert wrong(lambda m: re.match(r"\{\}(: | does not)", m.text), of_files) == []
 
 
 def test_those_of_an_output_name_it():
-    of_outputs = [m for m in OWN if m.error == "OutputError"]
+    of_outputs = [m for m in own() if m.error == "OutputError"]
     assert wrong(lambda m: re.match(r"(output|picture)( folder)? \{\}", m.text), of_outputs) == []
 
 
 def test_all_others_say_what_would_be_right():
-    others = [m for m in OWN if m.error not in ("FileFormatError", "DownloadError")]
+    others = [m for m in own() if m.error not in ("FileFormatError", "DownloadError")]
     assert wrong(lambda m: RIGHT.search(m.text) or ": " in m.text or m.text in EXCEPTIONS, others) == []
     assert set(EXCEPTIONS) <= {m.text for m in others}
 
@@ -87,7 +87,7 @@ def test_all_others_say_what_would_be_right():
 def test_what_must_be_says_what_was():
     """An argument that must be something is told with the value that it had, or cannot have had one."""
     no_value = ("must be given", "must be finite", "must be symmetric", "got none")
-    stated = [m for m in OWN if m.error == "ArgumentError" and re.match(r"\S+ must (be|lie|have) ", m.text)]
+    stated = [m for m in own() if m.error == "ArgumentError" and re.match(r"\S+ must (be|lie|have) ", m.text)]
     assert len(stated) > 60
     assert wrong(lambda m: PLACE in m.text or any(words in m.text for words in no_value), stated) == []
 
@@ -95,7 +95,7 @@ def test_what_must_be_says_what_was():
 def test_the_command_line_speaks_of_options():
     """Its own messages name no argument of Python; those of the library are translated where they do."""
     python = re.compile(r"\b\w+=(True|False|None|')")
-    assert wrong(lambda m: not python.search(m.text), [m for m in MESSAGES if m.position.startswith("cli/")]) == []
+    assert wrong(lambda m: not python.search(m.text), [m for m in collected() if m.position.startswith("cli/")]) == []
     # arguments that no command passes on
     without_option = ("exact=True", "camera=", "camera_parameters=")
 
@@ -105,7 +105,7 @@ def test_the_command_line_speaks_of_options():
             text = text.replace(argument, "")
         return not python.search(text)
 
-    assert wrong(translated, MESSAGES) == []
+    assert wrong(translated, collected()) == []
 
 
 @pytest.mark.parametrize(("argument", "option"), OPTIONS.items())

@@ -4,6 +4,7 @@ A placeholder stands for a value.
 """
 
 import ast
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -42,14 +43,20 @@ def template(node):
     return PLACE
 
 
+@cache
 def collected():
-    """Yield every message of the sources."""
+    """Return every message of the sources."""
+    return tuple(_collected())
+
+
+def _collected():
+    names = FAMILY | set(ABOVE)
     for path in sorted(SOURCES.rglob("*.py")):
         where = path.relative_to(SOURCES).as_posix()
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             if isinstance(node, ast.Call) and isinstance(node.func, ast.Name | ast.Attribute):
                 name = node.func.id if isinstance(node.func, ast.Name) else node.func.attr
-                if name in FAMILY | set(ABOVE) and node.args:
+                if name in names and node.args:
                     yield Message(name, template(node.args[0]), f"{where}:{node.lineno}")
 
 
