@@ -99,7 +99,7 @@ def problem_of(span):
         known = span in _python_names() or span in _fields() or Path(span).suffix in OTHERS["suffixes"] or _module(span)
         return None if known else "no such public name, and no such field of a text file"
     if re.fullmatch(r"[a-z]\w*_\w+|[a-z]+(-[a-z]+)+", span):
-        return None if re.search(rf"(?<![\w-]){re.escape(span)}(?![\w-])", _sources()) else "not in the source code"
+        return None if span in _words() else "not in the source code"
     return None
 
 
@@ -212,7 +212,18 @@ def _dotted(schema, document, depth):
 
 def _defined(name):
     """Check whether the sources define a class or a function of this name."""
-    return re.search(rf"(?m)^\s*(class|def) {re.escape(name)}\b", _sources()) is not None
+    return name in _definitions()
+
+
+@cache
+def _definitions():
+    return set(re.findall(r"(?m)^\s*(?:class|def) (\w+)", _sources()))
+
+
+@cache
+def _words():
+    """Return all words of the sources, with underscores and hyphens."""
+    return set(re.findall(r"[\w-]+", _sources()))
 
 
 @cache

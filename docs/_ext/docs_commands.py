@@ -3,6 +3,8 @@
 They contain the output of `--help` (`matcam/cli/help_page.py`).
 """
 
+from functools import cache
+
 import typer
 
 import docs_api
@@ -10,6 +12,7 @@ from matcam.cli import help_page
 from matcam.cli.app import app
 
 
+@cache
 def commands():
     """Return {words: (command, context)} of every command.
 
