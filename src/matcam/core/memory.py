@@ -116,9 +116,10 @@ def _groups() -> list[tuple[int, int]]:
         for group in (folder, *folder.parents):
             if root not in (group, *group.parents):
                 break
-            pair = [_number(group / name) for name in names]
-            if pair[0] is not None and pair[1] is not None:
-                found.append((pair[0], pair[1]))
+            limit = _number(group / names[0])
+            used = None if limit is None else _number(group / names[1])  # most groups have no limit
+            if limit is not None and used is not None:
+                found.append((limit, used))
     return found
 
 
