@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import typer
 
-from matcam import BoxPixel, Camera, GaussianOptics
+from matcam import BoxPixel, Camera, DiffractionOptics, GaussianOptics
 from matcam.cli import show, suggestions
 from matcam.cli.help_page import EXIT_CODES, GROUPS
 from matcam.cli.options import Command
@@ -174,6 +174,25 @@ def test_the_next_command_is_one_that_runs(matcam, tmp_path):
     assert words == ["matcam", "calibrate", "PHOTOGRAPHS", "--chart", "my chart.json"]
     assert (tmp_path / "my chart.json").exists()
     assert "next:" not in last  # somebody has to take the photographs first
+
+
+def test_the_next_command_is_about_the_same_rig_and_images(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name in ("p.tif", "q.tif", "a.binary"):
+        Path(name).touch()
+    predicted = {"roughness": [0.01], "lamp": 0.5, "radius": 60.0}
+    assert suggestions.after("predict", predicted) == "matcam limits 0.01 --radius 60 --lamp 0.5"
+    assert suggestions.after("predict", {**predicted, "sample": "flat"}) is None
+    Camera(DiffractionOptics(16.0, 550e-9, 3.45e-6), BoxPixel(0.5)).save("f16.json")
+    assert (
+        suggestions.after("predict", {**predicted, "camera": Path("f16.json")}) is None
+    )  # bounds need a Gaussian lens
+    edge = {"pictures": [Path("p.tif"), Path("q.tif")], "cfa": "RGGB", "tone": "auto"}
+    assert suggestions.after("edge", edge) == "matcam calibrate p.tif q.tif --cfa RGGB -o camera.json"
+    assert suggestions.after("edge", {**edge, "focus": "0,1"}) is None
+    fitted = {"files": [Path("a.binary")], "lamp": 0.0}
+    assert suggestions.after("fit", fitted) == "matcam correct a.binary"
+    assert suggestions.after("fit", {**fitted, "blind": True}) is None
 
 
 def test_no_next_command_reads_a_file_that_is_not_there(tmp_path, monkeypatch):

@@ -151,7 +151,7 @@ BAD = [
     (("chart.tif", *ROI, "-o", "a.bmp"), "must end in"),
     (("flat.tif",), "only one value"),
     (("white.tif",), "saturated"),
-    (("chart.tif",), "choose another region with --roi, or measure all edges with matcam calibrate chart.tif"),
+    (("chart.tif",), "choose another region with --roi, or measure all edges: matcam calibrate chart.tif"),
 ]
 
 

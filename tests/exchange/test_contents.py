@@ -5,10 +5,12 @@ import pytest
 import xarray as xr
 
 from matcam import Camera, GaussianOptics
+from matcam.cli.app import app
 from matcam.core.errors import ArgumentError, FileFormatError, OutputError
 from matcam.core.grid import brdf_table
-from matcam.exchange.contents import read, read_contents, read_table, write
+from matcam.exchange.contents import read, read_contents, read_recorded_table, read_table, write
 from matcam.files.formats import CONTENTS, FORMATS, MEASUREMENTS, format_for, format_named, identify, suffixes_for
+from matcam.inverse.correction.corrected_table import CORRECTED
 from matcam.io import read_samples, write_sidecar
 from matcam.targets import design_chart
 
@@ -150,3 +152,15 @@ def test_what_holds_no_table_is_refused(tmp_path):
     write(tmp_path / "a.nc", xr.Dataset({"raw": ("theta_d", np.arange(3.0))}))
     with pytest.raises(FileFormatError, match=r"a\.nc: the file contains .*, not a BRDF table on the MERL grid"):
         read_table(tmp_path / "a.nc")
+
+
+def test_a_corrected_table_is_not_taken_as_recorded(tmp_path):
+    """`fit`, `fresnel` and `correct` would apply the camera a second time."""
+    write(tmp_path / "recorded.nc", table())
+    assert read_recorded_table(tmp_path / "recorded.nc").shape == (90, 90, 180, 3)
+    write(tmp_path / "corrected.nc", table().assign_attrs({CORRECTED: 1, "long_name": "corrected BRDF"}))
+    for command in (["fit"], ["fresnel"], ["correct"]):
+        with pytest.raises(
+            ArgumentError, match=r"corrected\.nc: the table is already a corrected BRDF: give the table as"
+        ):
+            app([*command, str(tmp_path / "corrected.nc")], standalone_mode=False)

@@ -1,5 +1,7 @@
 """What Gaussians leave of a lens at the limb, against sums over a fine grid of the sensor."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -78,7 +80,7 @@ def test_a_rule_follows_the_parameters(imaging):
     plan = record_plan(imaging, positions, 0.1)
 
     def seen(roughness):
-        return record(Microfacet(GGX(roughness), 1.0), imaging, plan._replace(parts=plan.parts[-1:]))[0, 0]
+        return record(Microfacet(GGX(roughness), 1.0), imaging, replace(plan, parts=plan.parts[-1:]))[0, 0]
 
     slope, step = float(jax.grad(seen)(0.3)), 1e-4
     assert slope == pytest.approx(float(seen(0.3 + step) - seen(0.3 - step)) / (2 * step), rel=1e-4)

@@ -18,10 +18,10 @@ from matcam.core.readers.names import check_name
 from matcam.core.readers.texts import read_json
 from matcam.core.threads import import_behind
 from matcam.core.workspace import Workspace
-from matcam.exchange.contents import read_table
+from matcam.exchange.contents import read_recorded_table
 from matcam.files.datasets import write_netcdf
 from matcam.files.merl import write_merl
-from matcam.inverse.correction.corrected_table import CORRECTED, supported_values
+from matcam.inverse.correction.corrected_table import supported_values
 from matcam.numerics.budget import write_budgets
 
 
@@ -167,13 +167,9 @@ def write_corrected(job: Job, workspace: Workspace | None = None) -> dict[str, A
         check_output(path, force=job.force, inputs=[job.source])
     started = time.perf_counter()
     before = fingerprint(job.source)
-    table = read_table(job.source, sampling=job.recipe.sampling)
+    table = read_recorded_table(job.source, sampling=job.recipe.sampling)
     if fingerprint(job.source) != before:
         raise FileFormatError(f"{job.source}: changed while it was read; correct it again when the file is complete")
-    if table.attrs.get(CORRECTED):
-        raise ArgumentError(
-            f"{job.source}: the table is already a {table.attrs.get('long_name', 'BRDF')}: give the table as it was recorded"
-        )
     if job.recipe.page:
         import_behind("matcam.figures.pages")
     options = job.recipe.options

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -159,7 +160,8 @@ def command(
         except FitError as error:
             if roi is not None or not str(error).endswith("choose another region"):
                 raise
-            raise FitError(f"{error} with --roi, or measure all edges with matcam calibrate {picture}") from error
+            whole = shlex.join(["matcam", "calibrate", str(picture)])
+            raise FitError(f"{error} with --roi, or measure all edges: {whole}") from error
     files = [*([output, output.with_suffix(".csv")] if output else []), *(path for path in (sfr, budget) if path)]
     if json:
         show.as_json(document_of(result) | {"files": files})

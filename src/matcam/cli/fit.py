@@ -77,13 +77,14 @@ def command(
     if budget:
         check_budget(budget, force=force, inputs=inputs)
     workspace = use_caches()
-    from matcam.exchange.contents import read_table
+    from matcam.exchange.contents import read_recorded_table, read_table
     from matcam.inverse.fit.fit_setup import fit
 
     recorded: Any = None if blind else rig.of_table()
+    read = read_table if blind else read_recorded_table
     with show.working(f"fitting {', '.join(str(f) for f in files)} through the camera"):
         found = fit(
-            [read_table(file, sampling=rig.sampling) for file in files],
+            [read(file, sampling=rig.sampling) for file in files],
             recorded,
             ndf,
             fresnel=fresnel,

@@ -76,14 +76,14 @@ def command(
         check_budget(budget, force=force, inputs=inputs)
     with show.working(f"{file}: fitting the lobe through the camera"):
         workspace = use_caches()
-        from matcam.exchange.contents import read_table
+        from matcam.exchange.contents import read_recorded_table
         from matcam.inverse.fresnel_tables import tabulated_fresnel
         from matcam.inverse.fresnel_term import fresnel
         from matcam.material.optical_constants import metals
 
         if metal is not None:
             metals(metal)  # raises an error for an unknown name before the fit
-        table = read_table(file, sampling=rig.sampling)
+        table = read_recorded_table(file, sampling=rig.sampling)
         recorded = rig.of_table()
         import_behind("matcam.figures.curves", "matcam.files.datasets")
         result = fresnel(

@@ -151,8 +151,9 @@ def _print_table(report: dict[str, Any]) -> None:
 
 def _print_profile(report: dict[str, Any]) -> None:
     show.say(f"{report['file']}: camera profile")
+    unknown = "exact" if report["std"] else "not specified"
     rows = [
-        [name, f"{value:.6g}", "exact" if report["std"].get(name) is None else f"± {report['std'][name]:.2g}"]
+        [name, f"{value:.6g}", unknown if report["std"].get(name) is None else f"± {report['std'][name]:.2g}"]
         for name, value in report["parameters"].items()
     ]
     show.table(["parameter", "value", "standard deviation"], rows)

@@ -39,15 +39,38 @@ def _unused(output: Path) -> str:
 
 def _camera(values: dict[str, Any]) -> list[Any]:
     found: list[Any] = ["--sample", values["sample"]] if values.get("sample", "sphere") != "sphere" else []
-    for parameter in ("camera", "radius", "distance", "lamp_distance", "sample_mm", "azimuth"):
+    for parameter in ("camera", "radius", "distance", "lamp", "lamp_distance", "sample_mm", "azimuth"):
         option, value = f"--{parameter.replace('_', '-')}", values.get(parameter)
-        if value is not None and (value or parameter != "azimuth"):  # "simulate" has an azimuth of 0
+        if value is not None and (value or parameter not in ("azimuth", "lamp")):  # defaults of 0
             found += [option, f"{value:.12g}" if isinstance(value, float) else value]
     return found
 
 
 def _of_table(values: dict[str, Any], file: Path | None) -> list[Any] | None:
-    return None if file is None else ["matcam", "correct", file, *_camera(values)]
+    """Correct the table, unless it was fitted without a camera."""
+    return None if file is None or values.get("blind") else ["matcam", "correct", file, *_camera(values)]
+
+
+def _after_predict(values: dict[str, Any]) -> list[Any] | None:
+    """Compute the bounds of the same rig; they require a curved sample and a Gaussian lens."""
+    if values.get("sample") == "flat":
+        return None
+    if values.get("camera"):
+        from matcam.camera.camera import Camera
+        from matcam.camera.optics.gaussian import GaussianOptics
+
+        if not isinstance(Camera.load(values["camera"]).optics, GaussianOptics):
+            return None
+    return ["matcam", "limits", *(values["roughness"] or [])[:5], *_camera(values)]
+
+
+def _after_edge(values: dict[str, Any]) -> list[Any] | None:
+    """Calibrate a camera with the same reading of the images; a through-focus series is no camera."""
+    if values.get("focus"):
+        return None
+    given = [(f"--{name}", values.get(name)) for name in ("cfa", "tone")]
+    options = [word for option, value in given if value not in (None, "auto") for word in (option, value)]
+    return ["matcam", "calibrate", *values["pictures"], *options, "-o", _unused(Path("camera.json"))]
 
 
 def _after_simulate(values: dict[str, Any]) -> list[Any] | None:
@@ -78,7 +101,7 @@ def _after_inspect(values: dict[str, Any]) -> list[Any] | None:
         return None
     if table.attrs.get(CORRECTED):
         return ["matcam", "convert", file, _unused(file.with_suffix(".bsdf"))]
-    return ["matcam", "correct", file]
+    return ["matcam", "correct", file, *_camera(values)]
 
 
 def _after_convert(values: dict[str, Any]) -> list[Any] | None:
@@ -115,11 +138,11 @@ def _after_check(values: dict[str, Any]) -> list[Any]:
 
 
 _NEXT: dict[str, Callable[[dict[str, Any]], list[Any] | None]] = {
-    "predict": lambda v: ["matcam", "limits", *(v["roughness"] or [])[:5], *_camera(v)],
+    "predict": _after_predict,
     "simulate": _after_simulate,
     "capture init": lambda v: ["matcam", "capture", "check", v["folder"]] if v.get("photographs") else None,
     "capture check": _after_check,
-    "edge": lambda v: ["matcam", "calibrate", *v["pictures"], "-o", _unused(Path("camera.json"))],
+    "edge": _after_edge,
     "calibrate": lambda v: ["matcam", "inspect", v["output"]] if v["output"] else None,
     "inspect": _after_inspect,
     "convert": _after_convert,

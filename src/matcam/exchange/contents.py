@@ -194,6 +194,16 @@ def read_contents(path: str | Path, sampling: Sampling = "centre") -> Contents:
     return Contents(form.holds[0], data, form.name)
 
 
+def read_recorded_table(path: str | Path, sampling: Sampling = "centre") -> xr.DataArray:
+    """Read a table as `read_table` does, and refuse a table that is not as a camera recorded it."""
+    table = read_table(path, sampling=sampling)
+    if table.attrs.get(CORRECTED):
+        raise ArgumentError(
+            f"{path}: the table is already a {table.attrs.get('long_name', 'BRDF')}: give the table as it was recorded"
+        )
+    return table
+
+
 def read_table(path: str | Path, sampling: Sampling = "centre") -> xr.DataArray:
     """Read a BRDF table on the MERL grid from any format.
 

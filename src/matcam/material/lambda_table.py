@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from matcam.core.jax import jax, jnp
+from matcam.core.programs import kept_program
 from matcam.material.ndf.beckmann import Beckmann
 from matcam.material.ndf.distribution import NDF
 from matcam.material.ndf.free_lobe import ShadowedNDF
@@ -50,6 +51,14 @@ def quick_table(ndf: NDF) -> jax.Array | None:
     if has_closed_lambda(ndf):
         return None
     return jnp.log1p(ndf.smith_lambda(COTS / np.sqrt(1 + COTS**2)))
+
+
+@kept_program
+def compiled_table(ndf: NDF) -> jax.Array:
+    """Compute `quick_table` of a lobe without a closed form of Lambda."""
+    table = quick_table(ndf)
+    assert table is not None
+    return table
 
 
 def position_of(cos: AnyValues) -> AnyValues:

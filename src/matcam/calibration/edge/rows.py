@@ -21,6 +21,7 @@ from matcam.calibration.photograph.flat_noise import flat_noise
 from matcam.calibration.photograph.linear_image import LinearImage, measurable_region
 from matcam.calibration.photograph.tone import Tone
 from matcam.calibration.photograph.unnamed_mosaic import refuse_unnamed_mosaic
+from matcam.core.errors import FitError
 from matcam.core.remark import Remark
 from matcam.files.photographs import Photograph
 from matcam.numerics.normal import robust_std
@@ -28,6 +29,8 @@ from matcam.numerics.normal import robust_std
 if TYPE_CHECKING:
     from matcam.core.jax import AnyArray
 
+_LARGEST = 1 << 22
+"""Largest region, px. The search for structure in a region of a whole photograph would take minutes and gigabytes."""
 _FEW_TURNS, _MANY_TURNS = 2, 8
 """Number of alternating fits of profile and position, if the rows sample the phases often enough, and otherwise."""
 _ENOUGH_CYCLES = 4.0
@@ -148,6 +151,12 @@ def edge_region(
     The arguments are those of `region_of`. A FitError is raised if the region cannot be measured.
     """
     region = measurable_region(image, roi, channel=channel, cfa=cfa, tone=tone)
+    height, width = region.values.shape
+    if height * width > _LARGEST:
+        raise FitError(
+            f"a region of {width} x {height} px is too large for one edge, which needs less than 4 million pixels: "
+            "choose another region"
+        )
     refuse_unnamed_mosaic(region)
     return region, edge_regions(region.values[None], mosaic=region.cfa is not None)
 

@@ -22,6 +22,7 @@ from matcam.forward.sampler.gauss_rules import MOST_NODES, gauss_rules
 from matcam.forward.sampler.plan import PlanPart, RecordPlan, RecordPositions
 from matcam.forward.sampler.smooth_light import record_inside
 from matcam.material.material import Material
+from matcam.material.tabulated_masking import with_tabulated_masking
 from matcam.numerics.blocks import in_blocks, repeated_sum, shaped
 
 _BLOCKS, _ARCS, _SMOOTH = 32, 512, 256
@@ -72,7 +73,7 @@ def record(material: Material, imaging: Imaging, plan: RecordPlan, turning: jax.
     Returns:
         Radiance under unit irradiance, 1/sr, (positions, channels). Differentiable in material, sample, blur and turning.
     """
-    subject = Subject(material, imaging, jnp.asarray(turning, dtype=float))
+    subject = Subject(with_tabulated_masking(material), imaging, jnp.asarray(turning, dtype=float))
     on_gpu, lengths = subject.known and computes_on_gpu(), _RULES[-1:] if subject.known else _RULES
     tiles = _tiles_on_gpu(plan) if on_gpu else _tiles(plan, lengths)
     workers = available_cores() if subject.known and not on_gpu else 1

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from matcam.core.jax import computes_on_gpu, jax, jnp, placed
 from matcam.core.programs import kept_program
 from matcam.inverse.operator.chosen_cells import SLICE_CELLS
-from matcam.material.lambda_table import has_closed_lambda, lambda_at, quick_table
+from matcam.material.lambda_table import compiled_table, has_closed_lambda, lambda_at
 from matcam.material.masking import Masking, g2
 from matcam.material.ndf.distribution import NDF
 from matcam.material.ndf.free_lobe import spline_sums
@@ -159,14 +159,7 @@ def joined(blocks: Sequence[T], count: int) -> T:
 
 def lambda_table(ndf: NDF, masking: Masking) -> jax.Array | None:
     """Compute the table of Lambda; None if Lambda has a closed form, or without masking."""
-    return None if masking is None or has_closed_lambda(ndf) else _table(ndf)
-
-
-@kept_program
-def _table(ndf: NDF) -> jax.Array:
-    table = quick_table(ndf)
-    assert table is not None
-    return table
+    return None if masking is None or has_closed_lambda(ndf) else compiled_table(ndf)
 
 
 @kept_program
