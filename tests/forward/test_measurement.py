@@ -156,3 +156,15 @@ def test_random_cells():
 def test_many_random_cells(seed):
     """350 cells of ten roughnesses."""
     check_drawn(drawn_cells(roughnesses(10, seed), 5, seed))
+
+
+def test_no_value_is_negative(monkeypatch):
+    """A table of MERL's format has no place for the errors of an interpolation far below the peak."""
+    values = np.full((90, 90, 180, 1), -1e-9)
+    values[0, 0, 0] = np.nan
+    monkeypatch.setattr(
+        "matcam.forward.measurement.table_values", lambda *args, **more: (values, np.ones((90, 90, 180)))
+    )
+    table = measure(Microfacet(GGX(0.1), 1.0), rigs.merl())
+    assert float(table.min()) == 0
+    assert np.isnan(table.values[0, 0, 0]).all()

@@ -106,7 +106,8 @@ def measure(
     recorded, pixels = table_values(material, rig, workspace, azimuth=azimuth)
     if recorded.shape[-1] not in (1, len(CHANNELS)):
         raise ArgumentError(f"a table needs a material with 1 or {len(CHANNELS)} channels, got {recorded.shape[-1]}")
-    values = np.broadcast_to(np.asarray(recorded), (*GRID_SHAPE, len(CHANNELS))).copy()
+    # far below the peak, the error of the interpolation between positions may exceed a value
+    values = np.broadcast_to(np.maximum(np.asarray(recorded), 0.0), (*GRID_SHAPE, len(CHANNELS))).copy()
     lenses = [one for one, _ in _colours(rig)]
     by_frequencies = [served_by_frequencies(one, material) for one in lenses]
     written = "centre" if rig.cell_value == UNKNOWN else rig.cell_value

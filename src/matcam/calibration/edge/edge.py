@@ -94,8 +94,8 @@ def edge_mtf(
     Args:
         image: `LinearImage`, `Photograph`, or array (height, width) or (height, width, 3) for R, G, B; NaN marks missing
             pixels.
-        roi: region (x, y, width, height) that contains one edge, px. The minimum is 16 x 16 px; 80 px across the edge and
-            160 px along it are recommended. Default: None, the whole image.
+        roi: region (x, y, width, height) that contains one edge, px. At least 16 x 16 px, and at most 4 million px; 80 px
+            across the edge and 160 px along it are recommended. Default: None, the whole image.
         model: lens model of the parametric estimate (no unit): "gaussian"; "diffraction"; "defocus" (with diffraction);
             or "halo" (a Gaussian with veiling glare). Choose another model if the result reports that it does not explain the
             edge. Default: "gaussian".
