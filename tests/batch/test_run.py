@@ -286,7 +286,7 @@ def test_a_file_that_changes_while_it_is_read(tmp_path, monkeypatch):
             file.write(b"\0" * 8)
         return table
 
-    monkeypatch.setattr(job, "read_table", read_slowly)
+    monkeypatch.setattr(job, "read_recorded_table", read_slowly)
     assert "changed while it was read" in attempt(one(database, tmp_path)).reason
     assert not list(tmp_path.glob("a.*"))
 
