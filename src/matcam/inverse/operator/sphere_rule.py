@@ -41,7 +41,12 @@ from matcam.numerics.blocks import in_blocks
 from matcam.numerics.elementary import sine
 
 _ON_ARCS = ((0.25, 8), (0.75, 16), (np.inf, 24))
-"""Pairs (largest length of an arc in sides of its window, number of nodes). Each number of nodes requires a program."""
+"""Pairs (largest length of an arc in sides of its window, number of nodes). Each number of nodes requires a program.
+
+For a Gaussian, the error bound of Gauss-Legendre quadrature is at most as large on the short arcs as on an arc across the
+window. Compared with 24 nodes on every arc, records change by about 1e-6, and by at most 2e-5 for a lens with rings or of
+another shape.
+"""
 _OF_RINGS = 2
 """Factor of the number of nodes on an arc for the diffraction rings of a lens."""
 _CALL, _BLOCK = 4096, 256
@@ -280,8 +285,9 @@ def _arc_sums(
     """Compute the sums over the nodes of each arc.
 
     The first array, (4, arcs), or (7, arcs) in a near rig, contains the sums of `CircleSums`. A near rig also has sums of
-    Legendre polynomials for weights and for moments, (40, arcs) each. used: number of blocks with arcs.
-    rule: nodes on each arc, and their weights.
+    Legendre polynomials for weights and for moments, (40, arcs) each.
+
+    used: number of blocks with arcs. rule: nodes on each arc, and their weights.
     """
     view = SphereView(*of_view) if near else SphereView(of_view[0], 0.0, 0.0)
     node, node_weight = rule
