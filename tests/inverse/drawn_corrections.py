@@ -89,6 +89,7 @@ def judged(number):
     lobe = draw.lobe.parts if draw.family == "mixture" else draw.lobe
     found = {
         "number": number, "family": draw.family, "lobe": str(lobe), "index": [draw.n, draw.k], "body": draw.body,
+        "coated": draw.coated,
         "lens": draw.lens, "sigma": sigma_of(draw), "known": draw.known, "rule": draw.rule, "told": draw.told,
     }  # fmt: skip
     try:

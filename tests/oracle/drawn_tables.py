@@ -1,9 +1,9 @@
 """Tables of materials, lenses and cells drawn at random, recorded by the oracle: what a correction is judged by.
 
 Imports nothing of the package. A number draws a material (lobes of one family, with tails, or of two; metals, and dielectrics
-over a Lambertian body), a lens (Gaussian, disc, coma, an Airy disc; its width off from what is stated), and how cells are read
-(pixels of their own, the nearest of a real grid, or interpolated). Every pixel has 1 % of noise and 1e-4 of its picture's
-peak, every picture a gain of 1 %.
+over a Lambertian body, which light may reach through the dielectric's surface), a lens (Gaussian, disc, coma, an Airy disc; its
+width off from what is stated), and how cells are read (pixels of their own, the nearest of a real grid, or interpolated). Every
+pixel has 1 % of noise and 1e-4 of its picture's peak, every picture a gain of 1 %.
 
 A whole table is too dear: a table holds given cells, and judged ones of three kinds in each of its slices.
 """
@@ -32,8 +32,9 @@ _LOWEST = 0.12
 
 
 class Draw(NamedTuple):
-    """family, lobe; n, k; body: albedo of the Lambertian part; lens, setup: the true ones; known: relative standard
-    deviation of the lens's stated width; rule, phase (px) of the cells; told: whether the rig says the rule."""
+    """family, lobe; n, k; body: albedo of the Lambertian part; coated: light crosses the surface to the body and back; lens,
+    setup: the true ones; known: relative standard deviation of the lens's stated width; rule, phase (px) of the cells; told:
+    whether the rig says the rule."""
 
     number: int
     family: str
@@ -41,6 +42,7 @@ class Draw(NamedTuple):
     n: float
     k: float
     body: float
+    coated: bool
     lens: str
     setup: oracle.Setup
     known: float
@@ -84,7 +86,15 @@ def drawn(number):
         "airy": lambda: oracle.airy(sigma),
     }[lens]()
     phase = (0.0, 0.0) if rule == "centre" else tuple(float(p) for p in random.uniform(-0.5, 0.5, 2))
-    return Draw(number, family, lobe, n, k, body, lens, setup, known, rule, phase, bool(random.random() < 0.5))
+    told, coated = bool(random.random() < 0.5), bool(random.random() < 0.5)
+    return Draw(number, family, lobe, n, k, body, body > 0 and coated, lens, setup, known, rule, phase, told)
+
+
+def crossed(draw):
+    """Share of the light that the surface above the body transmits, as a function of the cosine."""
+    if not draw.coated:
+        return lambda cosine: 1.0
+    return lambda cosine: 1 - conductor(np.arccos(np.clip(cosine, 0, 1)), draw.n, 0.0)
 
 
 def facets(lobe, i):
@@ -128,7 +138,8 @@ def truth(draw, slices, i, k):
     hidden = 1 + sum(draw.lobe.smith(np.clip(c, 1e-6, 1)) for c in cosines)
     with np.errstate(divide="ignore", invalid="ignore"):
         lobe = draw.lobe.p22(tan2) * (1 + tan2) ** 2 / hidden / (4 * cosines[0] * cosines[1])
-    value = lobe * conductor(td, draw.n, draw.k) + draw.body / np.pi
+    through = crossed(draw)
+    value = lobe * conductor(td, draw.n, draw.k) + draw.body / np.pi * through(cosines[0]) * through(cosines[1])
     return np.where((cosines[0] > 0) & (cosines[1] > 0), value, np.nan)
 
 
@@ -145,9 +156,9 @@ def recorded(draw, slices, i, k):
     f = conductor(theta_d, draw.n, draw.k)
     if draw.rule == "centre":
         rule = oracle.Cells(THETA_H[i], theta_d, PHI_D[k], draw.setup, finest=finest(draw.lobe))
-        directions = f[:, None, None] * rule.directions(draw.lobe) + draw.body * rule.body()
+        directions = f[:, None, None] * rule.directions(draw.lobe) + draw.body * rule.body(crossed(draw))
         return directions.mean(-1), rule.noisy(directions, random, **NOISE)
     cells = [(THETA_H[a], PHI_D[b]) for a, b in zip(i, k, strict=True)]
     table = RealTable(draw.rule, draw.phase, theta_d, cells, draw.setup, finest(draw.lobe))
-    pixels = f[:, None] * table.pixels(draw.lobe) + draw.body * table.rule.body()[..., 0]
+    pixels = f[:, None] * table.pixels(draw.lobe) + draw.body * table.rule.body(crossed(draw))[..., 0]
     return np.array(table.values(pixels)), np.array(table.values(pixels, random, **NOISE))

@@ -267,9 +267,9 @@ class Cells:
             lambda s2, cos_i, cos_o: lobe.p22(s2) * (1 + s2) ** 2 / (1 + lobe.smith(cos_i) + lobe.smith(cos_o))
         )
 
-    def body(self):
-        """The same of a Lambertian surface of albedo 1."""
-        return self._seen(lambda s2, cos_i, cos_o: 4 * cos_i * cos_o / np.pi)
+    def body(self, crossed=lambda cosine: 1.0):
+        """The same of a Lambertian surface of albedo 1. crossed: share of the light that a coat transmits at a cosine."""
+        return self._seen(lambda s2, cos_i, cos_o: 4 * cos_i * cos_o * crossed(cos_i) * crossed(cos_o) / np.pi)
 
     def _seen(self, light):
         """light: of (squared slope of the half vector, both cosines): the BRDF times 4 cos_i cos_o."""

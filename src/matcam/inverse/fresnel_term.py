@@ -89,7 +89,7 @@ def fresnel(
 ) -> xr.Dataset:
     """Estimate the Fresnel term of a table, with and without camera correction.
 
-    F is free in every slice; one lobe and a Lambertian part are common to all slices. The uncertainty of the camera is
+    F is free in every slice; one lobe and a diffuse part are common to all slices. The uncertainty of the camera is
     a prior of its parameters, and the shape of the lens is fitted, too. F is averaged over the same explanations as in
     `correct`. F is not corrected if `correct` withholds the correction of the table. If `corrected` and
     `corrected_peak` differ by more than their errors, the shape of the lobe differs from the fitted shape, or the blur

@@ -12,9 +12,8 @@ from matcam.core.grid import Sampling, merl_grid, sampling_of
 from matcam.core.results.labelled import named
 from matcam.inverse.correction.correction_limits import PEAK, ROWS, EnergyLimit, LobeRatio, above_noise, energy_limit
 from matcam.inverse.correction.farthest_glare import FarthestGlare
-from matcam.inverse.correction.other_body import other_body
 from matcam.inverse.correction.response_lattice import seen_cells
-from matcam.inverse.fit.base_lobe import Base
+from matcam.inverse.fit.body import Base, DiffusePart
 from matcam.inverse.fit.material_fit import MaterialFit
 from matcam.inverse.normalised_fresnel import GAIN
 from matcam.numerics.fit_budget import VariancePart
@@ -69,14 +68,12 @@ def corrected_table(
         Dataset of the corrected table, energy limit, and sources of the variance of the peaks.
     """
     data, sampling = brdf.values, sampling_of(brdf)
-    lambert = np.maximum(found.diffuse, 0) / np.pi
     angles = _angles(sampling)
     peak = np.nanmax(np.where(np.isfinite(data), data, 0), axis=(0, 2))
     ratio_of_lobes = above_noise(ratio_of_lobes, _noise_floor(found, noise, peak, sampling))
     seen = seen_cells(sampling)
     ratio = np.where(seen, np.exp(ratio_of_lobes.log), 1.0)
     corrected, camera_std = np.empty_like(data), np.empty_like(data)
-    bodies = other_body(sampling)
     parts: list[VariancePart] = []
     for rows in ROWS:
         body, body_std = found.body(angles[0][rows], *angles[1:])
@@ -90,7 +87,6 @@ def corrected_table(
             VariancePart(
                 "light from below the lobe", "A", body_variance * (factor - 1) ** 2, degrees=max(found.freedom, 1)
             ),
-            VariancePart("shape of the body", "B", (lambert * bodies[rows, ..., None]) ** 2 * (factor - 1) ** 2),
         )
         for part in added:
             variance += part.variance
@@ -127,7 +123,9 @@ def corrected_table(
             supported[rows] = known & (camera < SUPPORTED * corrected[rows])
             correction_std[rows] = np.where(recorded > 0, camera / recorded, np.nan)
         total[rows] = np.hypot(camera, noise_std[rows])
-    base = {} if found.base is None else {"base": list(found.base.reflectance), "base_alpha": found.base.roughness}
+    attrs = {"diffuse": list(found.diffuse_part.albedo), "coated_share": found.diffuse_part.coated}
+    if found.base is not None:
+        attrs |= {"base": list(found.base.reflectance), "base_alpha": found.base.roughness}
     first = brdf.dims[:3]
     table = xr.Dataset(
         {
@@ -144,7 +142,7 @@ def corrected_table(
             "response": (first, np.exp(-ratio_of_lobes.log), TABLE_ATTRIBUTES["response"]),
         },
         coords=brdf.coords,
-        attrs={"body": lambert.tolist(), **base},
+        attrs=attrs,
     )
     return named(table), limit, tuple(parts)
 
@@ -178,10 +176,12 @@ def recorded_table(table: xr.Dataset) -> xr.DataArray:
     Returns:
         The recorded table, 1/sr; NaN for missing entries.
     """
-    body = np.asarray(table.attrs.get("body", 0.0))
-    if "base" in table.attrs:
-        base = Base(table.attrs["base_alpha"], tuple(np.atleast_1d(table.attrs["base"])))
-        body = body + base.brdf(*_angles(sampling_of(table["brdf"])))
+    angles, attrs = _angles(sampling_of(table["brdf"])), table.attrs
+    body = DiffusePart(tuple(np.atleast_1d(attrs.get("diffuse", 0.0))), float(attrs.get("coated_share", 0.0))).brdf(
+        *angles
+    )
+    if "base" in attrs:
+        body = body + Base(attrs["base_alpha"], tuple(np.atleast_1d(attrs["base"]))).brdf(*angles)
     changed = np.isfinite(table["brdf_std"].values)
     response = np.where(changed, table["response"].values[..., None], 1.0)
     return table["brdf"].copy(data=body + (table["brdf"].values - body) * response)

@@ -375,7 +375,7 @@ def correct(
 ) -> xr.Dataset:
     """Correct a whole table for the camera that recorded it.
 
-    Lobes are fitted to the table through the camera, with F free in every slice and a Lambertian part, and averaged according
+    Lobes are fitted to the table through the camera, with F free in every slice and a diffuse part, and averaged according
     to their evidence. The part of each entry above the body is multiplied by the ratio of true to recorded lobe, so the details
     of the measurement are preserved. `Correction.of` also returns the fits.
 
@@ -397,13 +397,14 @@ def correct(
         are set to 0, and reciprocity is preserved. Uncertain corrections are reduced towards the recorded value. In
         directions with an albedo above 1, entries are reduced within the standard deviation of the correction.
         `correction_std`: standard deviation of true / recorded value (no unit), due to fitted parameters, the other
-        explanations, the uncertainty of the camera, the shape of the lens, the shape of the body, a free lamp, and glare.
+        explanations, the uncertainty of the camera, the shape of the lens, the body, a free lamp, and glare.
         `noise_std`: standard deviation of `brdf` due to pixel noise, 1/sr. `brdf_std`: standard deviation of `brdf` due to
         correction and noise, 1/sr. The three are NaN for entries in the last pixels of the sphere, which are not corrected.
         `supported`: True if the standard deviation of the correction is below 5 % of `brdf`. `response`: recorded / true
         lobe, over the first three dimensions. Attributes: `withheld`, 1 if rig and data contradict each other; the response
-        is then 1 and no entry is supported. `body`, BRDF of the Lambertian part in each channel, 1/sr. For a coated material
-        `base`, reflectance of the base in each channel, and `base_alpha`, roughness of the base.
+        is then 1 and no entry is supported. `diffuse`, albedo of the diffuse part in each channel, and `coated_share`, the
+        share of it that is under a coat (no unit). For a coated material `base`, reflectance of the base in each channel,
+        and `base_alpha`, roughness of the base.
 
     Raises:
         ArgumentError: an argument is wrong, or a fit does not support the rig.

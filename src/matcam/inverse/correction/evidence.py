@@ -32,7 +32,7 @@ from matcam.inverse.fit.fit_data import (
     standardised_residual,
     whitening,
 )
-from matcam.inverse.fit.fit_parameters import BASE_WIDTH, STUDENT, TWO_LOBES, Layout
+from matcam.inverse.fit.fit_parameters import BASE_WIDTH, COATED, STUDENT, TWO_LOBES, Layout
 from matcam.inverse.fit.fit_setup import FitSetup
 from matcam.inverse.fit.material_fit import MaterialFit
 
@@ -59,12 +59,12 @@ _FEWEST_PAIRS = 100
 _PRIORS = {
     "width": (-4.5, 2.5), "power": (0.0, 0.7), STUDENT: (0.0, 1.0), "share": (0.0, 1.5), "tail": (0.5, 0.5),
     "spline": (0.0, 10.0), "rig": (0.0, 0.5), "fresnel": (0.0, 3.0), "diffuse": (0.2, 0.3),
-    "base": (0.2, 0.3), BASE_WIDTH: (-2.0, 1.0),
+    "base": (0.2, 0.3), BASE_WIDTH: (-2.0, 1.0), COATED: (0.0, 10.0),
 }  # fmt: skip
 """Prior mean and standard deviation of each kind of parameter, in the coordinates of a fit. They correspond to widths from
-0.001 to 0.1 rad, powers from 1/2 to 2, any share, modifications of ln D up to 10, albedos of a Lambertian part and reflectances
-of a base up to 0.5, and roughnesses of a base from 0.05 to 0.4. Differences of log evidence depend only on the logarithms of
-the standard deviations.
+0.001 to 0.1 rad, powers from 1/2 to 2, any share, modifications of ln D up to 10, albedos of a diffuse part and reflectances of
+a base up to 0.5, and roughnesses of a base from 0.05 to 0.4. A fit has its own prior of the coated share. Differences of log
+evidence depend only on the logarithms of the standard deviations.
 """
 
 
@@ -296,6 +296,7 @@ def _priors(layout: Layout) -> tuple[np.ndarray, np.ndarray]:
         own = ["width", *[second] * (len(kind.family_names) - 1)]
     lobe = own + ["spline"] * (kind.spline_size + kind.shadows)
     unit = ["fresnel"] * layout.fresnel_size + ["diffuse"] * layout.diffuse + ["base"] * layout.base
-    names = lobe * layout.lobes + ["rig"] * layout.axes + [BASE_WIDTH] * layout.base + unit * layout.units
+    names = lobe * layout.lobes + ["rig"] * layout.axes + [COATED] * layout.coated + [BASE_WIDTH] * layout.base
+    names += unit * layout.units
     mean, std = np.array([_PRIORS[name] for name in names]).T
     return mean, std

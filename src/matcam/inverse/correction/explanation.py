@@ -1,7 +1,7 @@
 """Explanations of a table, weighted by their evidence (docs/correct.md).
 
 An explanation is a model of the table, with or without a camera. `correct` and `fresnel` use the same explanations, so their
-results are consistent. Every explanation is fitted to the same cells, with F free in every slice and a Lambertian part:
+results are consistent. Every explanation is fitted to the same cells, with F free in every slice and a diffuse part:
 
 - A lobe of each family through the camera. The uncertainty of the lens (width and shape) is a prior of the fit.
 - If the residuals of all these fits exceed pixel noise: Student's t with a free tail exponent, two lobes, a lobe of each family
@@ -305,8 +305,8 @@ def _without_camera(best: Member, rig: Rig) -> Member:
     """Fit the lobe of an explanation without a camera, in the cells of the explanation."""
     own = best.setup
     setup = FitSetup(
-        own.tables, None, own.ndf, fresnel="free", diffuse=True, base=own.base, masking=own.masking, noise=own.noise,
-        slice_step=own.slice_step, view=sample_view(rig), pixels=grid_of(rig), workspace=own.workspace,
+        own.tables, None, own.ndf, fresnel="free", diffuse=True, coated=own.coated, base=own.base, masking=own.masking,
+        noise=own.noise, slice_step=own.slice_step, view=sample_view(rig), pixels=grid_of(rig), workspace=own.workspace,
     )  # fmt: skip
     plain = _solved(setup)
     if not own.spline:

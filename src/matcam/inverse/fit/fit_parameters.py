@@ -58,8 +58,8 @@ FRESNEL_LATTICE: dict[str, list[tuple[float, ...]]] = {
 }
 """Coordinates of each Fresnel model from which the starting point of a fit is chosen."""
 _FRESNEL_BOUNDS = {"n": (-5.0, 4.0), "k": (-7.0, 4.0), "f0": (1e-4, 1.0), "eta": (-6.0, 3.0)}
-BASE_WIDTH = "base_alpha"
-"""Name of the parameter for the roughness of a base."""
+BASE_WIDTH, COATED = "base_alpha", "coated_share"
+"""Names of the parameters for the roughness of a base, and for the share of the diffuse part that is under a coat."""
 
 
 class LobeKind(NamedTuple):
@@ -151,15 +151,17 @@ def _fields_of(family: str) -> tuple[str, ...]:
 class Layout(NamedTuple):
     """Order of the coordinates of a fit in one vector.
 
-    The order is: lobes, rig, roughness of a base, then the Fresnel term and the body of each unit (a channel of a table).
+    The order is: lobes, rig, coated share of the diffuse part, roughness of a base, then the Fresnel term and the body of each
+    unit (a channel of a table).
 
     Attributes:
         kind: parametrisation of each lobe.
         fresnel: model of F.
-        diffuse: True if each unit has a Lambertian part.
+        diffuse: True if each unit has a diffuse part.
         lobe_of: index of the lobe of each unit, (units,).
         axes: number of fitted parameters of the rig.
-        base: True if the material has a rough base under the lobe (`base_lobe.py`), whose reflectance differs between units.
+        base: True if the material has a rough base under the lobe (`body.py`), whose reflectance differs between units.
+        coated: True if a fitted share of the diffuse part is under a coat (`body.py`).
     """
 
     kind: LobeKind
@@ -168,6 +170,7 @@ class Layout(NamedTuple):
     lobe_of: tuple[int, ...]
     axes: int
     base: bool = False
+    coated: bool = False
 
     @property
     def lobes(self) -> int:
@@ -206,9 +209,14 @@ class Layout(NamedTuple):
         return slice(first, first + self.axes)
 
     @property
+    def coat(self) -> slice:
+        """Return the slice of the vector that contains the coated share - 1/2; it is empty if the share is not fitted."""
+        return slice(self.rig.stop, self.rig.stop + self.coated)
+
+    @property
     def base_width(self) -> slice:
         """Return the slice of the vector that contains ln(roughness of the base); it is empty without a base."""
-        return slice(self.rig.stop, self.rig.stop + self.base)
+        return slice(self.coat.stop, self.coat.stop + self.base)
 
     def unit(self, index: int) -> slice:
         """Return the slice of the vector that contains the coordinates of a unit."""
@@ -250,6 +258,8 @@ def readable_value(name: str, coordinate: float) -> tuple[float, float]:
     """
     if name in ("f0", "diffuse", "base"):
         return coordinate, 1.0
+    if name == COATED:
+        return coordinate + 0.5, 1.0
     value = float(np.exp(coordinate))
     return (1 + value, value) if name == "eta" else (value, value)
 

@@ -4,8 +4,8 @@ The model of a cell of unit u (a channel of a table) is
 
     F_u(theta_d) A(cell; lobe, rig) + B_u(cell) .
 
-A is the record of the lobe at F = 1. The body B_u is diffuse_u / pi, and in some fits also the BRDF of a rough base, whose
-blur by the camera is neglected. If the strength F is free in every slice, it is eliminated exactly (variable projection,
+A is the record of the lobe at F = 1. The body B_u is a diffuse part, and in some fits also a rough base (`body.py`). The blur
+of the body by the camera is neglected. If the strength F is free in every slice, it is eliminated exactly (variable projection,
 Golub & Pereyra 1973; derivatives by Kaufman 1975).
 
 For a near rig A is the sum of the record of D G, and of the moment of the record multiplied by the slope of ln F
@@ -25,7 +25,7 @@ import numpy as np
 from matcam.camera.sensor import PixelNoise
 from matcam.core.jax import jax, jnp, placed
 from matcam.core.programs import kept_program
-from matcam.inverse.fit.base_lobe import NARROWEST_PX, transmittance
+from matcam.inverse.fit.body import NARROWEST_PX, loss_in_coat, transmittance
 from matcam.inverse.fit.fit_data import FitData, Whitening, whitening
 from matcam.inverse.fit.fit_parameters import FresnelModel, Layout, LobeKind, reflectance_at
 from matcam.inverse.fit.lobe_slopes import RecordAndSlopes, record_and_slopes
@@ -38,6 +38,10 @@ from matcam.numerics.approximation import smoothness
 
 _BASE = LobeKind("ggx", "smith")
 """Lobe of a base."""
+_COATED_STD = 0.3
+"""Standard deviation of the prior of the coated share of a diffuse part (no unit): that of a uniform distribution in
+[0, 1].
+"""
 
 
 class Prior(NamedTuple):
@@ -63,7 +67,7 @@ class Prior(NamedTuple):
         """Build the linear combinations of the coordinates that have prior mean 0 and unit variance, (rows, coordinates)."""
         rig = np.zeros((len(self.root), layout.size))
         rig[:, layout.rig] = self.root
-        rows = [rig]
+        rows = [rig, np.eye(layout.size)[layout.coat] / _COATED_STD]
         kind = layout.kind
         first = len(kind.family_names)
         splines = (
@@ -102,7 +106,7 @@ class Prior(NamedTuple):
 
 
 class Body(NamedTuple):
-    """BRDF of the body under the lobe: Lambertian part and rough base.
+    """BRDF of the body under the lobe: diffuse part and rough base.
 
     In the shapes, u is the number of units, s of slices, n of cells in a slice, and p of coordinates.
 
@@ -194,7 +198,7 @@ class FitProblem:
         layout = self.layout
         bounds = layout.kind.bounds(self.radius) * layout.lobes
         bounds += [(axis.low, axis.high) for axis in self.prior.axes]
-        bounds += [(float(np.log(NARROWEST_PX / self.radius)), 0.0)] * layout.base
+        bounds += [(-0.5, 0.5)] * layout.coated + [(float(np.log(NARROWEST_PX / self.radius)), 0.0)] * layout.base
         low, high = np.array(bounds + layout.unit_bounds() * layout.units).T
         return low, high
 
@@ -205,7 +209,7 @@ class FitProblem:
     def of_units(self, name: str, p: np.ndarray) -> np.ndarray:
         """Return the coordinate of one kind for every unit, (units,).
 
-        name: "diffuse", albedo of the Lambertian part, or "base", reflectance of the base. The values are 0 if the fit does not
+        name: "diffuse", albedo of the diffuse part, or "base", reflectance of the base. The values are 0 if the fit does not
             have this part.
         """
         indices = self.layout.of_units(name)
@@ -214,10 +218,16 @@ class FitProblem:
     def body(self, p: np.ndarray) -> Body:
         """Evaluate the BRDF of the body in the chosen cells. p: coordinates of the fit."""
         layout, cells = self.layout, self.cells
-        value = self.of_units("diffuse", p)[:, None, None] / np.pi
+        albedo = self.of_units("diffuse", p)[:, None, None]
         derivative = np.zeros((layout.size, layout.units, *cells.theta_h.shape))
+        shape = np.full((1, 1), 1 / np.pi)
+        if layout.coated:
+            lost = self._loss_in_coat / np.pi
+            shape = shape - (p[layout.coat] + 0.5) * lost
+            derivative[layout.coat.start] = -albedo * lost
+        value = albedo * shape
         for u, position in enumerate(layout.of_units("diffuse")):
-            derivative[position, u] = 1 / np.pi
+            derivative[position, u] = shape
         if layout.base:
             of_base, slopes = self._base_record(p)
             reflectance = self.of_units("base", p)[:, None, None]
@@ -331,8 +341,17 @@ class FitProblem:
     @cached_property
     def _transmittance(self) -> np.ndarray:
         """Return the transmittance of a coat in the chosen cells, (s, n)."""
-        cells = self.cells
-        return np.asarray(transmittance(cells.theta_h, cells.theta_d[:, None], cells.phi_d))
+        return np.asarray(transmittance(*self._angles))
+
+    @cached_property
+    def _loss_in_coat(self) -> np.ndarray:
+        """Return the share of diffuse light that a coat removes from the chosen cells, (s, n)."""
+        return loss_in_coat(*self._angles)
+
+    @property
+    def _angles(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return theta_h, theta_d and phi_d of the chosen cells, rad."""
+        return self.cells.theta_h, self.cells.theta_d[:, None], self.cells.phi_d
 
     def _records_and_slopes(self, index: int, p: np.ndarray) -> list[RecordAndSlopes]:
         """Compute the record of a lobe, and in a near rig the moment of the record.

@@ -10,8 +10,8 @@ from matcam.camera.camera import Camera
 from matcam.camera.parameters import Uncertainty
 from matcam.core.jax import jax, jnp, placed
 from matcam.core.remark import Remark
-from matcam.inverse.fit.base_lobe import base_and_slope
-from matcam.inverse.fit.fit_parameters import BASE_WIDTH, LobeKind, readable_value, reflectance_at
+from matcam.inverse.fit.body import base_and_slope, loss_in_coat
+from matcam.inverse.fit.fit_parameters import BASE_WIDTH, COATED, LobeKind, readable_value, reflectance_at
 from matcam.inverse.fit.fit_problem import FitProblem
 from matcam.inverse.fit.lobe_readings import half_maximum_angle, lobe_readings
 from matcam.inverse.fit.search import Solution
@@ -193,17 +193,25 @@ def body_at(
     layout, p = solution.problem.layout, solution.p
     angles = np.broadcast_arrays(theta_h, theta_d, phi_d)
     value, variance = np.zeros((2, *angles[0].shape, layout.units))
-    parts = {"diffuse": np.full(angles[0].shape, 1 / np.pi)} if layout.diffuse else {}
-    by_width = np.zeros(angles[0].shape)
+    # each part at an amount of 1, and its derivative with respect to a coordinate that all units share
+    parts: dict[str, np.ndarray] = {}
+    shared: dict[str, tuple[int, np.ndarray]] = {}
+    if layout.diffuse:
+        parts["diffuse"] = np.full(angles[0].shape, 1 / np.pi)
+    if layout.coated:
+        lost = loss_in_coat(*angles) / np.pi
+        parts["diffuse"] -= readable_value(COATED, p[layout.coat][0])[0] * lost
+        shared["diffuse"] = layout.coat.start, -lost
     if layout.base:
         parts["base"], by_width = base_and_slope(p[layout.base_width][0], *angles)
+        shared["base"] = layout.base_width.start, by_width
     for u in range(layout.units):
         indices = [layout.of_units(name)[u] for name in parts]
-        amounts = np.maximum(p[indices], 0.0)
+        amounts = dict(zip(parts, np.maximum(p[indices], 0.0), strict=True))
         columns = list(parts.values())
-        value[..., u] = sum((amount * column for amount, column in zip(amounts, columns, strict=True)), 0.0)
-        if layout.base:
-            indices, columns = [*indices, layout.base_width.start], [*columns, amounts[-1] * by_width]
+        value[..., u] = sum((amounts[name] * column for name, column in parts.items()), 0.0)
+        for name, (index, slope) in shared.items():
+            indices, columns = [*indices, index], [*columns, amounts[name] * slope]
         covariance = solution.covariance[np.ix_(indices, indices)]
         variance[..., u] = np.einsum("k...,kl,l...->...", columns, covariance, columns)
     return value, np.sqrt(np.maximum(variance, 0.0))
@@ -326,11 +334,12 @@ def named_parameters(solution: Solution) -> NamedParameters:
         names.append(axis.name)
         values.append(axis.value(solution.p[position]))
         slopes.append(one_each[position] * axis.slope(solution.p[position], std))
-    if layout.base:
-        value, slope = readable_value(BASE_WIDTH, float(solution.p[layout.base_width][0]))
-        names.append(BASE_WIDTH)
-        values.append(value)
-        slopes.append(one_each[layout.base_width.start] * slope)
+    for name, where in ((COATED, layout.coat), (BASE_WIDTH, layout.base_width)):
+        for position in range(where.start, where.stop):
+            value, slope = readable_value(name, float(solution.p[position]))
+            names.append(name)
+            values.append(value)
+            slopes.append(one_each[position] * slope)
     for unit, unit_name in enumerate(unit_names):
         for position, name in enumerate(layout.unit_names, layout.unit(unit).start):
             value, slope = readable_value(name, float(solution.p[position]))

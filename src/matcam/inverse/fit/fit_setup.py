@@ -80,8 +80,9 @@ class FitSetup:
         rig: rig that recorded the tables; None: a perfect camera.
         ndf: family of the lobe. Default: "ggx".
         fresnel: model of F. Default: "conductor".
-        diffuse: True to add a Lambertian part. Default: False.
-        base: True to add a rough base under the lobe (`base_lobe.py`). Default: False.
+        diffuse: True to add a diffuse part. Default: False.
+        coated: True to fit the share of the diffuse part that is under a coat. Default: False, a Lambertian part.
+        base: True to add a rough base under the lobe (`body.py`). Default: False.
         per_channel: True for one lobe per channel. Default: False, one lobe per table.
         masking: masking G of the lobe. Default: "smith".
         camera_parameters: treatment of the parameters of the rig: "fixed", "prior" or "free". Default: None, "fixed" for an
@@ -123,6 +124,7 @@ class FitSetup:
     ndf: str = "ggx"
     fresnel: FresnelModel = "conductor"
     diffuse: bool = False
+    coated: bool = False
     base: bool = False
     per_channel: bool = False
     masking: Masking = "smith"
@@ -153,7 +155,7 @@ class FitSetup:
         checks.choice("masking", self.masking, MASKINGS)
         checks.whole_number("slice_step", self.slice_step, 1, 30)
         checks.scalar("spline", checks.within("spline", self.spline, 0, 10))
-        for name in ("diffuse", "base", "per_channel", "nearby", "lens_shape", "free_masking"):
+        for name in ("diffuse", "coated", "base", "per_channel", "nearby", "lens_shape", "free_masking"):
             checks.flag(name, getattr(self, name))
         checks.instance("workspace", default_workspace() if self.workspace is None else self.workspace, Workspace)
         if self.noise is not None:
@@ -245,6 +247,7 @@ class FitSetup:
         for unit, lobe in enumerate(layout.lobe_of):
             vector[layout.lobe(lobe)][:size] = p[before.lobe(before.lobe_of[unit])][:size]
         vector[layout.rig] = p[before.rig] @ axis_selection(problem.prior.axes, self.prior.axes)
+        vector[layout.coat] = p[before.coat]
         vector[layout.base_width] = p[before.base_width]
         for name in layout.unit_names:
             vector[layout.of_units(name)] = p[before.of_units(name)]
@@ -293,7 +296,8 @@ class FitSetup:
         channels = [table.sizes["channel"] for table in self.tables]
         lobes = range(sum(channels)) if self.per_channel else np.repeat(np.arange(len(channels)), channels)
         kind = LobeKind(self.ndf, self.masking, KNOTS if self.spline else 0, SHADOWS if self.free_masking else 0)
-        return Layout(kind, self.fresnel, self.diffuse, tuple(map(int, lobes)), len(self.prior.axes), self.base)
+        units = tuple(map(int, lobes))
+        return Layout(kind, self.fresnel, self.diffuse, units, len(self.prior.axes), self.base, self.coated)
 
     @cached_property
     def prior(self) -> Prior:
@@ -432,9 +436,9 @@ def free_setup(
     slice_step: int = SEARCH_STEP,
     workspace: Workspace | None = None,
 ) -> FitSetup:
-    """Build a setup with free strengths and a Lambertian part."""
+    """Build a setup with free strengths and a diffuse part, of which some share may be under a coat."""
     return FitSetup(
-        tuple(tables), rig, fresnel="free", diffuse=True, masking=masking, camera_parameters=camera_parameters,
+        tuple(tables), rig, fresnel="free", diffuse=True, coated=True, masking=masking, camera_parameters=camera_parameters,
         noise=noise, slice_step=slice_step, workspace=workspace,
     )  # fmt: skip
 

@@ -15,9 +15,9 @@ from matcam.core.jax import jnp, placed
 from matcam.core.remark import Remark
 from matcam.core.results.labelled import named
 from matcam.core.results.summary import Quantity, Summarised, Summary, correlations, parameters
-from matcam.inverse.fit.base_lobe import Base
+from matcam.inverse.fit.body import Base, DiffusePart
 from matcam.inverse.fit.fit_data import cell_variance, standardised_residual
-from matcam.inverse.fit.fit_parameters import reflectance_at
+from matcam.inverse.fit.fit_parameters import COATED, readable_value, reflectance_at
 from matcam.inverse.fit.fit_readings import (
     FitCoordinates,
     LinearisedFit,
@@ -122,9 +122,9 @@ class MaterialFit(Summarised):
 
     @property
     def diffuse(self) -> np.ndarray:
-        """Return the albedo of the Lambertian part of each channel.
+        """Return the albedo of the diffuse part of each channel.
 
-        The shape is (channels,), without unit. The values are 0 if the fit has no Lambertian part.
+        The shape is (channels,), without unit. The values are 0 if the fit has no diffuse part.
         """
         return self._solution.problem.of_units("diffuse", self._solution.p)
 
@@ -132,6 +132,13 @@ class MaterialFit(Summarised):
     def diffuse_std(self) -> np.ndarray:
         """Return the standard deviation of `diffuse` (no unit), (channels,)."""
         return np.sqrt(self._solution.problem.of_units("diffuse", np.diag(self._solution.covariance)))
+
+    @property
+    def diffuse_part(self) -> DiffusePart:
+        """Diffuse part of the body; its albedos are 0 if the fit has none."""
+        coordinates = self._solution.p[self._solution.problem.layout.coat]
+        coated = [readable_value(COATED, one)[0] for one in coordinates.tolist()]
+        return DiffusePart(tuple(np.maximum(self.diffuse, 0.0).tolist()), *coated)
 
     @property
     def base(self) -> Base | None:
@@ -146,7 +153,7 @@ class MaterialFit(Summarised):
     def body(self, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Compute the BRDF of the body, and its standard deviation.
 
-        The body is the Lambertian part, and the rough base under the lobe if the fit has one.
+        The body is the diffuse part, and the rough base under the lobe if the fit has one.
 
         Args:
             theta_h: angles between normal and half vector, rad; all angles broadcast to (...).

@@ -180,7 +180,7 @@ class Search:
         """Find at most `_FOLLOWED` starting points: lobes that fit better than their neighbours on the lattice."""
         layout, problem = self.problem.layout, self.problem
         kind = layout.kind._replace(spline_size=0, shadows=0)
-        free = problem.with_layout(layout._replace(kind=kind, fresnel="free", diffuse=False, base=False))
+        free = problem.with_layout(layout._replace(kind=kind, fresnel="free", diffuse=False, base=False, coated=False))
         lattice = _lattice(kind.family)
         count = lattice.shape[-1]
         lobes = np.clip(lattice.reshape(-1, count), self.low[:count], self.high[:count])

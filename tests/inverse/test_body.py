@@ -1,13 +1,14 @@
-"""A rough base under a coat, as in car paint and lacquer: its BRDF, and fits of tables that show it. Truth is the oracle's."""
+"""The body below a lobe: diffuse, in part under a coat, and a rough base under a coat. Truth is the oracle's."""
 
 import numpy as np
 import pytest
 
 from matcam.inverse import FitSetup
-from matcam.inverse.fit.base_lobe import Base
+from matcam.inverse.fit.body import Base, DiffusePart
 from tests.inverse import recorded
 from tests.oracle import sphere_cells as oracle
 from tests.oracle import whole_tables
+from tests.oracle.merl_lobe import conductor
 
 INDEX, ALPHA, REFLECTANCE = 1.5, 0.15, 0.3
 
@@ -83,3 +84,44 @@ def test_the_body_of_a_fit_is_base_and_lambertian_part(table):
     slopes = [(body(*(fitted_values + s)) - body(*(fitted_values - s))) / (2 * s.sum()) for s in steps]
     covariance = found.covariance[np.ix_(at, at)]
     np.testing.assert_allclose(std[:, 0], np.sqrt(np.einsum("ka,kl,la->a", slopes, covariance, slopes)), rtol=1e-4)
+
+
+def transmitted(cosine):
+    return 1 - conductor(np.arccos(np.clip(cosine, 0, 1)), INDEX, 0.0)
+
+
+def test_a_coat_takes_what_the_oracle_takes():
+    theta_h, theta_d, phi_d = np.random.default_rng(4).uniform(0, [[1.4], [1.4], [np.pi]], (3, 2000))
+    mean, half = np.cos(theta_h) * np.cos(theta_d), np.sin(theta_h) * np.sin(theta_d) * np.cos(phi_d)
+    cosines = mean - half, mean + half
+    seen = np.minimum(*cosines) > 0.01
+    truth = transmitted(cosines[0]) * transmitted(cosines[1]) / transmitted(1.0) ** 2 / np.pi
+    found = DiffusePart((1.0, 0.0), 1.0).brdf(theta_h, theta_d, phi_d)
+    assert seen.sum() > 500
+    np.testing.assert_allclose(found[seen, 0], truth[seen], rtol=1e-9)
+    assert not found[..., 1].any()
+    np.testing.assert_allclose(DiffusePart((0.4,)).brdf(theta_h, theta_d, phi_d), 0.4 / np.pi)
+
+
+@pytest.mark.parametrize(("albedo", "coated"), [(0.3, True), (0.3, False), (0.0, False)])
+def test_data_determine_how_much_of_a_body_is_coated(albedo, coated):
+    """A polished plastic, a Lambertian body below a lobe, and a metal, which tells nothing of a body that it lacks."""
+    shot = recorded.pictures(18)
+    f = conductor(shot.cells.theta_d, *((INDEX, 0.0) if albedo else recorded.CHROMIUM))
+    body = shot.rule.body(transmitted) if coated else shot.rule.body()
+    light = f[:, None, None] * shot.rule.directions(oracle.GGX(0.01)) + albedo * body
+    table = shot.table(shot.rule.noisy(light, np.random.default_rng(6)))
+    setup = FitSetup((table,), recorded.rig(), "ggx", fresnel="free", diffuse=True, coated=True, slice_step=18)
+    found = setup.solve()
+    share, std = found.params["coated_share"], found.std["coated_share"]
+    if albedo:
+        assert std < 0.05
+        assert abs(share - coated) < max(4 * std, 0.05)
+        assert found.diffuse_part.coated == share
+    else:
+        assert share == pytest.approx(0.5, abs=0.1)
+        assert std == pytest.approx(0.3, rel=0.05)
+    angles = np.array([0.3, 0.7]), np.array([0.6, 0.2]), np.array([1.0, 2.0])
+    value, of_body = found.body(*angles)
+    np.testing.assert_allclose(value, found.diffuse_part.brdf(*angles), rtol=1e-9, atol=1e-12)
+    assert np.all(of_body > 0)

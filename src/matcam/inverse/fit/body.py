@@ -1,7 +1,13 @@
-"""BRDF of a rough base under a smooth coat, for example of flakes under a clear coat, a lacquer or a varnish.
+"""BRDF of the body under a fitted lobe: diffuse part and rough base.
 
-The fitted lobe is that of the coat. Light that crosses the coat, is reflected by a base of reflectance R, and crosses the
-coat again has the BRDF (Weidlich & Wilkie 2007, section 3)
+The diffuse part is Lambertian, or lies under a dielectric coat, such as the body of a plastic. Light that enters and leaves
+through the coat has the factor (1 - F(theta_i)) (1 - F(theta_o)) relative to Lambert's law (Shirley et al. 1997; Burley 2012,
+5.3). Real bodies lie between the two, because the coat also reflects light back into the body. A fit therefore determines the
+share of the diffuse part that is coated. If the data do not determine it, its prior contributes to the uncertainty.
+
+A rough base under a smooth coat describes flakes under a clear coat, a lacquer or a varnish. The fitted lobe is that of the
+coat. Light that crosses the coat, is reflected by a base of reflectance R, and crosses the coat again has the BRDF (Weidlich &
+Wilkie 2007, section 3)
 
     R D G / (4 cos_i cos_o) (1 - F(theta_i)) (1 - F(theta_o)) .
 
@@ -17,12 +23,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from matcam.core.arrays import xp
 from matcam.core.grid import cosines
 from matcam.core.jax import AnyArray, jax, jnp, placed
 from matcam.core.programs import kept_program
 from matcam.material.microfacet import Microfacet
 from matcam.material.ndf.ggx import GGX
-from matcam.material.reflectance import Dielectric
+from matcam.material.reflectance import fresnel_conductor
 
 NARROWEST_PX = 8.0
 """Smallest product of the roughness of a base and the radius of the sphere, px. At this value a lens with a blur of 0.5 px
@@ -34,6 +41,23 @@ transmittances into and out of the coat changes by 2 % at 60 degrees.
 """
 _ALONG = 1 - 1e-12
 """Upper limit of a cosine, so that the derivative of its arccosine is finite."""
+
+
+class DiffusePart(NamedTuple):
+    """Diffuse part of a body.
+
+    Attributes:
+        albedo: albedo of each channel, pi times the BRDF at normal incidence and view (no unit).
+        coated: share of the diffuse part that is under a coat (no unit). Default: 0, a Lambertian part.
+    """
+
+    albedo: tuple[float, ...]
+    coated: float = 0.0
+
+    def brdf(self, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> np.ndarray:
+        """Evaluate the BRDF, 1/sr, (..., channels), at angles in rad that broadcast to (...)."""
+        shape = (1 - self.coated * loss_in_coat(theta_h, theta_d, phi_d)) / np.pi
+        return shape[..., None] * self.albedo
 
 
 class Base(NamedTuple):
@@ -78,8 +102,17 @@ def base_and_slope(
     return np.asarray(value), np.asarray(slope)
 
 
-def transmittance(theta_h: AnyArray, theta_d: AnyArray, phi_d: AnyArray) -> jax.Array:
+def transmittance(theta_h: AnyArray, theta_d: AnyArray, phi_d: AnyArray) -> AnyArray:
     """Compute the transmittance of the coat, into it and out of it, in the shape of the angles, rad."""
-    coat = Dielectric(_INDEX)
-    into, out = (1 - coat.at(jnp.arccos(jnp.clip(cos, 0.0, _ALONG))) for cos in cosines(theta_h, theta_d, phi_d))
+    angles = (xp.arccos(xp.clip(cosine, 0.0, _ALONG)) for cosine in cosines(theta_h, theta_d, phi_d))
+    into, out = (1 - fresnel_conductor(theta, _INDEX, 0.0) for theta in angles)
     return into * out
+
+
+def loss_in_coat(theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> np.ndarray:
+    """Compute the share of diffuse light that a coat removes, relative to normal incidence and view.
+
+    It has the shape to which the angles, rad, broadcast.
+    """
+    zero = np.zeros(1)
+    return np.asarray(1 - transmittance(theta_h, theta_d, phi_d) / transmittance(zero, zero, zero))
