@@ -10,6 +10,7 @@ from matcam.numerics.approximation import (
     cubic_spline,
     cubic_sums,
     lagrange_basis,
+    lagrange_slopes,
     nodes_between,
     nodes_in_panels,
 )
@@ -70,6 +71,13 @@ def test_lagrange_is_exact_for_polynomials_and_has_derivatives_at_its_points():
 
     for x in (0.5, 1.3):
         assert float(jax.grad(through)(x)) == pytest.approx(cubic.deriv()(x), abs=1e-12)
+
+
+@pytest.mark.parametrize("at", [-1.0, 0.3, 2.0])
+def test_slopes_of_a_lagrange_basis_differentiate_a_cubic(at):
+    points = np.array([-1.0, 0.5, 1.0, 2.0])
+    assert lagrange_slopes(points, at) @ (points**3 - 2 * points) == pytest.approx(3 * at**2 - 2, rel=1e-12)
+    assert lagrange_slopes(points[:1], at) == 0
 
 
 @pytest.mark.parametrize("kind", [np.asarray, jnp.asarray], ids=["numpy", "jax"])

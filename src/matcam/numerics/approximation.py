@@ -68,6 +68,16 @@ def lagrange_basis(points: Any, at: Any) -> list[Any]:
     return [below * above / row.prod() for below, above, row in zip(left, right[::-1], differences, strict=True)]
 
 
+def lagrange_slopes(points: np.ndarray, at: float) -> np.ndarray:
+    """Differentiate the Lagrange basis polynomials of points at a position, (n,); see `lagrange_basis`."""
+    slopes = np.zeros(points.size)
+    for k in range(points.size):  # the product rule: each term lacks one of the factors
+        others = np.delete(points, k)
+        terms = [np.prod(at - np.delete(others, j)) for j in range(others.size)]
+        slopes[k] = np.sum(terms) / np.prod(points[k] - others)
+    return slopes
+
+
 def cubic_basis(position: jax.Array, count: int) -> jax.Array:
     """Evaluate cubic B-splines, (count, ...).
 

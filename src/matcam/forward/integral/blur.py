@@ -24,8 +24,10 @@ from matcam.camera.optics.optics import Optics
 from matcam.camera.pixel import PIXELS_SHARE, PixelResponse
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import is_concrete, jax, jnp
+from matcam.core.programs import kept_program
 from matcam.forward.integral.kernel_residual import KernelResidual, kernel_residual
 from matcam.lamp.lamps import STEEPEST, closeness
+from matcam.numerics.blocks import in_blocks, in_calls
 from matcam.numerics.disc_chords import COUNTS, Chords, chord_rule, chords_of, half_of
 from matcam.rigs import Rig
 from matcam.sample.curved import Sphere
@@ -309,6 +311,28 @@ class BlurTerms(eqx.Module):
 
     blur: Blur
     terms: tuple[int, ...] = eqx.field(static=True)
+
+
+def variances_at(
+    blur: Blur, sample: Curved, normal_z: np.ndarray, lamp_angle: np.ndarray, lamp_nearness: jax.Array | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Compute the variances of `Blur.spread` along x and y at many elements, px^2. The arguments are those of `spread`."""
+    if not blur.varies:
+        return np.zeros(normal_z.shape), np.zeros(normal_z.shape)
+    along, across = in_calls(_variance_blocks, (normal_z, lamp_angle), blur.only(()), sample, lamp_nearness)
+    return along, across
+
+
+@kept_program
+def _variance_blocks(
+    used: jax.Array, rows: tuple[jax.Array, ...], blur: Blur, sample: Curved, lamp_nearness: jax.Array | None
+) -> tuple[jax.Array, jax.Array]:
+    def block(elements: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, ...]:
+        normal_z, angle = elements
+        variances = blur.spread(sample, normal_z, angle, lamp_nearness)[:2]
+        return tuple(jnp.broadcast_to(one, angle.shape) for one in variances)
+
+    return in_blocks(block, used, rows)
 
 
 def std_of_half(weights: np.ndarray, stds: np.ndarray) -> float:

@@ -30,7 +30,7 @@ from matcam.material.lambda_table import COTS, by_entries, has_closed_lambda, la
 from matcam.material.masking import smith_rule
 from matcam.material.ndf.distribution import NDF
 from matcam.material.ndf.free_lobe import SplineNDF, spline_at, spline_sums
-from matcam.numerics.approximation import lagrange_basis
+from matcam.numerics.approximation import lagrange_basis, lagrange_slopes
 
 _FEW = 2
 """Largest number of coordinates of a lobe for which Lambda is differentiated with respect to one coordinate after the other.
@@ -64,8 +64,12 @@ def record_and_slopes(operator: LobeOperator, kind: LobeKind, q: np.ndarray) -> 
 
     q: coordinates of the lobe, then of the rig, in the order of the axes of the operator.
     """
-    lobe, shifts = _Lobe.of(kind, placed(q[: kind.size])), placed(q[kind.size :])
-    rows = operator.by_blocks(lambda nodes: _rows(nodes, lobe, shifts))
+    lobe = _Lobe.of(kind, placed(q[: kind.size]))
+    # inside the program, the polynomials of all axes would double its compile time
+    bases = [
+        _basis(np.asarray(points), at) for points, at in zip(operator.points, q[kind.size :].tolist(), strict=True)
+    ]
+    rows = operator.by_blocks(lambda nodes: _rows(nodes._replace(points=()), lobe, bases))
     return RecordAndSlopes(rows[0], rows[1:])
 
 
@@ -133,9 +137,8 @@ def _table_slopes(kind: LobeKind, q: jax.Array) -> tuple[jax.Array, jax.Array]:
 
 
 @kept_program
-def _rows(nodes: OperatorNodes, lobe: _Lobe, shifts: jax.Array) -> jax.Array:
+def _rows(nodes: OperatorNodes, lobe: _Lobe, bases: list[tuple[jax.Array, jax.Array]]) -> jax.Array:
     """Compute the record of cells, followed by its derivatives, (1 + coordinates, cells)."""
-    bases = [_basis(points, shift) for points, shift in zip(nodes.points, shifts, strict=True)]
     return nodes.by_steps(lambda one: _step(one, lobe, bases))
 
 
@@ -236,9 +239,9 @@ def _over_nodes(values: jax.Array) -> jax.Array:
     return jnp.sum(values, axis=(-2, -1))
 
 
-def _basis(points: jax.Array, shift: jax.Array) -> tuple[jax.Array, jax.Array]:
+def _basis(points: np.ndarray, shift: float) -> tuple[jax.Array, jax.Array]:
     """Evaluate the Lagrange polynomials of some points, and their derivatives with respect to the position.
 
     shift: position at which the polynomials are evaluated.
     """
-    return jax.jvp(lambda at: jnp.stack(lagrange_basis(points, at)), (shift,), (jnp.ones_like(shift),))
+    return placed(lagrange_basis(points, shift)), placed(lagrange_slopes(points, shift))

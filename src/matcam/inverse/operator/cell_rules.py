@@ -14,7 +14,7 @@ import numpy as np
 
 from matcam.core.jax import jnp
 from matcam.core.threads import available_cores, in_order
-from matcam.forward.integral.blur import Blur, blur_of, std_of_half
+from matcam.forward.integral.blur import Blur, blur_of, std_of_half, variances_at
 from matcam.forward.integral.blur_groups import groups_of
 from matcam.forward.pixel_grid import turned
 from matcam.forward.sampler.windows import Windows
@@ -212,8 +212,8 @@ def _variances(
 ) -> tuple[np.ndarray, ...]:
     """Compute the variances that lamp, defocus and stretch add along x and y, px^2. more: variances due to the stretch."""
     x, y, lamp_angle = pixels
-    spread = blur.spread(rig.sample, view.on_sphere.normals(x, y)[2], lamp_angle, rig.lamp.nearness)  # type: ignore[arg-type]
-    return tuple(np.broadcast_to(v, x.shape) + one for v, one in zip(spread[:2], more, strict=True))
+    added = variances_at(blur, rig.sample, view.on_sphere.normals(x, y)[2], lamp_angle, rig.lamp.nearness)  # type: ignore[arg-type]
+    return tuple(variance + one for variance, one in zip(added, more, strict=True))
 
 
 def _finest(view: SampleView, widths: list[_Blurs]) -> float:

@@ -78,9 +78,9 @@ class LobeOperator:
         return (self,) if self.moment is None else (self, self.moment)
 
     @property
-    def axes(self) -> int:
-        """Count the axes along which parameters of the rig may change."""
-        return len(self.blocks[0].points)
+    def points(self) -> tuple[jax.Array, ...]:
+        """Return the points of each axis along which a parameter of the rig may change."""
+        return self.blocks[0].points
 
     @property
     def at(self) -> NodeArrays:

@@ -37,11 +37,13 @@ from matcam.inverse.operator.theta_nodes import (
     rise_of,
     stretched,
 )
-from matcam.numerics.blocks import in_blocks
+from matcam.numerics.blocks import in_blocks, repeated_sum
 from matcam.numerics.elementary import sine
 
+_GROUP = 8
+"""Number of nodes of an arc that are computed at once."""
 _ON_ARCS = ((0.25, 8), (0.75, 16), (np.inf, 24))
-"""Pairs (largest length of an arc in sides of its window, number of nodes). Each number of nodes requires a program.
+"""Pairs (largest length of an arc in sides of its window, number of nodes), in groups of `_GROUP`.
 
 For a Gaussian, the error bound of Gauss-Legendre quadrature is at most as large on the short arcs as on an arc across the
 window. Compared with 24 nodes on every arc, records change by about 1e-6, and by at most 2e-5 for a lens with rings or of
@@ -208,9 +210,11 @@ def sphere_rule(
     # the image of a disc has borders, which require all nodes on short arcs, too
     on_arcs = _ON_ARCS if kernel.disc is None else _ON_ARCS[-1:]
     classes = np.searchsorted([most for most, _ in on_arcs[:-1]], sides)
+    shape = rings * on_arcs[-1][1] // _GROUP, _GROUP
     order, sums = np.argsort(classes, kind="stable"), []
     for number, (_, count) in enumerate(on_arcs):
-        rule, own = _gauss_rule(rings * count), order[classes[order] == number]
+        rule = tuple(np.pad(a, (0, int(np.prod(shape)) - a.size)).reshape(shape) for a in _gauss_rule(rings * count))
+        groups, own = np.array(rings * count // _GROUP), order[classes[order] == number]
         for begin in range(0, own.size, _CALL):
             some = own[begin : begin + _CALL]
             used, part = -(-some.size // _BLOCK), Arcs(*(_filled(a[some]) for a in arcs))
@@ -220,14 +224,15 @@ def sphere_rule(
             of_arc = np.stack([angle.ravel()[part.circle], part.middle, part.half])
             program = _arc_sums if disc is None else _arc_sums_of_disc
             found = program(
-                np.array(used), np.array(view), of_pixel, of_arc, rule, kernel.blur, disc, kernel.terms, near,
+                np.array(used), np.array(view), of_pixel, of_arc, groups, rule, kernel.blur, disc, kernel.terms, near,
                 kernel.pixel_nodes,
             )  # fmt: skip
-            sums.append([np.asarray(a)[:, : some.size] for a in found])
+            sums.append(np.asarray(found)[:, : some.size])
     if not sums:
         return _nothing(angle, near)
     back = np.argsort(order)
-    powers, *moments = (np.concatenate(parts, axis=1)[:, back] for parts in zip(*sums, strict=True))
+    found = np.concatenate(sums, axis=1)[:, back]
+    powers, moments = np.split(found, [found.shape[0] - near * 2 * NODES[0].size])
     total, *others = (np.bincount(arcs.circle, power, angle.size).reshape(angle.shape) for power in powers)
     if not near:
         others += [total * position, total * theta_d[:, None], others[0] * theta_d[:, None]]
@@ -235,7 +240,7 @@ def sphere_rule(
     if not near:
         return SphereRule(onto.carry(angle, through * total), seen)
     begins, own = np.flatnonzero(np.diff(pixel, prepend=-1)), np.zeros((2, *angle.shape))
-    for weight, moment in zip(own, moments, strict=True):
+    for weight, moment in zip(own, np.split(moments, 2), strict=True):
         by_pixel = np.add.reduceat(moment * through.ravel()[arcs.circle], begins, axis=1)
         weight[pixel[begins]] = (FROM_MOMENTS @ by_pixel).T
     return SphereRule(own[0], seen, own[1])
@@ -275,34 +280,40 @@ def _arc_sums(
     of_view: Any,
     of_pixel: Any,
     of_arc: Any,
-    rule: tuple[np.ndarray, np.ndarray],
+    groups: Any,
+    rule: tuple[np.ndarray, ...],
     blur: Blur,
     disc: LampDisc | None,
     terms: tuple[int, ...],
     near: bool,
     pixel_nodes: int,
-) -> tuple[jax.Array, ...]:
-    """Compute the sums over the nodes of each arc.
+) -> jax.Array:
+    """Compute the sums over the nodes of each arc, (sums, arcs).
 
-    The first array, (4, arcs), or (7, arcs) in a near rig, contains the sums of `CircleSums`. A near rig also has sums of
-    Legendre polynomials for weights and for moments, (40, arcs) each.
+    The first 4 rows, or 7 rows in a near rig, are the sums of `CircleSums`. A near rig also has 40 sums of Legendre polynomials
+    for weights, and 40 for moments.
 
-    used: number of blocks with arcs. rule: nodes on each arc, and their weights.
+    used: number of blocks with arcs. groups: number of groups of nodes. rule: nodes on each arc, and their weights,
+        (groups, nodes).
     """
     view = SphereView(*of_view) if near else SphereView(of_view[0], 0.0, 0.0)
-    node, node_weight = rule
 
     def block(arguments):  # type: ignore[no-untyped-def]
         of_pixel, of_arc, disc = arguments
-        x, y, cosine, sine_, lamp, peak, cell, scale, first, last, var_x, var_y = (a[:, None] for a in of_pixel)
+        pixel = tuple(a[:, None] for a in of_pixel)
         circle, middle, half = (a[:, None] for a in of_arc)
+        arc = half, *(function(angle) for angle in (middle, circle, pixel[5]) for function in (jnp.sin, jnp.cos))
+        nothing = jnp.zeros((7 + 2 * NODES[0].size if near else 4, circle.shape[0]))
+        return repeated_sum(lambda nodes: sums(pixel, arc, disc, *nodes), groups, rule, nothing)
+
+    def sums(pixel, arc, disc, node, node_weight):  # type: ignore[no-untyped-def]
+        """Compute the contribution of some nodes of each arc."""
+        x, y, cosine, sine_, lamp, _, cell, scale, first, last, var_x, var_y = pixel
+        half, sin_m, cos_m, s, c, sin_p, cos_p = arc
         off = half * node
         sin_off, haversine = sine(off), sine(off / 2) ** 2
-        sin_m, cos_m = jnp.sin(middle), jnp.cos(middle)
         cos_a = cos_m - sin_m * sin_off - 2 * cos_m * haversine
         sin_a = sin_m + cos_m * sin_off - 2 * sin_m * haversine
-        s, c = jnp.sin(circle), jnp.cos(circle)
-        sin_p, cos_p = jnp.sin(peak), jnp.cos(peak)
         normal = c * sin_p + s * cos_a * cos_p, s * sin_a, c * cos_p - s * cos_a * sin_p
         depth = 1 - view.camera * normal[2]
         image = view.stretch * normal[0] / depth, view.stretch * normal[1] / depth
@@ -327,7 +338,7 @@ def _arc_sums(
             seen = lamp_kernel(view, blur, terms, disc, normal, in_plane(x, y), (var_x, var_y))
         share = jax.lax.optimization_barrier(seen * half * node_weight)
         if not near:
-            return ([jnp.sum(share * one, axis=1) for one in (1.0, cos_a, cos_a**2, cos_a**3)],)
+            return jnp.stack([jnp.sum(share * one, axis=1) for one in (1.0, cos_a, cos_a**2, cos_a**3)])
         at = directions(normal, jnp.sin(lamp), jnp.cos(lamp), view.camera, view.lamp)
         # area in the image divided by the cosine of the viewing angle, times the irradiance of a surface that faces the lamp
         share = share * at.view / depth**3 / at.light**2
@@ -337,14 +348,15 @@ def _arc_sums(
         cos_psi = jnp.clip(cos_psi, -1, 1)
         factors = 1, cos_psi, cos_psi**2, cos_psi**3, position, at.theta_d, at.theta_d * cos_psi
         powers = [jnp.sum(share * one, axis=1) for one in factors]
-        return powers, *legendre_sums(position, (share, share * rise_of(at.theta_d, cell)))
+        moments = legendre_sums(position, (share, share * rise_of(at.theta_d, cell)))
+        return jnp.concatenate([jnp.stack(powers), *moments])
 
     def blocks(array: jax.Array) -> jax.Array:
         return array.reshape(-1, _BLOCK, *array.shape[1:])
 
     of_blocks = jax.tree.map(blocks, (tuple(of_pixel), tuple(of_arc), disc))
-    powers, *moments = in_blocks(block, used, of_blocks)
-    return jnp.stack(powers).reshape(len(powers), -1), *(jnp.moveaxis(a, 1, 0).reshape(a.shape[1], -1) for a in moments)
+    found = in_blocks(block, used, of_blocks)
+    return jnp.moveaxis(found, 1, 0).reshape(found.shape[1], -1)
 
 
 _arc_sums_of_disc = jax.jit(_arc_sums.__wrapped__, static_argnames=("terms", "near", "pixel_nodes"))  # type: ignore[attr-defined]
