@@ -71,6 +71,7 @@ def _kept_program(function: Callable[P, T], *, runs: Runs, returns: Any) -> Call
     """Compile and cache a function."""
     compiled = eqx.filter_jit(function)
     ready: dict[Hashable, _Program] = {}
+    making = threading.RLock()
 
     @wraps(function)
     def call(*args: P.args, **kwargs: P.kwargs) -> T:
@@ -84,8 +85,11 @@ def _kept_program(function: Callable[P, T], *, runs: Runs, returns: Any) -> Call
         key, result = (tree, kinds), None
         found = ready.get(key)
         if found is None:
-            found, result = _Kept(function, leaves, tree, kinds, runs, returns).program(folder)
-            ready[key] = found
+            with making:  # threads that call a new program wait for it instead of compiling it again
+                found = ready.get(key)
+                if found is None:
+                    found, result = _Kept(function, leaves, tree, kinds, runs, returns).program(folder)
+                    ready[key] = found
         _held.use(ready, key, found.size)
         if result is not None:
             return result

@@ -11,10 +11,12 @@ from matcam.core.arrays import xp
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import GRID_SHAPE, Sampling, cosines, merl_grid, theta_h_edges
 from matcam.core.jax import AnyArray, computes_on_gpu, is_concrete, jax, jnp
+from matcam.core.programs import kept_program
 from matcam.forward.pixel_grid import phase_of_slices, slice_pixels, turned
 from matcam.forward.sampler.cell_rings import Rings, rings_of
 from matcam.forward.sampler.plan import RecordPositions
 from matcam.lamp.lamps import closeness
+from matcam.numerics.blocks import in_blocks, in_calls
 from matcam.rigs import ON_REAL_PIXELS, CellValue, PixelPhase
 from matcam.sample.shape import Curved
 
@@ -121,10 +123,9 @@ def _table_cells(sample: Curved, choice: CellChoice, lamp_nearness: jax.Array | 
     theta_h, theta_d, phi_d = np.broadcast_arrays(theta_h, theta_d, phi_d)
     cos_i, cos_o = (np.asarray(c) for c in cosines(theta_h, theta_d, phi_d))
     seen = (cos_i > 0) & (cos_o > 0)
-    position = jax.jit(lambda sample, *angles: sample.position(*angles))
 
-    def placed(*angles: np.ndarray) -> tuple[np.ndarray, ...]:
-        x, y, lamp_angle = (np.asarray(a) for a in position(sample, *angles, lamp_nearness))
+    def placed(theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> tuple[np.ndarray, ...]:
+        x, y, lamp_angle = positions_of(sample, theta_h, theta_d, phi_d, lamp_nearness)
         return *turned(x, y, azimuth), lamp_angle
 
     x, y, lamp_angle = placed(theta_h, theta_d, phi_d)
@@ -153,6 +154,31 @@ def _table_cells(sample: Curved, choice: CellChoice, lamp_nearness: jax.Array | 
     weight = content * share[None, :, None, :, None] * np.sin(theta_h) if cell_value == "mean" else seen * 1.0
     irradiance = cos_i * np.asarray(closeness(lamp_nearness, jnp.asarray(cos_i))) ** 2
     return TableCells(positions, index, rings, irradiance, weight, pixels, mirrored)
+
+
+def positions_of(
+    sample: Curved,
+    theta_h: np.ndarray,
+    theta_d: np.ndarray,
+    phi_d: np.ndarray,
+    lamp_nearness: jax.Array | None = None,
+) -> tuple[np.ndarray, ...]:
+    """Compute x, y and lamp angle of `Curved.position` for many directions, in the shape to which the angles broadcast."""
+    angles = np.broadcast_arrays(theta_h, theta_d, phi_d)
+    rows, shape = tuple(angle.ravel() for angle in angles), angles[0].shape
+    found = in_calls(_position_blocks, rows, sample, lamp_nearness) if rows[0].size else rows
+    return tuple(a.reshape(shape) for a in found)
+
+
+@kept_program
+def _position_blocks(
+    used: jax.Array, rows: tuple[jax.Array, ...], sample: Curved, lamp_nearness: jax.Array | None
+) -> tuple[jax.Array, ...]:
+    def block(angles: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
+        theta_h, theta_d, phi_d = angles
+        return tuple(sample.position(theta_h, theta_d, phi_d, lamp_nearness))
+
+    return in_blocks(block, used, rows)
 
 
 def _per_radian(sample: Curved, finest: float | None) -> float:

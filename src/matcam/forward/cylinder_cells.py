@@ -16,7 +16,7 @@ from matcam.core.errors import ArgumentError
 from matcam.core.grid import cosines, merl_grid
 from matcam.core.jax import jax, jnp
 from matcam.core.workspace import Workspace
-from matcam.forward.cells_in_pictures import cell_sampling
+from matcam.forward.cells_in_pictures import cell_sampling, positions_of
 from matcam.forward.integral.blur import imaging_of
 from matcam.forward.sampler.plan import RecordPositions
 from matcam.forward.sampler.under_lamp import record_under_lamp
@@ -114,8 +114,6 @@ def line_positions(rig: Rig, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np
     """
     sample: Cylinder = rig.sample  # type: ignore[assignment]
     sphere = Sphere(float(sample.radius), float(sample.distance))
-    near = None if rig.lamp.nearness is None else float(rig.lamp.nearness)
-    position = jax.jit(lambda h, d, p: sphere.position(h, d, p, near))(theta_h, theta_d, phi_d)
-    x, y, lamp_angle = (np.asarray(a) for a in position)
+    x, y, lamp_angle = positions_of(sphere, theta_h, theta_d, phi_d, rig.lamp.nearness)
     off = np.hypot(x, y)
     return RecordPositions(off, np.zeros_like(off), lamp_angle, np.where(off > 0, np.arctan2(-y, x), 0.0))

@@ -34,7 +34,14 @@ from matcam.core.grid import (
 )
 from matcam.core.jax import AnyArray, computes_on_gpu, is_concrete, jax, jnp, transferred
 from matcam.core.workspace import Workspace, default_workspace
-from matcam.forward.cells_in_pictures import CellChoice, RealCells, TableCells, cell_means, cell_sampling
+from matcam.forward.cells_in_pictures import (
+    CellChoice,
+    RealCells,
+    TableCells,
+    cell_means,
+    cell_sampling,
+    positions_of,
+)
 from matcam.forward.cylinder_cells import check_cylinder, cylinder_table
 from matcam.forward.frequencies.band_limited import EXACT
 from matcam.forward.frequencies.table_records import record_by_frequencies, served_by_frequencies
@@ -51,7 +58,7 @@ from matcam.material.optical_constants import metal
 from matcam.material.reflectance import Conductor
 from matcam.rigs import UNKNOWN, Rig, merl
 from matcam.sample.curved import Cylinder, Sphere
-from matcam.sample.shape import Flat, Position
+from matcam.sample.shape import Flat
 
 
 def measure(
@@ -375,13 +382,12 @@ def cell_pixels(sphere: Sphere, sampling: Sampling, azimuth: float = 0.0) -> Cel
     """Compute the indices of the pixels of all cells in the images of a sphere. azimuth: azimuth of the lamp, rad."""
     grid = merl_grid(sampling)
     theta_h, theta_d, phi_d = grid.theta_h[:, None], grid.theta_d[:, None, None], grid.phi_d
-    position = jax.jit(lambda sphere, *angles: sphere.position(*angles))
-    positions = (position(sphere, theta_h, theta_d, phi_d + turn) for turn in (0, np.pi))
-    return CellPixels(*(_pixel_number(one, azimuth) for one in positions))
+    positions = (positions_of(sphere, theta_h, theta_d, phi_d + turn) for turn in (0, np.pi))
+    return CellPixels(*(_pixel_number(x, y, azimuth) for x, y, _ in positions))
 
 
-def _pixel_number(position: Position, azimuth: float) -> np.ndarray:
-    x, y = (np.rint(a).astype(np.int64) for a in turned(np.asarray(position.x), np.asarray(position.y), azimuth))
+def _pixel_number(x: np.ndarray, y: np.ndarray, azimuth: float) -> np.ndarray:
+    x, y = (np.rint(a).astype(np.int64) for a in turned(x, y, azimuth))
     return x * PICTURE_STRIDE + y
 
 

@@ -265,13 +265,10 @@ def _clear_blocks(
     sample, nearness = imaging.sample, 0.0 if imaging.lamp_nearness is None else imaging.lamp_nearness
 
     def block(arguments):  # type: ignore[no-untyped-def]
-        x, y, lamp = arguments
-        clear = jnp.ones(x.shape, dtype=bool)
-        for azimuth in _AROUND:
-            element, visible = sample.at(x + distance * np.cos(azimuth), y + distance * np.sin(azimuth))
-            up = element.normal[0] * jnp.sin(lamp) + element.normal[2] * jnp.cos(lamp)
-            clear &= visible & (up > nearness)
-        return clear
+        x, y, lamp = (a[:, None] for a in arguments)
+        element, visible = sample.at(x + distance * np.cos(_AROUND), y + distance * np.sin(_AROUND))
+        up = element.normal[0] * jnp.sin(lamp) + element.normal[2] * jnp.cos(lamp)
+        return jnp.all(visible & (up > nearness), axis=1)
 
     return (in_blocks(block, used, rows),)
 
