@@ -21,6 +21,8 @@ from matcam.inverse.fit.lobe_slopes import record_and_slopes
 from matcam.inverse.operator.chosen_cells import ChosenCells
 from matcam.inverse.operator.lobe_operator import check_rig, lobe_operator
 from matcam.inverse.operator.rig_axes import LAMP, LENS, prior_axis, rig_with, widths_of
+from matcam.inverse.operator.sphere_rule import kernel_reach
+from matcam.inverse.operator.theta_nodes import NARROWEST, Scale
 from matcam.numerics.linalg import scaled_inverse
 from matcam.rigs import Rig
 
@@ -41,8 +43,12 @@ BLURS: dict[str, tuple[str, float]] = {
     "jitter (px)": ("jitter", 0.15),
     "defocus (aperture / distance)": ("aperture", 0.004),
 }
-"""Blurs of a highlight other than that of the lens, by name: field of `Rig`, and size for which the effect is computed, in
-the unit of the field.
+"""Blurs of a highlight other than that of the lens, by name: field of `Rig`, and largest size for which the effect is computed,
+in the unit of the field.
+"""
+_LARGEST_BLUR = 2.0
+"""Largest size of a lamp or a defocus for which the effect is computed, px in the image. Effects are scaled from a blur like
+that of a lens, because the image of a lamp on a large sample is much larger and would require many nodes.
 """
 _NAMES = {
     "width_std": "bound of ln roughness, lens exact",
@@ -77,7 +83,8 @@ def limits(
     Args:
         rig: camera with a Gaussian lens, a sphere or cylinder, and a lamp; camera and lamp are distant or near.
         ndf: family of the lobe, with roughness as its only parameter. Default: "ggx". "auto" is not available.
-        roughness: roughnesses, (n,), no unit, or rad for a Gaussian lobe. Default: ten from 0.0003 to 0.2.
+        roughness: roughnesses, (n,), no unit, or rad for a Gaussian lobe. The quadrature resolves at least 2.5e-4, or less
+            on large samples. Default: ten from 0.0003 to 0.2.
         noise: noise of a pixel and of the image gain. Default: None, 1 % of the value, 1e-4 of the peak and 1 % of gain.
         slice_step: spacing of the slices of theta_d (no unit). Default: 10, unlike `fit`, because few slices suffice to
             compare rigs. Bounds decrease with more slices.
@@ -106,10 +113,10 @@ def limits(
 
     Example:
         >>> matcam.limits(matcam.rigs.merl(), roughness=[0.002])["width_std"]  # doctest: +SKIP
-        >>> matcam.limits(matcam.rigs.merl(), roughness=[-1.0])
+        >>> matcam.limits(matcam.rigs.merl(), roughness=[])
         Traceback (most recent call last):
         ...
-        matcam.core.errors.ArgumentError: roughness must lie in [1e-05, 1], got -1
+        matcam.core.errors.ArgumentError: roughness must be a list of at least one number, got shape (0,)
     """
     check_rig(rig)
     checks.whole_number("slice_step", slice_step, 1, 30)
@@ -118,13 +125,18 @@ def limits(
         raise ArgumentError(
             "limits requires a camera with a Gaussian lens, but this camera has no parameter 'optics.sigma_px'"
         )
-    values = np.asarray(checks.within("roughness", np.asarray(roughness, dtype=object), 1e-5, ONE_WIDTH[ndf].largest))
+    sigma, half_width = float(rig.camera.parameters()[LENS]), float(rig.camera.pixel.half_width)
+    size = float(rig.sample.radius)  # type: ignore[attr-defined]
+    least = NARROWEST * Scale.of(size, float(kernel_reach(half_width, np.asarray(sigma)))).largest
+    why = "(the quadrature nodes do not resolve narrower lobes)"
+    given = np.asarray(roughness, dtype=object)
+    values = np.asarray(checks.within("roughness", given, least, ONE_WIDTH[ndf].largest, why))
     if values.ndim != 1 or not values.size:
         raise ArgumentError(f"roughness must be a list of at least one number, got shape {values.shape}")
     noise = PixelNoise(picture_gain=0.01) if noise is None else checks.instance("noise", noise, PixelNoise)
     view = _View(rig, ndf, noise.check(), slice_step, workspace)
     stated_std = rig.camera.uncertainty.std().get(LENS, np.nan) if rig.camera.uncertainty else np.nan
-    relative = stated_std / float(rig.camera.parameters()[LENS])
+    relative = stated_std / sigma
     own = [_Information(view, a) for a in values]
     variables: dict[str, tuple[tuple[str, ...], np.ndarray]] = {}
     stated = [i.std(relative) if np.isfinite(relative) else np.array([np.nan, np.nan]) for i in own]
@@ -134,8 +146,12 @@ def limits(
     variables["lens_std_free"] = ("roughness",), np.array([i.std(np.inf)[1] for i in own])
     prior = relative if np.isfinite(relative) else 0.0
     variables["fresnel_std"] = ("roughness", "theta_d"), np.array([i.fresnel_std(prior) for i in own])
-    blurs = {name: one for name, one in BLURS.items() if one[0] in widths_of(rig)}
-    signatures = [[_signature(i, field, size) for field, size in blurs.values()] for i in own]
+    blurs = {
+        name: (field, most if field == "jitter" else min(most, _LARGEST_BLUR / size))
+        for name, (field, most) in BLURS.items()
+        if field in widths_of(rig)
+    }
+    signatures = [[_signature(i, *one) for one in blurs.values()] for i in own]
     for name, column in zip(
         ("correlation", "smallest", "width_bias"), np.array(signatures).transpose(2, 0, 1), strict=True
     ):

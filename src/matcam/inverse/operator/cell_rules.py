@@ -30,9 +30,9 @@ from matcam.inverse.operator.theta_nodes import (
     PIECE,
     SAMPLED,
     CircleSums,
+    Scale,
     ThetaRange,
     masking_samples,
-    on_highlight,
     padded,
 )
 from matcam.rigs import Rig
@@ -130,8 +130,9 @@ def rule_arrays(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[st
         change = _gaussian_blurs(view, rig, changes, (x, y, lamp_angle), lenses)
         change = change._replace(columns=tuple(range(len(moved), count)))
         together = [*together, [change]] if view.line else [[*together[0], change], *together[1:]]
+    scale = Scale.of(view.radius, float(np.min(widths[0].reaches[0])), single=len(widths) == 1)
     for some in together:
-        for rules in _in_pieces(view, (x, y, theta_d, lamp_angle, factor), some, _finest(view, widths), count):
+        for rules in _in_pieces(view, (x, y, theta_d, lamp_angle, factor), some, scale, count):
             named = {"theta": rules.theta, **{name: a[:, None] for name, a in rules.samples.items()}}
             named |= along_axes(axes, "weight", "along", rules.weights)
             if rules.moments:
@@ -216,13 +217,8 @@ def _variances(
     return tuple(variance + one for variance, one in zip(added, more, strict=True))
 
 
-def _finest(view: SampleView, widths: list[_Blurs]) -> float:
-    """Compute the scale of the nodes for groups of terms, rad, see `ThetaRange.finest`; infinite for a single group."""
-    return np.inf if len(widths) == 1 else on_highlight(view.radius, float(np.min(widths[0].reaches[0])))
-
-
 def _in_pieces(
-    view: SampleView, pixels: tuple[np.ndarray, ...], widths: list[_Blurs], finest: float, count: int
+    view: SampleView, pixels: tuple[np.ndarray, ...], widths: list[_Blurs], scale: Scale, count: int
 ) -> list[_Found]:
     """Compute the rules of pixels in pieces on all cores: one rule on a sphere, or one for each arm of a cylinder.
 
@@ -231,7 +227,7 @@ def _in_pieces(
     pieces = [slice(first, first + PIECE) for first in range(0, pixels[0].size, PIECE)]
 
     def rules(piece: slice) -> list[_Found]:
-        return _rules(view, tuple(a[piece] for a in pixels), [through.of(piece) for through in widths], finest)
+        return _rules(view, tuple(a[piece] for a in pixels), [through.of(piece) for through in widths], scale)
 
     columns = sorted({column for through in widths for column in through.columns})
     joined = (_joined(parts) for parts in zip(*in_order(rules, pieces, available_cores()), strict=True))
@@ -261,7 +257,7 @@ def _joined(parts: tuple[_Found, ...]) -> _Found:
     )
 
 
-def _rules(view: SampleView, pixels: tuple[np.ndarray, ...], widths: list[_Blurs], finest: float) -> list[_Found]:
+def _rules(view: SampleView, pixels: tuple[np.ndarray, ...], widths: list[_Blurs], scale: Scale) -> list[_Found]:
     """Compute the quadrature rules of pixels.
 
     pixels: x, y, theta_d, lamp angle, and factor of the record. widths: one group of terms, or on a sphere several groups
@@ -273,12 +269,12 @@ def _rules(view: SampleView, pixels: tuple[np.ndarray, ...], widths: list[_Blurs
         largest = np.max([reach for through in widths for reach in through.reaches], axis=0)
         peak = view.highlight(lamp_angle)
         windows = Windows(*turned(x, y, view.azimuth), lamp_angle, peak, cosine, sine, largest)
-        return [_sphere_rules(view, windows, theta_d, factor, widths, finest)]
+        return [_sphere_rules(view, windows, theta_d, factor, widths, scale)]
     (through,) = widths
     if any(through.lamps) or not view.distant:
         pixels = LinePixels(np.hypot(x, y), lamp_angle, np.arctan2(-y, x), factor)
-        return _cylinder_rules(view, pixels, through, None if view.distant else theta_d)
-    return _line_rules(view.radius, ImagePositions(x, y, theta_d, factor), through)
+        return _cylinder_rules(view, pixels, through, scale, None if view.distant else theta_d)
+    return _line_rules(view.radius, ImagePositions(x, y, theta_d, factor), through, scale)
 
 
 def _widest_disc(view: SampleView, blur: Blur, x: np.ndarray, y: np.ndarray, std: float) -> np.ndarray:
@@ -303,12 +299,12 @@ def _on_the_same_nodes(widths: list[_Blurs]) -> list[list[_Blurs]]:
 
 
 def _sphere_rules(
-    view: SampleView, windows: Windows, theta_d: np.ndarray, factor: np.ndarray, widths: list[_Blurs], finest: float
+    view: SampleView, windows: Windows, theta_d: np.ndarray, factor: np.ndarray, widths: list[_Blurs], scale: Scale
 ) -> _Found:
-    """Compute the rules of groups of terms on common nodes. windows: those of the widest group. finest: see `ThetaRange`."""
+    """Compute the rules of groups of terms on common nodes. windows: those of the widest group."""
     sphere = view.on_sphere
-    own = finest if np.min(widths[0].reaches[0]) > _SURROUNDINGS[0] else np.inf
-    widest, onto = (one._replace(finest=finest) for one in sphere_range(sphere, windows))
+    own = scale if np.min(widths[0].reaches[0]) > _SURROUNDINGS[0] else scale._replace(largest=np.inf)
+    widest, onto = (one.scaled(scale) for one in sphere_range(sphere, windows))
 
     def rule(through: _Blurs, n: int, circles: ThetaRange, reach: np.ndarray) -> SphereRule:
         blur, nodes = through.blurs[n], _pixel_nodes(through.blurs, n) if view.azimuth else 0
@@ -318,7 +314,7 @@ def _sphere_rules(
     def parts(through: _Blurs, n: int) -> list[SphereRule]:
         """Compute one rule for each angular range; their sum is the rule of the blur."""
         seen = sphere_range(sphere, windows._replace(half=through.reaches[n]))[0]
-        ranges = [seen._replace(finest=own)] if through.blurs[n].residual is None else seen.parts()
+        ranges = [seen.scaled(own)] if through.blurs[n].residual is None else seen.parts()
         return [rule(through, n, one, through.reaches[n]) for one in ranges]
 
     first = parts(widths[0], 0)
@@ -338,7 +334,7 @@ def _sphere_rules(
     ]
     weights, *moments = zip(*found, strict=True)
     lens = [through for through in widths if through.columns[0] == 0]
-    if len(lens) == len(first) == 1 and own == finest and np.array_equal(lens[0].reaches[0], windows.half):
+    if len(lens) == len(first) == 1 and own == scale and np.array_equal(lens[0].reaches[0], windows.half):
         shown = first[0]  # its circles cover the whole range
     else:
         by = lens[0] if len(lens) == 1 else _standing_for(lens)
@@ -369,14 +365,14 @@ def _standing_for(widths: list[_Blurs]) -> _Blurs:
     return widths[0]._replace(blurs=[stand_in])
 
 
-def _line_rules(radius: float, pixels: ImagePositions, through: _Blurs) -> list[_Found]:
+def _line_rules(radius: float, pixels: ImagePositions, through: _Blurs, scale: Scale) -> list[_Found]:
     blurs, spreads, reaches, *_ = through
     terms = through.terms
     onto = np.max([along for along, _ in reaches], axis=0)
     arms = []
     for arm in ARMS:
         rules = [
-            line_rule(jnp.asarray(radius), blur, jnp.asarray(spread[0]), terms, pixels, reach[0], onto, arm)
+            line_rule(jnp.asarray(radius), blur, jnp.asarray(spread[0]), terms, pixels, reach[0], onto, scale, arm)
             for blur, spread, reach in zip(blurs, spreads, reaches, strict=True)
         ]
         theta, cos_psi = np.asarray(rules[0].theta), np.asarray(rules[0].cos_psi)
@@ -385,7 +381,9 @@ def _line_rules(radius: float, pixels: ImagePositions, through: _Blurs) -> list[
     return arms
 
 
-def _cylinder_rules(view: SampleView, pixels: LinePixels, through: _Blurs, theta_d: np.ndarray | None) -> list[_Found]:
+def _cylinder_rules(
+    view: SampleView, pixels: LinePixels, through: _Blurs, scale: Scale, theta_d: np.ndarray | None
+) -> list[_Found]:
     """Compute the rules of the two arms of a cylinder where a single row and lamp direction are insufficient.
 
     theta_d: theta_d of the cells, rad, at which the moments are 0; None: no moments.
@@ -408,6 +406,7 @@ def _cylinder_rules(view: SampleView, pixels: LinePixels, through: _Blurs, theta
                 reach[0],
                 jnp.asarray(disc),
                 onto,
+                scale,
                 arm,
                 any(lamps),
                 theta_d,

@@ -21,7 +21,7 @@ from matcam.core.jax import jax, jit_plainly, jnp
 from matcam.forward.integral.blur import Blur, Spread
 from matcam.forward.sampler.cylinder_ridge import PlacedLamps, ends_of_light, ridge_of, seen_at, towards
 from matcam.inverse.operator.sphere_rule import Directions
-from matcam.inverse.operator.theta_nodes import NODES, CircleSums, onto_nodes, rise_of, stretched
+from matcam.inverse.operator.theta_nodes import NODES, CircleSums, Scale, onto_nodes, rise_of, stretched
 from matcam.sample.curved import Cylinder
 
 _PANEL = np.polynomial.legendre.leggauss(16)
@@ -30,7 +30,6 @@ _HALVES = np.array([0.5])
 _BLOCK = 8
 _LEAST = 1e-12
 """Smallest length of an arm, rad. An arm outside the window has this length, and weights of 0."""
-_FINEST = 25.0
 _SLACK = 0.02
 """Share by which the range of theta_h is widened, because it is computed from single points."""
 _SHORT = 1e-3
@@ -140,6 +139,7 @@ def cylinder_rule(
     reach: jax.Array,
     disc: jax.Array,
     onto: tuple[jax.Array, jax.Array],
+    scale_of: Scale,
     arm: float,
     discs: bool,
     theta_d: jax.Array | np.ndarray | None = None,
@@ -156,6 +156,7 @@ def cylinder_rule(
         reach: half width of the window of each pixel, (pixels,), px.
         disc: angular radius of the source disc, rad.
         onto: smallest and largest theta_h of the nodes, (pixels,) each, rad.
+        scale_of: scale of the nodes.
         arm: one of `line_rule.ARMS`.
         discs: True if the lamp is a disc, False for a point source.
         theta_d: theta_d of the cells, (pixels,), rad, at which the moments are 0; None: no moments.
@@ -168,7 +169,9 @@ def cylinder_rule(
         lamp = sine * jnp.cos(azimuth), sine * jnp.sin(azimuth), jnp.cos(angle)
         light = PlacedLamps(lamp, None if nearness is None else jnp.full_like(x, nearness))
         low, high = ends_of_light(cylinder, light)
-        samples = _samples(cylinder, blur, terms, variance, light, reach, to_theta / _FINEST, disc if discs else None)
+        samples = _samples(
+            cylinder, blur, terms, variance, light, reach, scale_of.limit(to_theta), disc if discs else None
+        )
         closest, _ = ridge_of(cylinder, samples.light, samples.row, low, high)
 
         def turns(column: jax.Array) -> jax.Array:
@@ -181,7 +184,8 @@ def cylinder_rule(
             wide = wide + cylinder.stretch * moved * 1.5
         half = blur.pixel.half_width
         own = [turns(x + arm * at) for at in (-wide, -half, half, wide)]
-        scale, first, last = stretched(own[0], jnp.maximum(own[3], own[0] + _LEAST))
+        farthest = jnp.maximum(own[3], own[0] + _LEAST)
+        scale, first, last = stretched(own[0], farthest, scale_of.limit(farthest))
         cuts = jnp.stack([jnp.arcsinh(turn / scale) for turn in own], axis=-1)
         middle = cuts[..., :1] + _HALVES * (cuts[..., 3:] - cuts[..., :1])
         cuts = jnp.sort(jnp.concatenate([cuts, middle], axis=-1), axis=-1)
@@ -200,7 +204,7 @@ def cylinder_rule(
         if square is not None:
             share = share / square
         share = jnp.where((at.cos_i > 0) & (at.cos_o > 0), share, 0.0)
-        scale, first, last = stretched(from_theta, to_theta)
+        scale, first, last = stretched(from_theta, to_theta, scale_of.limit(to_theta))
         position = jnp.clip(
             2 * (jnp.arcsinh(at.theta_h / scale[..., None]) - first[..., None]) / (last - first)[..., None] - 1,
             -1.1,

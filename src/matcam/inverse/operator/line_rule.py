@@ -16,7 +16,7 @@ import numpy as np
 
 from matcam.core.jax import jax, jit_plainly, jnp
 from matcam.forward.integral.blur import Blur, Spread
-from matcam.inverse.operator.theta_nodes import NODES, onto_nodes, stretched
+from matcam.inverse.operator.theta_nodes import NODES, Scale, onto_nodes, stretched
 
 _PANEL = np.polynomial.legendre.leggauss(24)
 """Gauss-Legendre nodes and weights of the panel between two neighbouring cuts of an arm."""
@@ -71,6 +71,7 @@ def line_rule(
     pixels: ImagePositions,
     reach: jax.Array,
     onto: jax.Array,
+    scale_of: Scale,
     arm: float,
 ) -> LineRule:
     """Compute the quadrature rule of one arm for terms of a blur.
@@ -86,6 +87,7 @@ def line_rule(
             `padded`.
         reach: half width of the window of each pixel, px, (pixels,).
         onto: half width of the range that the nodes cover, px, (pixels,).
+        scale_of: scale of the nodes.
         arm: one of `ARMS`.
     """
 
@@ -109,7 +111,8 @@ def line_rule(
             return jnp.maximum(arm * (u - closest), 0.0)
 
         nearest = turns(column - arm * onto)
-        scale, first, last = stretched(nearest, jnp.maximum(turns(column + arm * onto), nearest + _LEAST))
+        farthest = jnp.maximum(turns(column + arm * onto), nearest + _LEAST)
+        scale, first, last = stretched(nearest, farthest, scale_of.limit(farthest))
         own = [turns(column + arm * at) for at in (-reach, -blur.pixel.half_width, blur.pixel.half_width, reach)]
         cuts = jnp.concatenate([jnp.arcsinh(turn / scale) for turn in own], axis=1)
         cuts = jnp.sort(jnp.concatenate([cuts, cuts[:, :1] + _HALVES * (cuts[:, 3:] - cuts[:, :1])], axis=1), axis=1)
