@@ -115,8 +115,21 @@ def test_albedo_is_energy():
     np.testing.assert_allclose(sharp, fresnel_conductor(angles, 0.2, 3.0), rtol=1e-4)
     table = brdf_table(np.full((90, 90, 180, 3), 0.3 / np.pi), "centre")
     assert inspect_table(table)["albedo"][3] == pytest.approx(
-        {"theta_o_deg": 45, "R": 0.3, "G": 0.3, "B": 0.3}, rel=1e-3
+        {"theta_o_deg": 45, "R": 0.3, "G": 0.3, "B": 0.3, "missing_share": 0.0}, rel=1e-3
     )
+
+
+def test_missing_values_are_no_darkness():
+    """A channel without values has no albedo; for others the share of the light without values is given."""
+    table = brdf_table(np.full((90, 90, 180, 3), 0.3 / np.pi), "centre")
+    table[:, 60:, :, :2] = np.nan  # theta_d beyond 60 degrees: lamp beyond 120 degrees from the camera
+    table[..., 2] = np.nan
+    rows = inspect_table(table)["albedo"]
+    assert all(row["B"] is None for row in rows)
+    for row in rows:
+        assert row["R"] == pytest.approx(0.3 * (1 - row["missing_share"]), rel=2e-3)
+    assert rows[0]["missing_share"] == 0.0
+    assert rows[-1]["missing_share"] > 0.1
 
 
 def test_other_contents(tmp_path):

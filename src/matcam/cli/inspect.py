@@ -61,9 +61,17 @@ def _print_brdf(report: dict[str, Any]) -> None:
         )
     if "grid" in report:
         _print_table(report)
-    channels = [name for name in report["albedo"][0] if name != "theta_o_deg"][:12]
-    rows = [[f"{row['theta_o_deg']}°", *(f"{row[c]:.4f}" for c in channels)] for row in report["albedo"]]
-    show.table(["theta_o", *channels], rows, "Albedo: share of the light that is reflected in all directions")
+    channels = [name for name in report["albedo"][0] if name not in ("theta_o_deg", "missing_share")][:12]
+    text = lambda value: "-" if value is None else f"{value:.4f}"  # noqa: E731
+    rows = [
+        [f"{row['theta_o_deg']}°", *(text(row[c]) for c in channels), f"{row['missing_share']:.2%}"]
+        for row in report["albedo"]
+    ]
+    show.table(
+        ["theta_o", *channels, "missing"],
+        rows,
+        "Albedo: share of the light that is reflected; a lower bound where values are missing (share of diffuse light)",
+    )
     if "camera" in report:
         _print_trace(report["camera"])
         _print_cells(report["cells"])

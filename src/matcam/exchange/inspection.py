@@ -19,7 +19,7 @@ from matcam.core.grid import DIMS, GRID_SHAPE, Sampling, below_horizon, checked_
 from matcam.exchange.contents import Contents
 from matcam.forward.measurement import true_table
 from matcam.inverse.operator.pixel_phase import cell_rule
-from matcam.material.material import albedo
+from matcam.material.material import albedo_and_missing
 from matcam.material.measured import Adaptive, Tabulated
 
 SPHERE_RADIUS = 256.0
@@ -183,7 +183,8 @@ def inspect_table(table: xr.DataArray, radius: float = SPHERE_RADIUS) -> dict[st
 
         - `reciprocity_rms`: rms over cells of the relative difference between phi_d and pi - phi_d. Reciprocity and the
           mirror symmetry of an isotropic material make them equal.
-        - `albedo`: albedo for light from theta_o, per channel; missing values are treated as 0 (see `albedo`).
+        - `albedo`: albedo for light from theta_o, per channel. Missing values are omitted, so it is a lower bound if
+          `missing_share`, the largest share of diffuse light without values, is above 0. None if all values are missing.
         - `lobe`: half width at half maximum in theta_h, degrees, in the plane of light and view and across it, mean
           over channels; None where there is no lobe.
         - `camera`: see `camera_trace`.
@@ -249,10 +250,16 @@ def _degrees(angle: float) -> float | None:
 
 
 def _albedo(material: Tabulated | Adaptive, channels: list[str]) -> list[dict[str, Any]]:
-    shares = albedo(material, np.radians(REPORTED_ANGLES))
+    found = zip(REPORTED_ANGLES, *albedo_and_missing(material, np.radians(REPORTED_ANGLES)), strict=True)
     return [
-        {"theta_o_deg": angle, **{c: float(value) for c, value in zip(channels, values, strict=True)}}
-        for angle, values in zip(REPORTED_ANGLES, shares, strict=True)
+        {
+            "theta_o_deg": angle,
+            **{c: None if np.isnan(value) else float(value) for c, value in zip(channels, values, strict=True)},
+            "missing_share": float(np.max(missing[np.isfinite(values)], initial=0.0))
+            if np.isfinite(values).any()
+            else 1.0,
+        }
+        for angle, values, missing in found
     ]
 
 

@@ -114,11 +114,12 @@ def albedo(material: Material, theta: ArrayLike) -> np.ndarray:
     It resolves lobes down to 1e-4 rad.
 
     Args:
-        material: any material; missing values (NaN) are treated as 0.
+        material: any material. Directions of light with missing values (NaN) are omitted, so the albedo is then a lower bound.
+            `matcam inspect` shows their share.
         theta: viewing angle to the normal, at azimuth 0, rad, [0, pi/2), shape (n,).
 
     Returns:
-        Albedo, no unit, shape (n, channels); one channel for a material without channels.
+        Albedo, no unit, shape (n, channels); one channel for a material without channels. NaN if all values are missing.
 
     Raises:
         ArgumentError: an angle lies outside its range.
@@ -131,6 +132,14 @@ def albedo(material: Material, theta: ArrayLike) -> np.ndarray:
         >>> matcam.material.albedo(white, [0.0]).round(3)
         array([[0.5]])
     """
+    return albedo_and_missing(material, theta)[0]
+
+
+def albedo_and_missing(material: Material, theta: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+    """Compute the directional albedo, and the share of the light whose values are missing.
+
+    The arguments are those of `albedo`. The share is that of diffuse light, no unit, (n, channels).
+    """
     angles = np.atleast_1d(np.asarray(checks.viewing_angle("theta", theta)))
     if angles.ndim != 1 or not angles.size:
         raise ArgumentError(f"theta must have shape (n,), got {angles.shape}")
@@ -140,13 +149,17 @@ def albedo(material: Material, theta: ArrayLike) -> np.ndarray:
     theta_h = u**2 * np.pi / 2
     half = np.sin(theta_h) * np.cos(phi), np.sin(theta_h) * np.sin(phi), np.cos(theta_h) + 0 * phi
     solid = np.sin(theta_h) * np.pi * u / _NODES * 2 * np.pi / _AZIMUTHS
-    albedos = []
+    albedos, missing = [], []
     for angle in angles:
         view = np.sin(angle), 0.0, np.cos(angle)
         towards = half[0] * view[0] + half[2] * view[2]
         light = vector(*(2 * towards * h - v for h, v in zip(half, view, strict=True)))
         reflected = material.reflected(local_shading(light, vector(*view)))
         values = np.asarray(reflected).reshape(_NODES, _AZIMUTHS, -1)
-        weight = np.where(towards > 0, 4 * towards * solid, 0.0) / view[2]
-        albedos.append(np.nansum(values * weight[..., None], axis=(0, 1)))
-    return np.stack(albedos)
+        weight = np.where(towards > 0, 4 * towards * solid, 0.0)
+        unknown, diffuse = np.isnan(values), weight * np.maximum(2 * towards * half[2] - view[2], 0.0)
+        share = (unknown * diffuse[..., None]).sum(axis=(0, 1)) / diffuse.sum()
+        known = np.nansum(values * weight[..., None], axis=(0, 1)) / view[2]
+        albedos.append(np.where((unknown | (diffuse == 0)[..., None]).all(axis=(0, 1)), np.nan, known))
+        missing.append(share)
+    return np.stack(albedos), np.stack(missing)
