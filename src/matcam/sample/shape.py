@@ -18,6 +18,7 @@ import numpy as np
 from matcam.core import checks
 from matcam.core.arrays import is_concrete, repeated, xp
 from matcam.core.arrays.module import Module
+from matcam.core.errors import ArgumentError
 from matcam.core.shading import Vector
 from matcam.numerics.elementary import arcsine
 
@@ -146,6 +147,14 @@ class Curved(Sample):
         """Describe shape, radius and camera in words, for titles and pages."""
         camera = "" if self.distant else f", camera at {float(self.distance):g} radii"
         return f"{self.kind} of {float(self.radius):g} px radius{camera}"
+
+    def check_resolved(self, blur: AnyArray | float) -> None:
+        """Raise ArgumentError if the sample is not larger than half a pixel and the blur of a lens, px."""
+        if is_concrete(self.radius) and is_concrete(blur) and not float(blur) < float(self.radius):
+            raise ArgumentError(
+                "the sample's radius must exceed the camera's blur, which is at least half a pixel and the standard deviation "
+                f"of the lens, here {float(blur):g} px, got {float(self.radius):g} px"
+            )
 
     @abstractmethod
     def surface(self, u: jax.Array, v: jax.Array) -> Element:

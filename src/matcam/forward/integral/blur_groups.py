@@ -63,11 +63,7 @@ def groups_of(blur: Blur, sample: Curved) -> tuple[BlurGroup, ...]:
     stds, half = np.asarray(lengths[0]), float(lengths[1])
     disc, added = _widest_spread(blur, sample)
     widened = np.maximum(np.sqrt(stds**2 + added), np.sqrt(stds**2 + added - disc**2 / 4) + disc / _FOLLOWED)
-    radius = float(lengths[2])
-    if np.min(stds) >= radius:
-        raise ArgumentError(
-            f"the sample's radius must exceed the camera's blur, of standard deviation {np.min(stds):g} px, got {radius:g} px"
-        )
+    sample.check_resolved(max(half, float(np.min(stds))))
     groups: list[BlurGroup] = []
     left = list(np.argsort(stds))
     while left:

@@ -25,6 +25,7 @@ from matcam.forward.peaks.disc_points import DiscPoints, has_discs, mean_over_di
 from matcam.forward.peaks.lobe_quadrature import line_record, plane_record
 from matcam.material.ndf.distribution import NDF, MixtureNDF, SlopeDistribution
 from matcam.sample.curved import Cylinder
+from matcam.sample.shape import Curved
 
 if TYPE_CHECKING:
     from matcam.core.jax import AnyArray, jax
@@ -52,6 +53,8 @@ def response_at_peak(rig: Rig, ndf: SlopeDistribution, theta: jax.Array, dims: i
     if not isinstance(ndf, NDF):
         raise ArgumentError(f"the tangent plane needs an isotropic lobe, not {type(ndf).__name__}: use exact=True")
     sample = rig.sample
+    if isinstance(sample, Curved):
+        sample.check_resolved(rig.camera.pixel.half_width)
     # in a distant rig, all rows across the axis of a cylinder are equal
     one_plane = dims == 2 and isinstance(sample, Cylinder) and sample.distant and rig.lamp.nearness is None
     lens = _gaussians_of(rig)
