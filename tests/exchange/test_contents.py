@@ -7,10 +7,9 @@ import xarray as xr
 from matcam import Camera, GaussianOptics
 from matcam.cli.app import app
 from matcam.core.errors import ArgumentError, FileFormatError, OutputError
-from matcam.core.grid import brdf_table
+from matcam.core.grid import CORRECTED, brdf_table
 from matcam.exchange.contents import read, read_contents, read_recorded_table, read_table, write
 from matcam.files.formats import CONTENTS, FORMATS, MEASUREMENTS, format_for, format_named, identify, suffixes_for
-from matcam.inverse.correction.corrected_table import CORRECTED
 from matcam.io import read_samples, write_sidecar
 from matcam.targets import design_chart
 

@@ -5,7 +5,7 @@ import pytest
 import xarray as xr
 from scipy.stats import binom
 
-from matcam import Camera, Flat, GaussianOptics, Rig, Sphere, limits
+from matcam import Camera, Flat, GaussianOptics, Rig, Sphere, fit, fresnel, limits, rivals
 from matcam.camera import PixelNoise
 from matcam.core.errors import ArgumentError
 from matcam.inverse import Correction
@@ -200,11 +200,15 @@ def test_a_rig_that_is_contradicted_corrects_nothing():
 def test_what_cannot_be_corrected_is_refused():
     table = xr.zeros_like(recorded.table_of(chosen_cells(SampleView(256.0), "centre", 30), np.zeros((3, 112)))) + 1.0
     table.attrs["sampling"] = "centre"
-    rig = recorded.rig()
+    rig, corrected = recorded.rig(), table.assign_attrs(corrected_for_camera=1, long_name="corrected BRDF")
     for bad, words in (
         (lambda: Correction.of(table, Rig(rig.camera, Flat())), "recorded from a Sphere"),
         (lambda: Correction.of(table, rig, "phong"), "ndf must be one of"),
-        (lambda: Correction.of(table.assign_attrs(corrected_for_camera=1), rig), "already corrected for a camera"),
+        (lambda: Correction.of(corrected, rig), "brdf is already a corrected BRDF: give the table as it was recorded"),
+        (lambda: fit(corrected, rig), "already a corrected BRDF"),
+        (lambda: fit([table, corrected], rig), "already a corrected BRDF"),
+        (lambda: fresnel(corrected, rig), "already a corrected BRDF"),
+        (lambda: rivals(corrected, rig), "already a corrected BRDF"),
         (lambda: Correction.of(table, rig, glare=2), "glare must lie in"),
     ):
         with pytest.raises(ArgumentError, match=words):

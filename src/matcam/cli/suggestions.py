@@ -90,8 +90,8 @@ def _after_inspect(values: dict[str, Any]) -> list[Any] | None:
         return ["matcam", "predict", "--camera", file]
     if kind not in ("merl", "csv"):
         return None
+    from matcam.core.grid import CORRECTED
     from matcam.exchange.contents import read_contents
-    from matcam.inverse.correction.corrected_table import CORRECTED
 
     try:
         table = read_contents(file).table

@@ -312,3 +312,14 @@ def sampling_of(table: xr.DataArray) -> Sampling:
     if sampling not in SAMPLINGS:
         raise ArgumentError(f"attrs['sampling'] of a BRDF table must be 'centre' or 'edge', got {sampling!r}")
     return sampling
+
+
+CORRECTED = "corrected_for_camera"
+"""Name of the attribute that marks a table as corrected, or as reconstructed from photographs."""
+
+
+def check_recorded(table: xr.DataArray, what: str = "brdf") -> None:
+    """Raise ArgumentError if a table is already corrected for a camera. what: name of the table in the message."""
+    if table.attrs.get(CORRECTED):
+        kind = table.attrs.get("long_name", "corrected BRDF")
+        raise ArgumentError(f"{what} is already a {kind}: give the table as it was recorded")

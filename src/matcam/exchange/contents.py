@@ -13,14 +13,13 @@ from matcam.calibration.chart.chart import Chart
 from matcam.calibration.chart.chart_file import read_chart, write_chart
 from matcam.camera.camera import Camera
 from matcam.core.errors import ArgumentError, FileFormatError
-from matcam.core.grid import DIMS, Sampling, checked_table
+from matcam.core.grid import CORRECTED, DIMS, Sampling, check_recorded, checked_table
 from matcam.core.io import check_output
 from matcam.files.datasets import read_netcdf
 from matcam.files.formats import CONTENTS, MEASUREMENTS, format_for, format_named, identify, suffixes_for
 from matcam.files.merl import read_merl
 from matcam.files.rgl import check_fields
 from matcam.files.samples import checked_samples, samples_of, table_of
-from matcam.inverse.correction.corrected_table import CORRECTED
 from matcam.material.material import Material
 from matcam.material.measured import Adaptive, Tabulated
 
@@ -197,10 +196,7 @@ def read_contents(path: str | Path, sampling: Sampling = "centre") -> Contents:
 def read_recorded_table(path: str | Path, sampling: Sampling = "centre") -> xr.DataArray:
     """Read a table as `read_table` does, and refuse a table that is not as a camera recorded it."""
     table = read_table(path, sampling=sampling)
-    if table.attrs.get(CORRECTED):
-        raise ArgumentError(
-            f"{path}: the table is already a {table.attrs.get('long_name', 'BRDF')}: give the table as it was recorded"
-        )
+    check_recorded(table, f"{path}: the table")
     return table
 
 

@@ -153,8 +153,8 @@ def fresnel(
     _check(rig, ndf, normalise)
     checks.choice("masking", masking, MASKINGS)
     checks.flag("force_correction", force_correction)
-    _check_highlight(brdf, normalise)
     located, workspace = located_rig(rig, brdf), workspace or default_workspace()
+    _check_highlight(brdf, normalise)
     setup = first_setup(
         brdf, located.rig, masking=masking, noise=noise, workspace=workspace, slice_step=max(slice_step, SEARCH_STEP)
     )

@@ -8,10 +8,10 @@ from functools import partial
 import numpy as np
 import xarray as xr
 
-from matcam.core.grid import CHANNELS, brdf_table, cosines, merl_grid
+from matcam.core.grid import CHANNELS, CORRECTED, brdf_table, cosines, merl_grid
 from matcam.core.jax import jax
 from matcam.files.capture_settings import Stated
-from matcam.inverse.correction.corrected_table import CORRECTED, SUPPORTED
+from matcam.inverse.correction.corrected_table import SUPPORTED
 from matcam.inverse.fit.fit_parameters import LobeKind
 from matcam.material.diffuse_shape import departure, terms
 from matcam.material.microfacet import Microfacet

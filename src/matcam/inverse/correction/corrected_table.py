@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 
 from matcam.camera.sensor import PixelNoise
-from matcam.core.grid import Sampling, merl_grid, sampling_of
+from matcam.core.grid import CORRECTED, Sampling, merl_grid, sampling_of
 from matcam.core.results.labelled import named
 from matcam.inverse.correction.correction_limits import PEAK, ROWS, EnergyLimit, LobeRatio, above_noise, energy_limit
 from matcam.inverse.correction.farthest_glare import FarthestGlare
@@ -32,8 +32,6 @@ TABLE_ATTRIBUTES = {
     "response": {"units": "1", "long_name": "recorded / true lobe"},
 }
 """Attributes of the variables of a corrected table."""
-CORRECTED = "corrected_for_camera"
-"""Name of the attribute that marks a table as corrected."""
 OPERATOR_ACCURACY = 1e-6
 """Error of the modelled record of a lobe, as a share of the largest value of the slice (docs/correct.md, Claims). Fainter parts
 of a recorded lobe are unknown, even without noise.

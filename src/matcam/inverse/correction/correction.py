@@ -18,7 +18,7 @@ from matcam.core.remark import Remark, to_attribute
 from matcam.core.results.summary import Quantity, Summarised, Summary, parameters
 from matcam.core.threads import done_behind
 from matcam.core.workspace import Workspace, default_workspace
-from matcam.inverse.correction.corrected_table import CORRECTED, corrected_table
+from matcam.inverse.correction.corrected_table import corrected_table
 from matcam.inverse.correction.correction_limits import (
     LobeRatio,
     shrunk,
@@ -131,10 +131,6 @@ class Correction(Summarised):
             FitError: the table has no values to fit.
         """
         brdf = checked_table(brdf)
-        if brdf.attrs.get(CORRECTED):
-            raise ArgumentError(
-                "brdf is already corrected for a camera, as its attributes indicate: give the recorded table"
-            )
         check_rig(rig)
         checks.choice("ndf", ndf, (AUTO, *FAMILIES))
         checks.choice("masking", masking, MASKINGS)

@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 
 from matcam.core.errors import ArgumentError
-from matcam.core.grid import azimuth_of, sample_of
+from matcam.core.grid import azimuth_of, check_recorded, sample_of
 from matcam.core.jax import jax, jnp
 from matcam.forward.integral.scene import highlight_x
 from matcam.forward.sampler.windows import SphereView
@@ -156,8 +156,10 @@ def sample_view(rig: Rig | None) -> SampleView:
 def rig_behind(table: xr.DataArray, rig: Rig) -> Rig:
     """Return the rig with the lamp azimuth of a table.
 
-    The rig or the table specifies the azimuth. An ArgumentError is raised if they specify different azimuths or samples.
+    The rig or the table specifies the azimuth. An ArgumentError is raised if they specify different azimuths or samples, or if
+    the table is already corrected.
     """
+    check_recorded(table)
     kind = sample_of(table)
     if kind not in (None, rig.sample.kind):
         known = "a flat sample, whose table is not blurred" if kind == "flat" else f"attrs['sample'] = '{kind}'"
