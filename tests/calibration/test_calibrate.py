@@ -422,9 +422,11 @@ def test_one_grating_does_not_veto_the_edges():
     finding = Finding("grey", "a.png", None, edges, tuple(samples), (), shape)
     fit = fit_camera(Evidence([finding]), "grey", CameraRequest("gaussian", 0.5, None, None))
     assert 0.495 < fit.values[0] < 0.515
-    (remark,) = fit.remarks
+    remark, widened = fit.remarks
     assert remark.code == "target-disagrees"
     assert "grating 66" in remark.text
+    assert widened.code == "disagreement"  # the edges have 0.5 px, the other gratings 0.51 px
+    assert abs(fit.values[0] - 0.5) < fit.std[0] < 0.02
     # where there are no edges, nobody knows which are wrong
     alone = Finding("grey", "a.png", None, None, tuple(samples[-2:]), (), shape)
     with pytest.raises(FitError, match="contradictory measurements"):

@@ -8,18 +8,17 @@ returned as a tabulated MTF, because the product of core and diffraction is not 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from matcam.calibration.camera.consensus import disagreement_remarks
+from matcam.calibration.camera.disagreement import blur_disagreement, widened_remarks, without_disagreeing
 from matcam.calibration.camera.evidence import EdgeTable, Evidence, LensAt, MeanCurve
 from matcam.calibration.camera.joint_fit import (
     EdgeMeasurements,
-    JointFit,
-    Measurements,
     fit_jointly,
 )
 from matcam.calibration.edge.free_curve import FREQUENCIES
@@ -36,20 +35,14 @@ from matcam.core.programs import kept_program
 from matcam.core.remark import Remark
 from matcam.core.results.summary import Quantity, Summarised, Summary, correlations, parameters
 
-_STRANGE, _LARGE, _CLEAR = 0.03, 0.1, 5.0
-"""Largest relative differences of the blur of targets, and number of standard deviations that both must exceed.
-
-Targets of a chart that differ from its edges by more than the first value are excluded. Other measurements that differ by
-more than the second value are contradictory.
-"""
 _LARGEST_STD = 0.1
 """Largest relative standard deviation of lens width and pixel half width if both are fitted."""
-_MISSED, _SIGNIFICANT = 0.005, 4.0
-"""Difference of the MTF and number of standard deviations above which the model does not explain the edges."""
 _PIXEL = 0.3
 """Smallest MTF of the pixel by which a measured curve is divided."""
 _STD = 0.03
 """Standard deviation of the lens MTF above which a measured curve is extrapolated."""
+_STEP = 1e-4
+"""Change of ln(blur) by which the MTF is differentiated. The truncation error is below 1e-4 of the derivative."""
 _END = 1e-6
 """MTF at which the extrapolation of a measured curve ends."""
 
@@ -149,7 +142,7 @@ class CameraFit(Summarised):
 
         The largest difference must not exceed both 0.005 and 4 standard deviations.
         """
-        return not (self.misfit > _MISSED and self.misfit > _SIGNIFICANT * self.misfit_std)
+        return self.curve.consistent
 
     @property
     def headline(self) -> str:
@@ -245,7 +238,7 @@ def fit_camera(evidence: Evidence, channel: str, request: CameraRequest) -> Came
     start = np.asarray(lens.start(jnp.asarray(np.log(0.5 if table is None else np.median(table.sigma)))))
     precision = np.array([0.0, 0.0, KURTOSIS**-2]) if separable else np.zeros(start.size)
     half = float(request.half_width or 0.5)
-    fitted, disagreeing = _without_disagreeing(
+    fitted, disagreeing = without_disagreeing(
         measurements, lambda some: fit_jointly(some, start, lens.longest, precision, half), channel
     )
     covariance = fitted.observed_covariance()
@@ -253,14 +246,17 @@ def fit_camera(evidence: Evidence, channel: str, request: CameraRequest) -> Came
     found = _FittedLens(lens, parameters, covariance, half)
     if separable:
         _refuse_unseparated(found, table)
-    curve = _mean_curve(found, measurements.edges, table)
+    curve, slope = _mean_curve(found, measurements.edges, table)
+    explained = replace(curve, camera_mtf=curve.mtf) if request.model == "measured" else curve
+    apart = blur_disagreement(measurements.groups, disagreeing, explained, slope)
+    found = _FittedLens(lens, parameters, covariance + np.diag([apart**2, *[0.0] * (start.size - 1)]), half)
     names = lens.names
     if request.model == "measured":
         if table is None:
             raise FitError(
                 "the lens model 'measured' needs edges, but there are none: add images of edges, or choose another model"
             )
-        camera, names = _measured_camera(found, table, curve), ("gaussian.sigma_px",)
+        camera, names = _measured_camera(found, table, curve, apart * slope), ("gaussian.sigma_px",)
         expected = np.abs(camera.mtf(jnp.asarray(FREQUENCIES), jnp.asarray(table.angle)[:, None]))
         curve = replace(curve, camera_mtf=(table.weights * expected).sum(0))
     elif separable:
@@ -281,36 +277,8 @@ def fit_camera(evidence: Evidence, channel: str, request: CameraRequest) -> Came
         edges=table,
         curve=curve,
         measurements={name: n for name, n in Counter(measurements.groups).items() if name not in disagreeing},
-        remarks=disagreement_remarks(disagreeing, channel),
+        remarks=(*disagreement_remarks(disagreeing, channel), *widened_remarks(apart, channel)),
     )
-
-
-def _without_disagreeing(
-    measurements: Measurements, fit: Callable[[Measurements], JointFit], channel: str
-) -> tuple[JointFit, dict[str, float]]:
-    """Fit without the targets that contradict the edges of their chart; list their names and the differences of their blur.
-
-    A FitError is raised if measurements contradict one another, and no edges determine which are wrong. `channel`: name
-    for the message.
-    """
-    groups, replaceable, disagreeing = measurements.groups, measurements.replaceable, dict[str, float]()
-    while True:
-        fitted = fit(measurements.without(disagreeing))
-        candidates = replaceable - disagreeing.keys()
-        off = fitted.differences(groups, set(groups) - candidates)
-        more = {k: d for k, (d, std) in off.items() if k in candidates and abs(d) > max(_STRANGE, _CLEAR * std)}
-        if not more:
-            off = fitted.differences(groups, groups)
-            name, (difference, std) = max(off.items(), key=lambda one: abs(one[1][0]), default=("", (0.0, 0.0)))
-            if abs(difference) < max(_LARGE, _CLEAR * std):
-                return fitted, disagreeing
-            if name not in candidates:
-                others = [other for other in off if other != name]
-                text = f"the blur of {name} differs by {difference:+.0%} from that of {', '.join(others[:2])}"
-                text += f" and {len(others) - 2} others" if len(others) > 2 else ""
-                raise FitError(f"contradictory measurements, channel {channel}: {text}; omit the wrong measurements")
-            more = {name: difference}
-        disagreeing |= more
 
 
 class _FittedLens:
@@ -353,17 +321,22 @@ def _refuse_unseparated(found: _FittedLens, table: EdgeTable | None) -> None:
         )
 
 
-def _mean_curve(found: _FittedLens, edges: EdgeMeasurements | None, table: EdgeTable | None) -> MeanCurve:
-    """Compute the mean MTF of the edges and of the fitted camera.
+def _mean_curve(
+    found: _FittedLens, edges: EdgeMeasurements | None, table: EdgeTable | None
+) -> tuple[MeanCurve, np.ndarray]:
+    """Compute the mean MTF of the edges and of the fitted camera, and the derivative of the latter by ln(blur).
 
     The standard deviation follows from the scatter of the edges.
     """
     theta, half = jnp.asarray(found.parameters), jnp.asarray(found.half)
+    wider = theta.at[0].add(_STEP)
     if table is None:
         nothing = np.full(FREQUENCIES.size, np.nan)
-        along = found.lens.mtf(theta, jnp.asarray(FREQUENCIES), jnp.zeros(()), half)
-        return MeanCurve(FREQUENCIES, nothing, nothing, np.asarray(along))
-    models = np.abs(np.asarray(_edge_curves(edges, theta, half)))
+        along, moved = (
+            np.asarray(found.lens.mtf(at, jnp.asarray(FREQUENCIES), jnp.zeros(()), half)) for at in (theta, wider)
+        )
+        return MeanCurve(FREQUENCIES, nothing, nothing, along), (moved - along) / _STEP
+    models, moved = (np.abs(np.asarray(_edge_curves(edges, at, half))) for at in (theta, wider))
     weight = table.weights
     mean, expected = (weight * table.mtf).sum(0), (weight * models).sum(0)
     count = table.x.size
@@ -371,7 +344,8 @@ def _mean_curve(found: _FittedLens, edges: EdgeMeasurements | None, table: EdgeT
     apart = table.mtf - models - (mean - expected)
     scatter = np.sqrt((weight**2 * apart**2).sum(0) * count / max(count - 1, 1))
     stated = np.sqrt((weight**2 * table.mtf_std**2).sum(0))
-    return MeanCurve(FREQUENCIES, mean, np.maximum(scatter, stated) if count > 1 else stated, expected)
+    curve = MeanCurve(FREQUENCIES, mean, np.maximum(scatter, stated) if count > 1 else stated, expected)
+    return curve, (weight * (moved - models)).sum(0) / _STEP
 
 
 @kept_program
@@ -380,10 +354,11 @@ def _edge_curves(edges: Any, theta: jax.Array, half: jax.Array) -> jax.Array:
     return jax.lax.map(lambda e: e[0].mtf(theta, FREQUENCIES, e[1], half), (edges.lens, jnp.asarray(edges.angle)))
 
 
-def _measured_camera(found: _FittedLens, table: EdgeTable, curve: MeanCurve) -> Camera:
+def _measured_camera(found: _FittedLens, table: EdgeTable, curve: MeanCurve, shift: np.ndarray) -> Camera:
     """Create a camera whose lens has the mean MTF of the edges, divided by that of the pixel.
 
-    Beyond the frequency at which the standard deviation is too large, the curve is extrapolated by the fitted Gaussian.
+    Beyond the frequency at which the standard deviation is too large, the curve is extrapolated by the fitted Gaussian. shift:
+    standard deviation of the MTF due to disagreement, fully correlated over the frequencies.
     """
     mean, std = curve.mtf, curve.mtf_std
     c, s = np.abs(np.cos(table.angle))[:, None], np.abs(np.sin(table.angle))[:, None]
@@ -409,6 +384,8 @@ def _measured_camera(found: _FittedLens, table: EdgeTable, curve: MeanCurve) -> 
     scatter = apart.T @ apart / max(table.x.size - 1, 1)
     scale = error[1:] / np.sqrt(np.maximum(np.diag(scatter), 1e-30))
     covariance = scatter * np.outer(scale, scale) if table.x.size > 2 else np.diag(error[1:] ** 2)
+    wide = (shift / box)[1 : last + 1]
+    covariance += np.outer(wide, wide)
     names = tuple(f"optics.mtf[{i}]" for i in range(1, last + 1))
     return Camera(optics, BoxPixel(found.half), uncertainty=_uncertainty(names, covariance))
 

@@ -32,6 +32,8 @@ from matcam.files.photographs import Photograph
 
 LensAt = Callable[[float | None], LensModel]
 """Lens model of an image as a function of its f-number; None if the f-number is unknown."""
+_MISSED, _SIGNIFICANT = 0.005, 4.0
+"""Difference of the MTF and number of standard deviations above which the model does not explain the edges."""
 
 
 class EdgeTable(NamedTuple):
@@ -155,6 +157,12 @@ class MeanCurve:
         below = (self.frequency > 0) & (self.frequency <= 0.5)
         worst = int(np.argmax(np.where(below, off, -1)))
         return float(off[worst]), float(self.mtf_std[worst])
+
+    @property
+    def consistent(self) -> bool:
+        """Check that the camera explains the mean MTF of the edges, see `CameraFit.consistent`."""
+        misfit, std = self.misfit
+        return not (misfit > _MISSED and misfit > _SIGNIFICANT * std)
 
 
 class Finding(NamedTuple):

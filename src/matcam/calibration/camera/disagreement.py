@@ -1,0 +1,83 @@
+"""Measurements that disagree with the blur of the edges: their exclusion, and the uncertainty that they add.
+
+Noise explains neither other kinds of targets that differ nor another shape of the MTF. The cause is the print, the tone curve
+or the lens model, and it also changes the blur of the edges.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+
+from matcam.calibration.camera.evidence import MeanCurve
+from matcam.calibration.camera.joint_fit import JointFit, Measurements
+from matcam.core.errors import FitError
+from matcam.core.remark import Remark
+
+_STRANGE, _LARGE, _CLEAR = 0.03, 0.1, 5.0
+"""Largest relative differences of the blur of targets, and number of standard deviations that both must exceed.
+
+Targets of a chart that differ from its edges by more than the first value are excluded. Other measurements that differ by
+more than the second value are contradictory.
+"""
+
+
+def without_disagreeing(
+    measurements: Measurements, fit: Callable[[Measurements], JointFit], channel: str
+) -> tuple[JointFit, dict[str, float]]:
+    """Fit without the targets that contradict the edges of their chart; list their names and the differences of their blur.
+
+    A FitError is raised if measurements contradict one another, and no edges determine which are wrong. `channel`: name
+    for the message.
+    """
+    groups, replaceable, disagreeing = measurements.groups, measurements.replaceable, dict[str, float]()
+    while True:
+        fitted = fit(measurements.without(disagreeing))
+        candidates = replaceable - disagreeing.keys()
+        off = fitted.differences(groups, set(groups) - candidates)
+        more = {k: d for k, (d, std) in off.items() if k in candidates and abs(d) > max(_STRANGE, _CLEAR * std)}
+        if not more:
+            off = fitted.differences(groups, groups)
+            name, (difference, std) = max(off.items(), key=lambda one: abs(one[1][0]), default=("", (0.0, 0.0)))
+            if abs(difference) < max(_LARGE, _CLEAR * std):
+                return fitted, disagreeing
+            if name not in candidates:
+                others = [other for other in off if other != name]
+                text = f"the blur of {name} differs by {difference:+.0%} from that of {', '.join(others[:2])}"
+                text += f" and {len(others) - 2} others" if len(others) > 2 else ""
+                raise FitError(f"contradictory measurements, channel {channel}: {text}; omit the wrong measurements")
+            more = {name: difference}
+        disagreeing |= more
+
+
+def blur_disagreement(
+    groups: Sequence[str], disagreeing: Mapping[str, float], curve: MeanCurve, slope: np.ndarray
+) -> float:
+    """Estimate the relative standard deviation of the blur due to measurements that disagree with the fit.
+
+    Args:
+        groups: image and kind of every measurement; a name ends with the kind in brackets.
+        disagreeing: relative difference of the blur from the fit, by the name of each group that was excluded.
+        curve: mean MTF of the edges and of the camera.
+        slope: derivative of the MTF of the camera with respect to ln(blur), at the frequencies of `curve`.
+    """
+    of_kind: dict[str, list[float]] = {}
+    for name in dict.fromkeys(groups):
+        of_kind.setdefault(name.rpartition(" (")[2], []).append(disagreeing.get(name, 0.0))
+    # a single target may be damaged; one kind of target is described or printed like the other kinds
+    kinds = [float(np.median(differences)) for differences in of_kind.values()]
+    variance = sum(one**2 for one in kinds) / max(len(kinds) - 1, 1)
+    if not curve.consistent:
+        variance += (curve.misfit[0] / float(np.abs(slope[curve.frequency <= 0.5]).max())) ** 2
+    return float(np.sqrt(variance))
+
+
+def widened_remarks(share: float, channel: str) -> tuple[Remark, ...]:
+    """State that a standard deviation contains the disagreement. `share`: result of `blur_disagreement`."""
+    if not share:
+        return ()
+    text = (
+        f"measurements or model disagree with the edges, so ±{share:.1%} is added to the standard deviation of the blur"
+    )
+    return (Remark("disagreement", f"{channel}: {text}"),)
