@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from matcam import BoxPixel, DiffractionOptics
 from matcam.calibration.chart.chart_layout import KINDS, PAGES
-from matcam.cli import _run, chart, simulate
+from matcam.cli import _run, chart, show, simulate
 from matcam.cli.app import app
 from matcam.cli.options import in_options
 from matcam.core.errors import ArgumentError
@@ -81,6 +81,24 @@ def test_ranges_are_in_the_options_units():
     assert in_options(behind, COMMANDS["simulate"]) == (
         "--lamp-angle must lie in [0, 180) degrees (beyond 180 degrees the lamp is behind the sample), got 229.2"
     )
+
+
+def test_remarks_speak_of_options(capsys, monkeypatch):
+    """As errors do, whether a command prints them as notes, lines or remarks."""
+    text = "rig and data contradict each other: check the rig, or use force_correction=True"
+
+    def said(*_, **__):
+        show.notes([text])
+        show.say(text)
+        show.remark(text)
+
+    correct = COMMANDS["correct"]
+    monkeypatch.setattr(correct, "callback", said)
+    correct.invoke(typer.Context(correct))
+    out, error = capsys.readouterr()
+    assert (out + error).count("or use --force-correction") == 3
+    show.say(text)
+    assert capsys.readouterr().out == f"{text}\n"
 
 
 def test_python_keeps_its_own_words():

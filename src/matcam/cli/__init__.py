@@ -122,7 +122,7 @@ def _run(arguments: list[str] | None) -> int:
     import typer
 
     from matcam.cli.app import app
-    from matcam.cli.show import broken_output, in_options
+    from matcam.cli.show import broken_output
 
     # typer contains its own copy of click, and does not export this exception
     usage_error: type[Any] = typer.BadParameter.__mro__[1]
@@ -139,7 +139,7 @@ def _run(arguments: list[str] | None) -> int:
     except (KeyboardInterrupt, typer.Abort):
         return _interrupted()
     except MatcamError as error:
-        return _complain(in_options(_one_line(str(error))), BAD_INPUT)
+        return _complain(_one_line(str(error)), BAD_INPUT)
     except BrokenPipeError as error:
         return _output_failed(error, 0)
     except MemoryError:

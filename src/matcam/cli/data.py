@@ -64,7 +64,7 @@ def merl(
                 fetched.append(str(fetch_merl(name, output, source, progress, force=force)))
             show.say(fetched[-1], quiet=json)
         except (DownloadError, OutputError) as error:
-            failed.append(show.in_options(str(error)))
+            failed.append(show.worded(str(error)))
             show.remark(failed[-1])
     if json:
         show.as_json({"files": fetched, "failed": failed})

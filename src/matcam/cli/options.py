@@ -1,7 +1,7 @@
 """Common options of commands, and errors in terms of options.
 
-Messages of the library name Python arguments ("half_width must lie in ..."). `Command` translates them, for all
-commands, by the options of the command and by the tables below ("--half-width must lie in ...").
+Messages of the library name Python arguments ("half_width must lie in ..."). `Command` translates errors, remarks and all
+other lines, for all commands, by the options of the command and by the tables below ("--half-width must lie in ...").
 """
 
 from __future__ import annotations
@@ -237,7 +237,8 @@ class Command(TyperCommand):
             with all_or_nothing() as outputs:  # an exception discards the files
                 _outputs_of_command.append(outputs)
                 try:
-                    result = super().invoke(ctx)
+                    with show.wording(lambda text: in_options(text, self)):
+                        result = super().invoke(ctx)
                 except typer.Exit as end:
                     result = end.exit_code
         except MatcamError as error:

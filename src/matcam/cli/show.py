@@ -13,7 +13,7 @@ import os
 import re
 import sys
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
 
 from matcam.cli import activity
@@ -27,9 +27,6 @@ _LEAST_WIDTH = 20
 _LONGEST_WORD = 24
 """Longest word that a column of a table shows without a break, characters: enough for numbers and names of parameters."""
 
-OPTIONS = {"force=True": "--force", "fit_camera=True": "--fit-camera"}
-"""Arguments in messages of the library, and the corresponding options."""
-
 _broken: list[OSError] = []
 """First error of writing to standard output; empty if there was none."""
 
@@ -37,6 +34,28 @@ _manner: list[tuple[bool, str]] = [(False, "")]
 """Output settings of the running commands, the innermost last: quiet or not, and the name of the schema of their
 JSON.
 """
+
+_wordings: list[Callable[[str], str]] = [str]
+"""Translations of messages of the library for the running commands, the innermost last."""
+
+
+@contextlib.contextmanager
+def wording(translate: Callable[[str], str]) -> Iterator[None]:
+    """Translate all lines and remarks while a command runs.
+
+    Args:
+        translate: function that replaces arguments of the library by options of the command.
+    """
+    _wordings.append(translate)
+    try:
+        yield
+    finally:
+        _wordings.pop()
+
+
+def worded(text: str) -> str:
+    """Translate a message of the library to the options of the running command."""
+    return "\n".join(map(_wordings[-1], text.split("\n")))
 
 
 @contextlib.contextmanager
@@ -113,13 +132,13 @@ def _width() -> int | None:
 def say(text: str, *, quiet: bool = False) -> None:
     """Print a line of the result, unless standard output is for JSON."""
     if not (quiet or _manner[-1][0]):
-        _print("\n".join(map(printable, text.split("\n"))))
+        _print("\n".join(map(printable, worded(text).split("\n"))))
 
 
 def notes(texts: Iterable[object]) -> None:
     """Print the remarks on a result."""
     for text in texts:
-        say(f"note: {text}")
+        say(f"note: {worded(str(text))}")
 
 
 def written(paths: Iterable[object]) -> None:
@@ -131,7 +150,7 @@ def remark(text: str) -> None:
     """Print a remark, such as the failure of one input, to standard error."""
     activity.clear()
     with contextlib.suppress(OSError):
-        print(f"matcam: {printable(text)}", file=sys.stderr)
+        print(f"matcam: {printable(worded(text))}", file=sys.stderr)
 
 
 def _print(text: str, end: str = "\n") -> None:
@@ -249,10 +268,3 @@ def _span(seconds: float) -> str:
         if seconds >= 2 * size:
             return f"{seconds / size:.0f} {unit}"
     return f"{seconds:.0f} s"
-
-
-def in_options(message: str) -> str:
-    """Translate a message of the library to the terms of the command line."""
-    for argument, option in OPTIONS.items():
-        message = message.replace(argument, option)
-    return message
