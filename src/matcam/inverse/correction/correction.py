@@ -49,7 +49,7 @@ _MATTERS = 0.01
 _WITHHELD = Remark(
     "correction-withheld",
     "rig and data contradict each other: the table is not corrected, and the standard deviation of the correction is the "
-    "change that the rig predicts; check the rig, or use force_correction=True",
+    "change that the rig predicts; check the radius of the sample, the camera and the lamp, or use force_correction=True",
 )
 _UNSEEN = Remark(
     "blur-not-seen",

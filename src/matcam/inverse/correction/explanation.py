@@ -29,6 +29,7 @@ from matcam.inverse.correction.evidence import OtherLobe, Weighing, noise_withou
 from matcam.inverse.correction.lobe_shape import ShapeUncertainty, known_shape, shape_uncertainty
 from matcam.inverse.correction.rig_refits import RigRefit, rig_refits
 from matcam.inverse.correction.spline_lobe import in_all_slices
+from matcam.inverse.fit.fit_data import MOST_NOISE
 from matcam.inverse.fit.fit_parameters import STUDENT, TWO_LOBES
 from matcam.inverse.fit.fit_setup import AUTO, CANDIDATES, SEARCH_STEP, FitSetup, free_setup
 from matcam.inverse.fit.material_fit import MaterialFit
@@ -146,14 +147,17 @@ class Explanation(NamedTuple):
     @property
     def no_blur_remark(self) -> Remark:
         """Build the remark that the data show no blur."""
-        noise = [f"{fit.noise.relative:.1%}" for fit in (self.blind, self.fit, self.without_camera)]
+        noise = [
+            f"{'at least ' if fit.noise.relative > 0.99 * MOST_NOISE else ''}{fit.noise.relative:.1%}"
+            for fit in (self.blind, self.fit, self.without_camera)
+        ]
         text = (
             f"the data show no blur by this camera: the noise of a pixel would be {noise[0]} without the camera, {noise[1]} "
             "with the camera"
         )
         if self.shadowed is not None:
             text += f", and {noise[2]} without the camera but with free shadowing and one lobe per channel"
-        return Remark("no-blur-in-data", text)
+        return Remark("no-blur-in-data", f"{text}; a wrong radius of the sample in the rig has the same effect")
 
     @property
     def remarks(self) -> tuple[Remark, ...]:

@@ -40,8 +40,9 @@ class RigRefit(NamedTuple):
 
     Attributes:
         axis: free parameter of the rig.
-        coordinate: fitted coordinate of the parameter; 0 is the specified value.
-        value: fitted value of the parameter, in its own unit.
+        coordinate: coordinate of the parameter from the data alone, without its prior, within the range of the axis; 0 is the
+            specified value.
+        value: value of the parameter at this coordinate, in its own unit.
         std: standard deviation of `value`, in the same unit.
         contradicts: True if rig and data contradict each other.
         fit: fit with this parameter free.
@@ -64,16 +65,18 @@ class RigRefit(NamedTuple):
     @property
     def remark(self) -> Remark:
         """Build the remark that the fitted value contradicts the rig."""
-        if self.axis.name == LENS:
-            code = "lens-contradicts-data"
-            found = f"a fit with free lens width gives {self.value:.3f} ± {self.std:.1g} px instead of {self.axis.base:.3f} px"
+        scale, unit = (1.0, "px") if self.axis.name == LENS else (float(np.degrees(1.0)), "degrees")
+        value, std, base = (scale * one for one in (self.value, self.std, self.axis.base))
+        if self.axis.low < self.coordinate < self.axis.high:
+            decimals = max(3, 1 - int(np.floor(np.log10(max(std, 1e-9)))))
+            gives = f"{value:.{decimals}f} ± {std:.1g}"
         else:
-            code = "lamp-contradicts-data"
-            radius, std, base = (float(np.degrees(v)) for v in (self.value, self.std, self.axis.base))
-            found = f"a fit with free lamp radius gives {radius:.3f} ± {std:.1g} degrees instead of {base:.3f} degrees"
+            decimals, gives = 3, f"{'at least' if self.coordinate > 0 else 'at most'} {value:.3f}"
+        code, what = ("lens", "lens width") if self.axis.name == LENS else ("lamp", "lamp radius")
         return Remark(
-            code,
-            f"{found}: the camera, the lamp or the family contradicts the data; the uncertainty includes "
+            f"{code}-contradicts-data",
+            f"a fit with free {what} gives {gives} {unit} instead of {base:.{decimals}f} {unit}: the camera, the radius of the "
+            "sample, the lamp or the family contradicts the data; the uncertainty includes "
             f"{CONTRADICTION_WEIGHT:g} times the difference",
         )
 
@@ -133,4 +136,6 @@ def _fitted_refit(fit: MaterialFit, name: str, rig: Rig) -> RigRefit:
     by_data = 1 / max(1 / variance - 1 / relative**2, 1e-9)
     likeliest = coordinate * by_data / variance
     contradicts = abs(likeliest) > _SIGNIFICANT * np.hypot(np.sqrt(by_data), relative)
-    return RigRefit(axis, coordinate, fit.params[name], fit.std[name], bool(contradicts), fit, weight=0.0)
+    inside = float(np.clip(likeliest, axis.low, axis.high))
+    value = axis.value(inside)
+    return RigRefit(axis, inside, value, value * float(np.sqrt(by_data)), bool(contradicts), fit, weight=0.0)

@@ -33,7 +33,9 @@ LEAST_FLOOR = 3e-6
 the peak, which is correlated over about ten neighbouring cells, so its effect is sqrt(10) times larger. With this floor, the
 faint surroundings of a peak do not dominate the fit.
 """
-_NOISE_BOUNDS = ((np.log(1e-4), np.log(0.2)), (np.log(LEAST_FLOOR), np.log(0.5)))
+MOST_NOISE = 0.2
+"""Largest estimate of the noise of a pixel, as a share of its value."""
+_NOISE_BOUNDS = ((np.log(1e-4), np.log(MOST_NOISE)), (np.log(LEAST_FLOOR), np.log(0.5)))
 _LEAST_LEFT = 0.02
 _HUBER = 3.0
 """Standardised residual above which the weight of a cell decreases (Huber 1964). 0.3 % of normal residuals exceed it."""

@@ -286,7 +286,7 @@ def fit_remarks(
     if not noise_given and max(noise.relative, 20 * noise.floor) > 0.05:
         text = (
             f"the residuals are {noise.relative:.0%} of the value of a pixel and {noise.floor:.1%} of the peak of the image, "
-            "which exceeds the noise of any camera: check the camera and the family of the lobe"
+            "which exceeds the noise of any camera: check the camera, the radius of the sample and the family of the lobe"
         )
         remarks.append(Remark("misfit", text))
     return tuple(remarks)
