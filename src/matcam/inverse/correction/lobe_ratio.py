@@ -11,6 +11,7 @@ from matcam.core.grid import Sampling
 from matcam.core.jax import placed
 from matcam.core.workspace import Workspace
 from matcam.forward.pixel_grid import grid_of
+from matcam.inverse.correction.corrected_table import OPERATOR_ACCURACY
 from matcam.inverse.correction.correction_limits import PEAK, LobeRatio
 from matcam.inverse.correction.evidence import OtherLobe
 from matcam.inverse.correction.lobe_shape import ShapeUncertainty, known_shape
@@ -152,13 +153,20 @@ def lobe_ratio(
 
 
 def _plain(where: ResponseLattice, at: FitCoordinates, shifts: np.ndarray) -> np.ndarray:
-    """Compute ln(true / recorded), (slices, cells). shifts: coordinates along the axes of the lattice."""
-    ndf = at.kind.ndf(placed(at.lobe))
+    """Compute ln(true / recorded), (slices, cells), for differences between fits.
+
+    It tends to 0 for records below the accuracy of the operator. The dependence of a record on the lens is a polynomial, so a
+    faint record may become negative, and its logarithm would be arbitrary.
+
+    shifts: coordinates along the axes of the lattice.
+    """
+    ndf, valid = at.kind.ndf(placed(at.lobe)), where.cells.valid
     true, recorded = (
-        np.where(where.cells.valid, np.maximum(operator.record(ndf, at.kind.masking, along), VANISHED), 1.0)
+        np.where(valid, np.maximum(operator.record(ndf, at.kind.masking, along), 0.0), 0.0)
         for operator, along in ((where.true, ()), (where.recorded, shifts))
     )
-    return np.log(true) - np.log(recorded)
+    least = np.maximum(OPERATOR_ACCURACY * recorded.max(axis=1, keepdims=True), VANISHED)
+    return np.log(true + least) - np.log(recorded + least)
 
 
 def _log_slopes(where: ResponseLattice, at: FitCoordinates, shifts: np.ndarray) -> np.ndarray:

@@ -108,11 +108,13 @@ def spline_smoothness() -> np.ndarray:
     """Build the smoothness penalty of the coefficients, (rows, KNOTS).
 
     It is `smoothness`, and stiffer for facets steeper than about 45 degrees. Only few cells, in the outermost pixels of
-    the sphere, depend on such facets. There, the tail of the lobe continues as a power law of any exponent.
+    the sphere, depend on such facets, but their number affects the masking at grazing angles. There, the tail of the lobe
+    continues as a power law, whose exponent differs from that of the family by about 0.5 (one standard deviation, if that
+    of second differences is 1).
     """
-    rows = smoothness(KNOTS)
-    steep = slope_of_knot(np.arange(1.0, KNOTS - 1)) > _STEEP
-    rows[: steep.size][steep] *= STIFFER
+    rows, between = smoothness(KNOTS), np.arange(KNOTS - 1) + 0.5
+    steep = slope_of_knot(np.concatenate([np.arange(1.0, KNOTS - 1), between, [0.0]])) > _STEEP
+    rows[steep] *= STIFFER
     return rows
 
 
