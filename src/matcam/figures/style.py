@@ -88,8 +88,11 @@ def save(figure: Figure, path: str | Path, *, force: bool = False, dpi: float = 
         stream = io.BytesIO()  # Matplotlib raises arbitrary errors on a full disk
         with styled():
             figure.draw_without_rendering()
-            fit_titles(figure)
+            layout = figure.get_layout_engine()
+            if not fit_titles(figure):
+                figure.set_layout_engine("none")  # `savefig` would compute the layout again
             figure.savefig(stream, format=path.suffix.lower()[1:], dpi=dpi, metadata=metadata)
+            figure.set_layout_engine(layout)
         drawn = stream.getvalue()  # an open view of it, kept by an error, crashes Python 3.12
     with replacing(path, force=force) as temporary:
         temporary.write_bytes(drawn)
