@@ -25,7 +25,7 @@ from matcam.core.workspace import Workspace
 from matcam.exchange.contents import read_table
 from matcam.exchange.inspection import lobe_widths
 from matcam.inverse.correction.correction import Correction
-from matcam.inverse.fit.fit_setup import candidate_fits, free_setup, likeliest
+from matcam.inverse.fit.fit_setup import candidate_fits, free_setup
 from matcam.inverse.operator.rig_axes import LENS, known_lens
 from matcam.material.masking import Masking
 from matcam.numerics.budget import UncertaintyBudget
@@ -174,7 +174,7 @@ def fit_shared_camera(recipe: Recipe, inputs: Sequence[Path]) -> Camera:
     setup = free_setup(
         tables, recipe.rig, masking=options.masking, camera_parameters="free", workspace=options.workspace
     )
-    best = likeliest(candidate_fits(setup, options.ndf))
+    best = max(candidate_fits(setup, options.ndf), key=lambda found: found.log_likelihood)
     value, std = best.params[LENS], best.std[LENS]
     names = ", ".join(file.name for file, _ in chosen)
     camera = best.camera

@@ -149,7 +149,14 @@ class Curved(Sample):
         return f"{self.kind} of {float(self.radius):g} px radius{camera}"
 
     def check_resolved(self, blur: AnyArray | float) -> None:
-        """Raise ArgumentError if the sample is not larger than half a pixel and the blur of a lens, px."""
+        """Check that the sample is larger than the blur.
+
+        Args:
+            blur: half a pixel, or the standard deviation of the lens if that is larger, px.
+
+        Raises:
+            ArgumentError: the radius of the sample does not exceed the blur.
+        """
         if is_concrete(self.radius) and is_concrete(blur) and not float(blur) < float(self.radius):
             raise ArgumentError(
                 "the sample's radius must exceed the camera's blur, which is at least half a pixel and the standard deviation "

@@ -160,7 +160,7 @@ class MeanCurve:
 
     @property
     def consistent(self) -> bool:
-        """Check that the camera explains the mean MTF of the edges, see `CameraFit.consistent`."""
+        """Check that the camera explains the curve; see `CameraFit.consistent`."""
         misfit, std = self.misfit
         return not (misfit > _MISSED and misfit > _SIGNIFICANT * std)
 

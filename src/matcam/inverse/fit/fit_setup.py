@@ -446,8 +446,3 @@ def free_setup(
 def candidate_fits(setup: FitSetup, ndf: str) -> list[MaterialFit]:
     """Fit each candidate family, or the family `ndf` alone."""
     return [setup.with_(ndf=family).solve() for family in (CANDIDATES if ndf == AUTO else (ndf,))]
-
-
-def likeliest(fits: Sequence[MaterialFit]) -> MaterialFit:
-    """Select the fit with the largest likelihood."""
-    return max(fits, key=lambda found: found.log_likelihood)

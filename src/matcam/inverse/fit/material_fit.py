@@ -135,7 +135,7 @@ class MaterialFit(Summarised):
 
     @property
     def diffuse_part(self) -> DiffusePart:
-        """Diffuse part of the body; its albedos are 0 if the fit has none."""
+        """Diffuse part of the body, with albedo 0 without one."""
         coordinates = self._solution.p[self._solution.problem.layout.coat]
         coated = [readable_value(COATED, one)[0] for one in coordinates.tolist()]
         return DiffusePart(tuple(np.maximum(self.diffuse, 0.0).tolist()), *coated)
