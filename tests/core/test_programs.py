@@ -4,7 +4,9 @@ import os
 import pickle
 import subprocess
 import sys
+import time
 from collections import namedtuple
+from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import numpy as np
@@ -47,6 +49,21 @@ def test_another_process_does_not_trace(folder):
     np.testing.assert_array_equal(again(X, 3)[0], power(X, 3)[0])
     np.testing.assert_array_equal(again(X + 1, 3)[1], X + 1)
     assert traces == [3]
+
+
+def test_threads_compile_a_new_program_once():
+    traces = []
+
+    @kept_program
+    def slow(x):
+        traces.append(x.shape)
+        time.sleep(0.3)  # the other thread calls it meanwhile
+        return 2 * x
+
+    with ThreadPoolExecutor(2) as pool:
+        found = list(pool.map(slow, [X, X + 1]))
+    np.testing.assert_array_equal(found, [2 * X, 2 * X + 2])
+    assert traces == [X.shape]
 
 
 def test_what_was_not_used_for_long_is_read_again(folder, monkeypatch):

@@ -1,5 +1,7 @@
 """Whole tables corrected: entries whose truth is the oracle's, right assumptions and wrong ones."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import xarray as xr
@@ -9,6 +11,7 @@ from matcam import Camera, Flat, GaussianOptics, Rig, Sphere, fit, fresnel, limi
 from matcam.camera import PixelNoise
 from matcam.core.errors import ArgumentError
 from matcam.inverse import Correction
+from matcam.inverse.correction.lobe_ratio import _plain
 from matcam.inverse.operator.chosen_cells import chosen_cells
 from matcam.inverse.operator.sample_view import SampleView
 from tests.inverse import recorded
@@ -230,3 +233,23 @@ def test_limits_of_a_rig():
     assert np.all(changed.sel(change="twice the pixels, same lens") < free)
     with pytest.raises(ArgumentError, match="roughness must"):
         limits(recorded.rig(), roughness=[-1.0])
+
+
+class _Records(SimpleNamespace):
+    """An operator that returns a record whatever the lobe."""
+
+    def record(self, ndf, masking, shifts):
+        return self.values
+
+
+def test_a_negative_record_changes_no_ratio():
+    """The polynomial of a lens at the end of its range may go below 0 where there is hardly light."""
+    bright, faint = [10.0, 1.0, 1e-3], [1e-9, 1e-30, 0.0]
+    true = np.array([[*bright, *faint]])
+    recorded = np.array([[5.0, 1.0, 2e-3, -1e-8, 1e-12, -1e-300]])
+    cells = SimpleNamespace(valid=np.ones(true.shape, dtype=bool))
+    where = SimpleNamespace(cells=cells, true=_Records(values=true), recorded=_Records(values=recorded))
+    kind = SimpleNamespace(ndf=lambda q: None, masking=None)
+    found = _plain(where, SimpleNamespace(kind=kind, lobe=np.zeros(1)), np.zeros(0))
+    np.testing.assert_allclose(found[0, :3], np.log([2.0, 1.0, 0.5]), atol=3e-3)
+    np.testing.assert_allclose(found[0, 3:], 0.0, atol=3e-3)

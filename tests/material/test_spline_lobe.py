@@ -7,7 +7,7 @@ from matcam import GGX
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import jax, jnp
 from matcam.material import Sampled
-from matcam.material.ndf.free_lobe import KNOTS, SplineNDF, spline_basis
+from matcam.material.ndf.free_lobe import KNOTS, SplineNDF, slope_of_knot, spline_basis, spline_smoothness
 from tests.oracle.sphere_cells import Tails
 
 THETA = np.concatenate([[0.0], np.geomspace(1e-5, 1.5, 40)])
@@ -79,3 +79,14 @@ def test_a_spline_gives_long_tails_their_masking(gamma, asked):
     print(f"G1 of exponent {gamma}: {error:.3f} off; modified to 45 degrees only {level:.3f}")
     assert error < asked
     assert level > 2 * error
+
+
+def test_the_invisible_tail_keeps_about_the_exponent_of_its_family():
+    """Facets steeper than 45 degrees are hardly seen, but mask: a tail that rises there is improbable, a gentle bend is not."""
+    knots = np.arange(KNOTS)
+    above = np.maximum(np.log(slope_of_knot(knots + 1e-9)), 0.0)  # ln of slopes beyond 1
+    chi2 = [float(((spline_smoothness() @ (change * above)) ** 2).sum()) for change in (0.3, 2.0)]
+    assert chi2[0] < 10
+    assert chi2[1] > 100
+    seen = np.minimum(knots, 8.0)  # a lobe of another family, where the camera sees it
+    assert ((spline_smoothness() @ seen) ** 2).sum() < 10
