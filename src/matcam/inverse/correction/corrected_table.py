@@ -175,9 +175,8 @@ def recorded_table(table: xr.Dataset) -> xr.DataArray:
         The recorded table, 1/sr; NaN for missing entries.
     """
     angles, attrs = _angles(sampling_of(table["brdf"])), table.attrs
-    body = DiffusePart(tuple(np.atleast_1d(attrs.get("diffuse", 0.0))), float(attrs.get("coated_share", 0.0))).brdf(
-        *angles
-    )
+    diffuse = DiffusePart(tuple(np.atleast_1d(attrs.get("diffuse", 0.0))), float(attrs.get("coated_share", 0.0)))
+    body = diffuse.brdf(*angles)
     if "base" in attrs:
         body = body + Base(attrs["base_alpha"], tuple(np.atleast_1d(attrs["base"]))).brdf(*angles)
     changed = np.isfinite(table["brdf_std"].values)

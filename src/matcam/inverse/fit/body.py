@@ -56,8 +56,8 @@ class DiffusePart(NamedTuple):
 
     def brdf(self, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> np.ndarray:
         """Evaluate the BRDF, 1/sr, (..., channels), at angles in rad that broadcast to (...)."""
-        shape = (1 - self.coated * loss_in_coat(theta_h, theta_d, phi_d)) / np.pi
-        return shape[..., None] * self.albedo
+        value, _ = diffuse_and_slope(self.coated, loss_in_coat(theta_h, theta_d, phi_d))
+        return value[..., None] * self.albedo
 
 
 class Base(NamedTuple):
@@ -116,3 +116,11 @@ def loss_in_coat(theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) ->
     """
     zero = np.zeros(1)
     return np.asarray(1 - transmittance(theta_h, theta_d, phi_d) / transmittance(zero, zero, zero))
+
+
+def diffuse_and_slope(coated: float, lost: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Compute the BRDF of a diffuse part of albedo 1, and its derivative with respect to the coated share, 1/sr.
+
+    coated: coated share (no unit). lost: result of `loss_in_coat`.
+    """
+    return (1 - coated * lost) / np.pi, -lost / np.pi

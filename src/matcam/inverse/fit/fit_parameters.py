@@ -213,6 +213,10 @@ class Layout(NamedTuple):
         """Return the slice of the vector that contains the coated share - 1/2; it is empty if the share is not fitted."""
         return slice(self.rig.stop, self.rig.stop + self.coated)
 
+    def coated_share(self, p: np.ndarray) -> float:
+        """Return the coated share of the diffuse part, 0 without a coat. p: coordinates of the fit."""
+        return readable_value(COATED, float(p[self.coat.start]))[0] if self.coated else 0.0
+
     @property
     def base_width(self) -> slice:
         """Return the slice of the vector that contains ln(roughness of the base); it is empty without a base."""

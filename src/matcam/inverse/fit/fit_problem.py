@@ -25,7 +25,7 @@ import numpy as np
 from matcam.camera.sensor import PixelNoise
 from matcam.core.jax import jax, jnp, placed
 from matcam.core.programs import kept_program
-from matcam.inverse.fit.body import NARROWEST_PX, loss_in_coat, transmittance
+from matcam.inverse.fit.body import NARROWEST_PX, diffuse_and_slope, loss_in_coat, transmittance
 from matcam.inverse.fit.fit_data import FitData, Whitening, whitening
 from matcam.inverse.fit.fit_parameters import FresnelModel, Layout, LobeKind, reflectance_at
 from matcam.inverse.fit.lobe_slopes import RecordAndSlopes, record_and_slopes
@@ -220,14 +220,12 @@ class FitProblem:
         layout, cells = self.layout, self.cells
         albedo = self.of_units("diffuse", p)[:, None, None]
         derivative = np.zeros((layout.size, layout.units, *cells.theta_h.shape))
-        shape = np.full((1, 1), 1 / np.pi)
-        if layout.coated:
-            lost = self._loss_in_coat / np.pi
-            shape = shape - (p[layout.coat] + 0.5) * lost
-            derivative[layout.coat.start] = -albedo * lost
-        value = albedo * shape
+        lost = self._loss_in_coat if layout.coated else np.zeros((1, 1))
+        diffuse, by_share = diffuse_and_slope(layout.coated_share(p), lost)
+        derivative[layout.coat] = albedo * by_share
+        value = albedo * diffuse
         for u, position in enumerate(layout.of_units("diffuse")):
-            derivative[position, u] = shape
+            derivative[position, u] = diffuse
         if layout.base:
             of_base, slopes = self._base_record(p)
             reflectance = self.of_units("base", p)[:, None, None]

@@ -10,7 +10,7 @@ from matcam.camera.camera import Camera
 from matcam.camera.parameters import Uncertainty
 from matcam.core.jax import jax, jnp, placed
 from matcam.core.remark import Remark
-from matcam.inverse.fit.body import base_and_slope, loss_in_coat
+from matcam.inverse.fit.body import base_and_slope, diffuse_and_slope, loss_in_coat
 from matcam.inverse.fit.fit_parameters import BASE_WIDTH, COATED, LobeKind, readable_value, reflectance_at
 from matcam.inverse.fit.fit_problem import FitProblem
 from matcam.inverse.fit.lobe_readings import half_maximum_angle, lobe_readings
@@ -197,11 +197,10 @@ def body_at(
     parts: dict[str, np.ndarray] = {}
     shared: dict[str, tuple[int, np.ndarray]] = {}
     if layout.diffuse:
-        parts["diffuse"] = np.full(angles[0].shape, 1 / np.pi)
-    if layout.coated:
-        lost = loss_in_coat(*angles) / np.pi
-        parts["diffuse"] -= readable_value(COATED, p[layout.coat][0])[0] * lost
-        shared["diffuse"] = layout.coat.start, -lost
+        lost = loss_in_coat(*angles) if layout.coated else np.zeros(angles[0].shape)
+        parts["diffuse"], by_share = diffuse_and_slope(layout.coated_share(p), lost)
+        if layout.coated:
+            shared["diffuse"] = layout.coat.start, by_share
     if layout.base:
         parts["base"], by_width = base_and_slope(p[layout.base_width][0], *angles)
         shared["base"] = layout.base_width.start, by_width

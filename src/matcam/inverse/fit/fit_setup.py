@@ -436,7 +436,7 @@ def free_setup(
     slice_step: int = SEARCH_STEP,
     workspace: Workspace | None = None,
 ) -> FitSetup:
-    """Build a setup with free strengths and a diffuse part, of which some share may be under a coat."""
+    """Build a setup with free strengths, a diffuse part and its coated share."""
     return FitSetup(
         tuple(tables), rig, fresnel="free", diffuse=True, coated=True, masking=masking, camera_parameters=camera_parameters,
         noise=noise, slice_step=slice_step, workspace=workspace,

@@ -17,7 +17,7 @@ from matcam.core.results.labelled import named
 from matcam.core.results.summary import Quantity, Summarised, Summary, correlations, parameters
 from matcam.inverse.fit.body import Base, DiffusePart
 from matcam.inverse.fit.fit_data import cell_variance, standardised_residual
-from matcam.inverse.fit.fit_parameters import COATED, readable_value, reflectance_at
+from matcam.inverse.fit.fit_parameters import reflectance_at
 from matcam.inverse.fit.fit_readings import (
     FitCoordinates,
     LinearisedFit,
@@ -136,9 +136,8 @@ class MaterialFit(Summarised):
     @property
     def diffuse_part(self) -> DiffusePart:
         """Diffuse part of the body, with albedo 0 without one."""
-        coordinates = self._solution.p[self._solution.problem.layout.coat]
-        coated = [readable_value(COATED, one)[0] for one in coordinates.tolist()]
-        return DiffusePart(tuple(np.maximum(self.diffuse, 0.0).tolist()), *coated)
+        coated = self._solution.problem.layout.coated_share(self._solution.p)
+        return DiffusePart(tuple(np.maximum(self.diffuse, 0.0).tolist()), coated)
 
     @property
     def base(self) -> Base | None:

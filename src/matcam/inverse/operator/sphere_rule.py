@@ -232,7 +232,7 @@ def sphere_rule(
         return _nothing(angle, near)
     back = np.argsort(order)
     found = np.concatenate(sums, axis=1)[:, back]
-    powers, moments = np.split(found, [found.shape[0] - near * 2 * NODES[0].size])
+    powers, moments = np.split(found, [7 if near else 4])
     total, *others = (np.bincount(arcs.circle, power, angle.size).reshape(angle.shape) for power in powers)
     if not near:
         others += [total * position, total * theta_d[:, None], others[0] * theta_d[:, None]]
@@ -302,7 +302,8 @@ def _arc_sums(
         of_pixel, of_arc, disc = arguments
         pixel = tuple(a[:, None] for a in of_pixel)
         circle, middle, half = (a[:, None] for a in of_arc)
-        arc = half, *(function(angle) for angle in (middle, circle, pixel[5]) for function in (jnp.sin, jnp.cos))
+        peak = pixel[5]
+        arc = half, *(function(angle) for angle in (middle, circle, peak) for function in (jnp.sin, jnp.cos))
         nothing = jnp.zeros((7 + 2 * NODES[0].size if near else 4, circle.shape[0]))
         return repeated_sum(lambda nodes: sums(pixel, arc, disc, *nodes), groups, rule, nothing)
 
