@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from matcam.inverse import FitSetup
-from matcam.inverse.correction.evidence import UNKNOWN_SHARE as KAPPA
+from matcam.inverse.correction.evidence import independent_share
+from matcam.inverse.correction.other_maskings import MOST_LINEAR as KAPPA
 from matcam.inverse.correction.other_maskings import other_maskings
 from matcam.inverse.correction.spline_lobe import in_all_slices, learned_spline
 from matcam.material.masking import MASKINGS
@@ -75,3 +76,10 @@ def test_a_spline_is_as_smooth_as_the_lobe():
     assert 0.03 <= learned < 0.7
     assert whole.hwhm_std < few.hwhm_std / 1.2
     assert abs(whole.hwhm - width) < 3 * whole.hwhm_std
+
+
+def test_residuals_of_a_wrong_family_are_not_independent():
+    """Noise alone leaves independent residuals; the misfit of a family with other tails is shared by neighbouring cells."""
+    shares = [independent_share(fitted(lobe)[1]) for lobe in (oracle.GGX(0.05), oracle.Tails(0.05, 1.6))]
+    assert shares[0] > 0.75
+    assert shares[1] < 0.3

@@ -24,12 +24,11 @@ from matcam.inverse.correction.correction_limits import (
     shrunk,
     withheld,
 )
-from matcam.inverse.correction.evidence import UNKNOWN_SHARE
 from matcam.inverse.correction.explanation import UNEXPLAINED, explain, first_setup
 from matcam.inverse.correction.farthest_glare import farthest_glare
 from matcam.inverse.correction.lobe_ratio import CorrectionFits, lattices_ahead, lobe_ratio
 from matcam.inverse.correction.lobe_shape import ShapeUncertainty
-from matcam.inverse.correction.other_maskings import other_maskings
+from matcam.inverse.correction.other_maskings import MOST_LINEAR, other_maskings
 from matcam.inverse.correction.rig_refits import RigRefit
 from matcam.inverse.fit.fit_setup import AUTO
 from matcam.inverse.fit.material_fit import MaterialFit
@@ -144,8 +143,7 @@ class Correction(Summarised):
         with done_behind(lambda: lattices_ahead(located.rig, sampling, expected, workspace)):
             found = explain(setup, located, ndf)
         best = found.fit
-        # the linear prediction for another masking is approximate, so kappa is limited
-        maskings = other_maskings(best, min(found.weighing.kappa, UNKNOWN_SHARE))
+        maskings = other_maskings(best, min(found.weighing.kappa, MOST_LINEAR))
         fits = CorrectionFits(best, found.shape, found.base, found.refits, found.others, maskings, expected)
         fitted = lobe_ratio(located.rig, sampling, fits, workspace, located.std)
         held_back = found.contradicts and not force_correction

@@ -11,7 +11,8 @@ information about the free strength of slice s (MacKay 2003, chapter 28). Misfit
 is tempered (Gruenwald 2012). The exponent kappa = min(1, 1 / chi^2) is the share of pixel noise in the variance of the best
 explanation, where chi^2 is the mean squared residual of this explanation relative to the variance of pixel noise.
 
-V0 is estimated without a model of the lobe, from cells at mirrored positions, or from the differences between channels.
+V0 is estimated without a model of the lobe, from cells at mirrored positions, or from the differences between channels. If
+neither determines it, kappa is the share of independent cells, which the correlation of residuals of neighbouring cells gives.
 """
 
 from __future__ import annotations
@@ -40,10 +41,6 @@ LEAST_NOISE = PixelNoise(5e-3, 1e-6, 0.0)
 """Smallest assumed noise of a pixel: shot noise of a full well of 40,000 electrons, and the accuracy of a modelled record. The
 limit is required because mirrored cells of a symmetrised table have equal values although they have noise.
 """
-UNKNOWN_SHARE = 0.1
-"""Value of kappa if the data do not distinguish pixel noise from misfit, for example in a table of one channel without mirrored
-cells. It corresponds to an error that about ten cells, those of two rings, have in common.
-"""
 _MISFIT_SCALE = 1e-2
 """Mean of the exponential prior of the misfit, relative to the value of a cell. Models with much larger errors do not explain a
 table.
@@ -56,6 +53,8 @@ _MOSTLY_MISFIT = 2.0
 """Value of chi^2 above which misfit is more than half of the residual variance."""
 _FEWEST_PAIRS = 100
 """Smallest number of pairs of cells for an estimate of the noise. 100 pairs determine the noise to 7 %."""
+_AZIMUTH_BIN = 36
+"""Number of azimuths of a table within which cells of one ring in two slices are neighbours. A ring has about five cells."""
 _PRIORS = {
     "width": (-4.5, 2.5), "power": (0.0, 0.7), STUDENT: (0.0, 1.0), "share": (0.0, 1.5), "tail": (0.5, 0.5),
     "spline": (0.0, 10.0), "rig": (0.0, 0.5), "fresnel": (0.0, 3.0), "diffuse": (0.2, 0.3),
@@ -193,6 +192,40 @@ def mean_squared_residual(found: MaterialFit, noise: PixelNoise) -> float:
     return float(_robust(u).sum() / max(solution.freedom, 1))
 
 
+def independent_share(found: MaterialFit) -> float:
+    """Compute the share of independent cells from the correlation of the residuals.
+
+    Misfit has similar values in neighbouring cells, and pixel noise has not. Residuals whose neighbours have the correlation r
+    contain as much information as (1 - r) / (1 + r) times as many independent residuals (Bayley & Hammersley 1946). Neighbours
+    in azimuth and in theta_d have one factor each.
+    """
+    solution = found._solution
+    data, model, cells = solution.problem.data, solution.model, solution.problem.cells
+    u = standardised_residual(data, solution.problem.residual(model), model.value, found.noise, np.inf)
+    u *= huber_weights(u)
+    at_slice = np.broadcast_to(np.arange(cells.slices.size)[:, None], cells.i_theta_h.shape)
+    part = cells.i_phi_d // _AZIMUTH_BIN
+    in_azimuth = _correlation(u, data.used, (at_slice, cells.i_theta_h), cells.i_phi_d)
+    in_theta_d = _correlation(u, data.used, (cells.i_theta_h, part), at_slice)
+    return float(np.prod([(1 - r) / (1 + r) for r in (in_azimuth, in_theta_d)]))
+
+
+def _correlation(u: np.ndarray, used: np.ndarray, same: Sequence[np.ndarray], along: np.ndarray) -> float:
+    """Compute the correlation of standardised residuals of neighbouring cells; negative values are set to zero.
+
+    Neighbours are equal in all of `same` and consecutive in `along`; a cell has at most one neighbour on each side.
+
+    u: standardised residuals, (u, s, n). used: True for the cells to compare, (u, s, n). same, along: indices, (s, n).
+    """
+    order = np.lexsort([along.ravel(), *(one.ravel() for one in same)])
+    sorted_u, there = (a.reshape(len(u), -1)[:, order] for a in (u, used))
+    group = np.stack([one.ravel()[order] for one in same])
+    pairs = there[:, 1:] & there[:, :-1] & (group[:, 1:] == group[:, :-1]).all(0) & (np.diff(along.ravel()[order]) > 0)
+    first, second = sorted_u[:, :-1][pairs], sorted_u[:, 1:][pairs]
+    power = float((first**2 + second**2).sum()) / 2
+    return max(float(first @ second) / power, 0.0) if power > 0 else 0.0
+
+
 def explained(found: MaterialFit, noise: PixelNoise) -> Explained:
     """Compute the terms of the evidence of a fit with free strengths. noise: pixel noise without misfit."""
     solution = found._solution
@@ -226,7 +259,7 @@ class Weighing(NamedTuple):
 
     Attributes:
         noise: noise of a pixel.
-        kappa: exponent of the likelihood: share of pixel noise in the variance of the best fit.
+        kappa: exponent of the likelihood: share of pixel noise in the variance of the best fit, or of independent cells.
         chi2: mean squared residual of the best fit divided by the variance of pixel noise. The noise of a typical camera is
             assumed if the noise is not known.
         known: True if the noise of a pixel is specified, or determined by the data without a model.
@@ -246,8 +279,9 @@ class Weighing(NamedTuple):
         if noise is None:
             left = [fit.noise for fit in fits]
             least = PixelNoise(min(one.relative for one in left), min(one.floor for one in left), 0.0)
-            chi2 = min(mean_squared_residual(fit, _TYPICAL) for fit in fits)
-            return cls(_at_least(least, LEAST_NOISE), UNKNOWN_SHARE, chi2, known=False)
+            chi2 = [mean_squared_residual(fit, _TYPICAL) for fit in fits]
+            best = int(np.argmin(chi2))
+            return cls(_at_least(least, LEAST_NOISE), independent_share(fits[best]), chi2[best], known=False)
         chi2 = min(mean_squared_residual(fit, noise) for fit in fits)
         return cls(noise, min(1.0, 1 / max(chi2, 1e-12)), chi2, known=True)
 

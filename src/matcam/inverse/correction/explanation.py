@@ -250,7 +250,7 @@ def explain(setup: FitSetup, located: LocatedRig, ndf: str) -> Explanation:
     weighing = weighing.at_most(_weighing(whole, noise))
     shares = weighing.probabilities([one.fit for one in whole])
     first = int(np.argmax(shares))
-    kappa = weighing.kappa if weighing.known else 1.0
+    kappa = weighing.kappa
     if kappa < 1:  # correlated misfit also increases the errors of the parameters
         whole = [one._replace(fit=one.setup.tempered(one.fit, kappa)) for one in whole]
     found = whole[first]

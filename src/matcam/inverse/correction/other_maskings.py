@@ -17,6 +17,9 @@ from matcam.inverse.fit.material_fit import MaterialFit
 from matcam.material.masking import MASKINGS
 from matcam.numerics.linalg import scaled_inverse
 
+MOST_LINEAR = 0.1
+"""Largest exponent of the likelihood with which maskings are compared, because the change of a record is predicted linearly."""
+
 
 class OtherMasking(NamedTuple):
     """Predicted fit of lobe and rig with another masking.
