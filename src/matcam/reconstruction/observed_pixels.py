@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
+from scipy.ndimage import median_filter
 
 from matcam.acquisition.merged_picture import MergedPicture
 from matcam.camera.lens_field import LensField
@@ -23,8 +23,8 @@ _LIMB = 3.0  # px from the outline within which the rule of a single pixel does 
 _OUTSIDE = 1.5  # px beyond the outline up to which pixels of the window are read: the background is not modelled
 _BESIDE = 9.0  # px from the highlight within which the limb is read, too
 _SIMILAR_LEVELS = 15
-"""Number of pixels of similar level over which the ratio of variance and level is averaged: their noise of 1 % to 30 % then
-changes the average by at most 8 %.
+"""Number of pixels of similar level of which the ratio of variance and level is the median: their noise of 1 % to 30 % then
+changes the median by at most 10 %. A median follows the steps of this ratio between the exposures of a merged image.
 """
 _LIT = 0.1  # smallest cosine to the lamp: near the terminator the rule of a pixel is inaccurate
 
@@ -63,8 +63,8 @@ class ObservedPixels(NamedTuple):
         """Compute the standard deviation of the noise of pixels whose expected values are known, (pixels,).
 
         `std` partly follows from the value of each pixel, so it is too small where noise lowered this value, and as a
-        weight would bias a fit towards low values. The ratio of variance and level is averaged over pixels of similar
-        level instead.
+        weight would bias a fit towards low values. The median ratio of variance and level of pixels of similar level is used
+        instead.
 
         Args:
             level: expected values, (pixels,).
@@ -73,7 +73,7 @@ class ObservedPixels(NamedTuple):
         order = lit[np.argsort(level[lit])]
         expected = self.std.copy()
         if lit.size >= _SIMILAR_LEVELS:
-            gain = uniform_filter1d(self.std[order] ** 2 / level[order], _SIMILAR_LEVELS, mode="nearest")
+            gain = median_filter(self.std[order] ** 2 / level[order], _SIMILAR_LEVELS, mode="nearest")
             expected[order] = np.sqrt(gain * level[order])
         return expected
 
