@@ -1,9 +1,11 @@
 """Corrections at grazing angles, where a blurred highlight reaches to the last pixels of the sphere."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from matcam import GGX, metal, rigs
+from matcam import GGX, Sphere, metal, rigs
 from matcam.core.jax import jnp
 from matcam.core.workspace import Workspace
 from matcam.forward.measurement import CHROMIUM_WIDTH, simulated_chromium
@@ -11,6 +13,9 @@ from matcam.inverse import Correction
 from matcam.inverse.correction.corrected_table import supported_values
 from matcam.inverse.correction.correction_limits import albedo
 from matcam.inverse.correction.response_lattice import FINE, on_table, response_lattice, seen_cells
+from matcam.inverse.operator.chosen_cells import ChosenCells, positions_in
+from matcam.inverse.operator.lobe_operator import operator_in
+from matcam.inverse.operator.sample_view import sample_view
 from tests.oracle import sphere_cells, sphere_record
 from tests.oracle.merl_lobe import PHI_D, THETA_D, THETA_H, conductor
 
@@ -38,6 +43,21 @@ def test_the_response_of_a_highlight_agrees_with_the_oracle_to_the_limb():
         assert min(cos) < 0.071
         assert seen_cells("centre")[i, j, k]
         assert found[i, j, k] == pytest.approx(np.mean(shown) / truth, rel=2e-3), (i, j, k)
+
+
+@pytest.mark.parametrize(("radius", "i", "j", "k"), [(1500.0, 5, 88, 24), (256.0, 12, 87, 30)])
+def test_a_highlight_just_beside_the_window_of_a_pixel(radius, i, j, k):
+    """GGX 0.02, foreshortened 40 times: the highlight is nearer to the window than any of the points that sample its border."""
+    column = [np.array([[a]]) for a in (i, k, THETA_H[i], PHI_D[k])]
+    theta_d, rig = THETA_D[[j]], replace(rigs.merl(), sample=Sphere(radius))
+    there = np.ones((1, 1), bool)
+    positions = positions_in(sample_view(rig), column[2], theta_d[:, None], column[3])
+    cells = ChosenCells(np.array([j]), theta_d, *column, there, *positions, ~there)
+    operator = operator_in(rig, cells, (), "beside a window", Workspace(entries=0))
+    found = np.asarray(operator.directions(GGX(0.02), "smith", jnp.zeros(0)))[0, 0]
+    setup = sphere_record.Setup(radius)
+    shown = sphere_record.recorded_cell(THETA_H[i], THETA_D[j], PHI_D[k], sphere_record.Surface(0.02), setup, 1e-6)
+    np.testing.assert_allclose(found, shown, rtol=5e-3)
 
 
 @pytest.mark.slow

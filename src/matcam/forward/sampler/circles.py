@@ -129,8 +129,8 @@ def lay_circles(view: SphereView, windows: Windows, finest: float, fineness: flo
     about, across = about_highlight(windows), _across_radius(windows)
     peak = about.axis
     inside = windows.contains(view, peak)
-    from_peak = angles_from_axis(about, border)
-    nearest, farthest = np.where(inside, 0.0, from_peak.min(-1)), from_peak.max(-1)
+    nearest, farthest = windows.extremes(view, from_highlight)
+    nearest = np.where(inside, 0.0, nearest)
     polar = angles_from_axis(across, border)
     first, last = polar.min(-1), polar.max(-1)
     along = np.arctan2(_dot(across.second, border), border[2])
@@ -189,6 +189,11 @@ def _dot(vector: np.ndarray, others: np.ndarray) -> np.ndarray:
 def angles_from_axis(frame: Frame, normals: np.ndarray) -> np.ndarray:
     """Compute the angles of normals, (3, windows, points), from the axis, rad, to full precision."""
     return np.arctan2(np.hypot(_dot(frame.first, normals), _dot(frame.second, normals)), _dot(frame.axis, normals))
+
+
+def from_highlight(windows: Windows, normals: np.ndarray) -> np.ndarray:
+    """Compute the angles of normals of windows, (3, windows, points), from the normal of the highlight, rad."""
+    return angles_from_axis(about_highlight(windows), normals)
 
 
 def _with_arcs(clips: Clips, low: np.ndarray, high: np.ndarray, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -6,14 +6,20 @@ of camera and lamp and any rotation of the pixel (docs/model.md 3 and 10).
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
-_SIDE = np.linspace(-1, 1, 13)
-_SQUARE = np.concatenate([np.stack([_SIDE, 0 * _SIDE + end], -1) for end in (-1, 1)])
-_BORDER = np.concatenate([_SQUARE, _SQUARE[:, ::-1]])
-"""Points on the border of a window, in half sides, (points, 2)."""
+_PER_SIDE = 12
+"""Number of points on each side of a window at which angles are compared."""
+_AROUND = np.linspace(-1, 1, 9)
+_CLOSER = tuple(1 / _PER_SIDE / 4**n for n in range(3))
+"""Half lengths, in sides, of the parts of a border in which its nearest point is searched for, one after the other."""
+_FORESHORTENED = 2 / _PER_SIDE
+"""Cosine of the viewing angle below which neighbouring points of a border are farther apart on the sphere than the centre of
+the window is from the border. A highlight just beside a window may then be much closer than any of these points.
+"""
 
 
 class SphereView(NamedTuple):
@@ -79,11 +85,38 @@ class Windows(NamedTuple):
         cosine, sine = (a.reshape(-1, *[1] * (np.ndim(x) - 1)) for a in (self.cosine, self.sine))
         return x * cosine + y * sine, y * cosine - x * sine
 
-    def border(self, view: SphereView) -> np.ndarray:
-        """Compute normals along the border of each window, moved to the limb from outside, (3, windows, points)."""
-        sides = zip((self.x, self.y), self.half, _BORDER.T, strict=True)
+    def border(self, view: SphereView, at: np.ndarray | None = None) -> np.ndarray:
+        """Compute normals along the border of each window, moved to the limb from outside, (3, windows, points).
+
+        at: positions along the border in sides, from 0 at a corner to 4, (windows, points). Default: None, equally spaced.
+        """
+        at = np.arange(4 * _PER_SIDE)[None] / _PER_SIDE if at is None else np.mod(at, 4)
+        side, along = at.astype(int), 2 * (at % 1) - 1
+        on = [side == number for number in range(4)]
+        offsets = np.select(on, [along, 1.0, -along, -1.0]), np.select(on, [-1.0, along, 1.0, -along])
+        sides = zip((self.x, self.y), self.half, offsets, strict=True)
         x, y = (centre[:, None] + half[:, None] * offset for centre, half, offset in sides)
         return np.stack(view.normals(*self.to_lamp(x, y)))
+
+    def extremes(
+        self, view: SphereView, angle_of: Callable[[Windows, np.ndarray], np.ndarray]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Compute the smallest and the largest angle on the border of each window, rad, (windows,) each.
+
+        angle_of: angles of normals, (3, windows, points), of some windows, rad, (windows, points).
+        """
+        border = self.border(view)
+        angles = angle_of(self, border)
+        low, high = angles.min(axis=-1), angles.max(axis=-1)
+        index = np.flatnonzero(border[2].min(axis=-1) < _FORESHORTENED)
+        some, each = self.at(index), np.arange(index.size)
+        at = angles[index].argmin(axis=-1) / _PER_SIDE
+        for length in _CLOSER:
+            around = at[:, None] + length * _AROUND
+            angles = angle_of(some, some.border(view, around))
+            at = around[each, angles.argmin(axis=-1)]
+            low[index] = angles.min(axis=-1)
+        return low, high
 
     def contains(self, view: SphereView, normal: np.ndarray) -> np.ndarray:
         """Check whether the image of a normal of each window, (3, windows), lies in the window."""

@@ -279,9 +279,8 @@ class Weighing(NamedTuple):
         if noise is None:
             left = [fit.noise for fit in fits]
             least = PixelNoise(min(one.relative for one in left), min(one.floor for one in left), 0.0)
-            chi2 = [mean_squared_residual(fit, _TYPICAL) for fit in fits]
-            best = int(np.argmin(chi2))
-            return cls(_at_least(least, LEAST_NOISE), independent_share(fits[best]), chi2[best], known=False)
+            chi2, best = min(((mean_squared_residual(fit, _TYPICAL), fit) for fit in fits), key=lambda pair: pair[0])
+            return cls(_at_least(least, LEAST_NOISE), independent_share(best), chi2, known=False)
         chi2 = min(mean_squared_residual(fit, noise) for fit in fits)
         return cls(noise, min(1.0, 1 / max(chi2, 1e-12)), chi2, known=True)
 

@@ -17,6 +17,7 @@ the variation of F over the nodes.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cache, partial
 from typing import Any, NamedTuple
 
@@ -25,7 +26,7 @@ import numpy as np
 from matcam.core.jax import jax, jit_plainly, jnp
 from matcam.forward.integral.blur import Blur, Spread
 from matcam.forward.sampler.arcs import CHUNK, Arcs, Clips, divided, gaps_of
-from matcam.forward.sampler.circles import about_highlight, angles_from_axis
+from matcam.forward.sampler.circles import about_highlight, from_highlight
 from matcam.forward.sampler.windows import SphereView, Windows
 from matcam.inverse.operator.lamp_lines import LampDisc, lamp_kernel
 from matcam.inverse.operator.theta_nodes import (
@@ -121,19 +122,19 @@ def sphere_range(view: SphereView, windows: Windows) -> tuple[ThetaRange, ThetaR
     The first range is that of the angle from the normal of the highlight. The second is that of theta_h. The extremes
     lie on the border of a window, or on the limb if the window extends beyond the sphere.
     """
-    normals, frame = windows.border(view), about_highlight(windows)
-    inside = windows.contains(view, frame.axis)
-    own = _between(angles_from_axis(frame, normals), inside)
-    if view.distant:
-        return own, own
-    lamp = windows.lamp[:, None]
-    return own, _between(directions(normals, np.sin(lamp), np.cos(lamp), view.camera, view.lamp).theta_h, inside)
+    inside = windows.contains(view, about_highlight(windows).axis)
 
+    def between(angle_of: Callable[[Windows, np.ndarray], np.ndarray]) -> ThetaRange:
+        low, high = windows.extremes(view, angle_of)
+        slack = _SLACK * (high - low)
+        return ThetaRange(np.where(inside, 0.0, np.maximum(low - slack, 0.0)), np.minimum(high + slack, np.pi / 2))
 
-def _between(angle: np.ndarray, inside: np.ndarray) -> ThetaRange:
-    low, high = angle.min(-1), angle.max(-1)
-    slack = _SLACK * (high - low)
-    return ThetaRange(np.where(inside, 0.0, np.maximum(low - slack, 0.0)), np.minimum(high + slack, np.pi / 2))
+    def half_angles(some: Windows, normals: np.ndarray) -> np.ndarray:
+        lamp = some.lamp[:, None]
+        return np.asarray(directions(normals, np.sin(lamp), np.cos(lamp), view.camera, view.lamp).theta_h)
+
+    own = between(from_highlight)
+    return own, own if view.distant else between(half_angles)
 
 
 class Directions(NamedTuple):

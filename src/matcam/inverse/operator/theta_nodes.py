@@ -26,7 +26,7 @@ NARROWEST = 0.5
 """Smallest roughness of a lobe that the nodes resolve, divided by their scale at normal view, no unit. Compared with 160 nodes,
 records of such lobes differ by at most 1e-7 of the peak, and by 1e-4 at a fifth of this roughness.
 """
-NODE_RULE = f"weights on {_LOCAL} nodes, scale {COARSEST:g}"
+NODE_RULE = f"weights on {_LOCAL} nodes from the nearest point of a window, scale {COARSEST:g}"
 """Name of the transfer of weights to nodes, in the description of a stored rule."""
 _RING_WINDOWS = 4
 """Number of parts into which a window is divided, so that the nodes of each part resolve the diffraction rings of a lens."""
