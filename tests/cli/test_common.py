@@ -12,11 +12,12 @@ import numpy as np
 import pytest
 import typer
 
-from matcam import BoxPixel, Camera, DiffractionOptics, GaussianOptics
+from matcam import BoxPixel, Camera, DiffractionOptics, GaussianOptics, io
 from matcam.cli import show, suggestions
 from matcam.cli.help_page import EXIT_CODES, GROUPS
 from matcam.cli.options import Command
 from matcam.cli.rig_file import read_rig_file
+from matcam.core.grid import brdf_table
 from matcam.core.io import all_or_nothing, replacing, write_json
 from matcam.core.threads import ONE_BLAS_THREAD
 
@@ -239,7 +240,7 @@ def test_what_follows_a_reconstruction_was_written(tmp_path, monkeypatch, files,
 @pytest.mark.parametrize(
     ("name", "text", "next_one"),
     [
-        ("a.csv", "theta_h_deg,theta_d_deg,phi_d_deg,Y_per_sr\n0,30,90,0.31\n", "matcam correct a.csv"),
+        ("a.csv", "theta_h_deg,theta_d_deg,phi_d_deg,Y_per_sr\n0,30,90,0.31\n", None),
         ("a.csv", "theta_h_deg,theta_d_deg,phi_d_deg,Y_per_sr\n5,30,90,0.31\n", None),
         ("a.csv", "frequency,mtf\n0,1\n", None),
         ("a.json", '{"format": "matcam picture sidecar"}', None),
@@ -250,6 +251,23 @@ def test_what_follows_an_inspection_can_read_the_file(tmp_path, monkeypatch, nam
     monkeypatch.chdir(tmp_path)
     Path(name).write_text(text)
     assert suggestions.after("inspect", {"file": Path(name)}) == next_one
+
+
+@pytest.mark.parametrize(
+    ("slices", "sample", "next_one"),
+    [
+        (90, "sphere", "matcam correct a.nc"),
+        (40, "sphere", "matcam correct a.nc"),
+        (2, "sphere", None),  # such as the table of a few photographs
+        (90, "flat", None),
+    ],
+)
+def test_a_correction_is_suggested_for_a_table_that_it_accepts(tmp_path, monkeypatch, slices, sample, next_one):
+    monkeypatch.chdir(tmp_path)
+    values = np.full((90, 90, 180, 3), np.nan)
+    values[:, :slices] = 0.3
+    io.write_netcdf("a.nc", brdf_table(values, "centre", sample=sample).to_dataset(name="brdf"))
+    assert suggestions.after("inspect", {"file": Path("a.nc")}) == next_one
 
 
 @pytest.mark.parametrize(

@@ -8,10 +8,10 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from matcam.core.errors import FileFormatError
+from matcam.core.errors import FileFormatError, FitError
 from matcam.core.io import where_written
 from matcam.core.readers.names import is_folder, is_there
-from matcam.files.formats import MEASUREMENTS, identify, suffixes_for
+from matcam.files.formats import MEASUREMENTS, format_named, identify, suffixes_for
 
 
 def after(name: str, values: dict[str, Any]) -> str | None:
@@ -83,12 +83,12 @@ def _after_simulate(values: dict[str, Any]) -> list[Any] | None:
 
 
 def _after_inspect(values: dict[str, Any]) -> list[Any] | None:
-    """Correct a recorded table; convert a corrected one for a renderer."""
+    """Correct a recorded table with enough values; convert a corrected one for a renderer."""
     file = values["file"]
     kind = identify(file)
     if kind == "camera profile":
         return ["matcam", "predict", "--camera", file]
-    if kind not in ("merl", "csv"):
+    if "table" not in format_named(kind).holds:
         return None
     from matcam.core.grid import CORRECTED
     from matcam.exchange.contents import read_contents
@@ -101,7 +101,22 @@ def _after_inspect(values: dict[str, Any]) -> list[Any] | None:
         return None
     if table.attrs.get(CORRECTED):
         return ["matcam", "convert", file, _unused(file.with_suffix(".bsdf"))]
-    return ["matcam", "correct", file, *_camera(values)]
+    return ["matcam", "correct", file, *_camera(values)] if _is_recorded_on_curve(table) else None
+
+
+def _is_recorded_on_curve(table: Any) -> bool:
+    """Check that a fit accepts the table: a curved sample, and enough values in every channel."""
+    from matcam.core.grid import sample_of, sampling_of
+    from matcam.inverse.fit.fit_data import fit_data
+    from matcam.inverse.fit.fit_setup import SEARCH_STEP
+    from matcam.inverse.operator.chosen_cells import chosen_cells
+    from matcam.inverse.operator.sample_view import FAR_AWAY
+
+    try:
+        fit_data((table,), chosen_cells(FAR_AWAY, sampling_of(table), SEARCH_STEP))
+    except FitError:
+        return False
+    return sample_of(table) != "flat"
 
 
 def _after_convert(values: dict[str, Any]) -> list[Any] | None:
