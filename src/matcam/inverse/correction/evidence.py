@@ -38,9 +38,7 @@ from matcam.inverse.fit.fit_setup import FitSetup
 from matcam.inverse.fit.material_fit import MaterialFit
 
 LEAST_NOISE = PixelNoise(5e-3, 1e-6, 0.0)
-"""Smallest assumed noise of a pixel: shot noise of a full well of 40,000 electrons, and the accuracy of a modelled record. The
-limit is required because mirrored cells of a symmetrised table have equal values although they have noise.
-"""
+"""Smallest assumed noise of a pixel: shot noise of a full well of 40,000 electrons, and the accuracy of a modelled record."""
 _MISFIT_SCALE = 1e-2
 """Mean of the exponential prior of the misfit, relative to the value of a cell. Models with much larger errors do not explain a
 table.
@@ -51,6 +49,8 @@ _TYPICAL = PixelNoise(1e-2, 1e-4, 0.0)
 """Noise of a pixel of a typical camera, from which an estimate of the noise starts."""
 _MOSTLY_MISFIT = 2.0
 """Value of chi^2 above which misfit is more than half of the residual variance."""
+_EQUAL = 1e-6
+"""Relative difference below which two values are equal. It exceeds the rounding of 32-bit floats and is below any noise."""
 _FEWEST_PAIRS = 100
 """Smallest number of pairs of cells for an estimate of the noise. 100 pairs determine the noise to 7 %."""
 _AZIMUTH_BIN = 36
@@ -98,7 +98,8 @@ def _at_least(noise: PixelNoise, least: PixelNoise) -> PixelNoise:
 def _mirrored_noise(setup: FitSetup) -> PixelNoise | None:
     """Estimate noise from the differences between cells at phi_d and pi - phi_d.
 
-    An isotropic lens records the same value in both (docs/model.md 3).
+    An isotropic lens records the same value in both (docs/model.md 3). Cells of a symmetrised table have equal values although
+    they have noise, so the result is None if most pairs are equal.
     """
     problem = setup.problem
     cells, data, (table,) = problem.cells, problem.data, setup.tables
@@ -111,7 +112,10 @@ def _mirrored_noise(setup: FitSetup) -> PixelNoise | None:
     if used.sum() < _FEWEST_PAIRS:
         return None
     others = np.where(used, others, 0.0)
-    return _of_pairs(data._replace(used=used), data.values - others, (data.values + others) / 2)
+    difference, mean = data.values - others, (data.values + others) / 2
+    if (np.abs(difference) <= _EQUAL * np.abs(mean))[used].mean() > 0.5:
+        return None
+    return _of_pairs(data._replace(used=used), difference, mean)
 
 
 def _channel_noise(found: MaterialFit) -> PixelNoise | None:

@@ -1,0 +1,32 @@
+"""Noise of a pixel without a model of the lobe: the truth is the noise that the test adds."""
+
+import numpy as np
+import pytest
+
+import matcam
+from matcam.inverse import FitSetup
+from matcam.inverse.correction.evidence import noise_without_model
+from tests.inverse import recorded
+
+
+@pytest.fixture(scope="module")
+def noisy():
+    exact = matcam.measure(matcam.Microfacet(matcam.GGX(0.01), 0.9), recorded.rig())
+    return exact.copy(data=exact.values * np.random.default_rng(4).normal(1, 0.01, exact.shape))
+
+
+def noise_of(table):
+    setup = FitSetup((table,), recorded.rig(), "ggx", fresnel="free", slice_step=18)
+    return noise_without_model(setup, setup.solve())
+
+
+def test_mirrored_cells_and_channels_show_the_noise(noisy):
+    for table in (noisy, noisy.isel(channel=[0])):
+        assert noise_of(table).relative == pytest.approx(0.01 * np.sqrt(2), rel=0.15)  # a cell is the mean of two pixels
+
+
+def test_equal_mirrored_cells_do_not_hide_the_noise(noisy):
+    """The cells of a symmetrised table are means of two, so they have less noise, which the channels show."""
+    symmetrised = noisy.copy(data=(noisy.values + noisy.values[:, :, ::-1]) / 2)
+    assert noise_of(symmetrised).relative == pytest.approx(0.01, rel=0.15)
+    assert noise_of(symmetrised.isel(channel=[0])) is None
