@@ -10,7 +10,7 @@ import pytest
 import xarray as xr
 from typer.testing import CliRunner
 
-from matcam import read_merl, write_merl
+from matcam import io, read_merl, write_merl
 from matcam.cli.app import app
 from matcam.core.grid import brdf_table, merl_grid
 from matcam.inverse.operator.lobe_operator import lobe_operator
@@ -111,6 +111,20 @@ def test_correct_refuses(merl_file, tmp_path):
     there.write_text("mine")
     assert "--force" in str(run("correct", merl_file, "-o", tmp_path / "out.binary").exception)
     assert there.read_text() == "mine"
+
+
+def test_fresnel_takes_a_table_of_one_channel(merl_file, tmp_path, monkeypatch):
+    """Its wavelength is unknown, so there is no metal to compare it with; angles without a value are dashes."""
+    monkeypatch.chdir(tmp_path)
+    table = read_merl(merl_file).isel(channel=[0]).assign_coords(channel=["Y"])
+    io.write_netcdf("one.nc", table.drop_attrs().assign_attrs(sampling="centre").to_dataset(name="brdf"))
+    assert "--metal is for the channels R, G, B" in str(run("fresnel", "one.nc", "--metal", "Cr").exception)
+    assert "a channel of the table, Y, got 'G'" in str(run("fresnel", "one.nc", "--channel", "G").exception)
+    done = run("fresnel", "one.nc", "--ndf", "ggx", "--slice-step", 6)
+    assert done.exit_code == 0, done.output
+    assert "one.nc, channel Y" in done.stdout
+    assert "not compared with published tables" in done.stdout
+    assert "nan" not in done.stdout
 
 
 @pytest.mark.parametrize(

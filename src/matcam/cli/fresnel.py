@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import typer
 
@@ -43,7 +43,14 @@ def command(
         tuple[float, float],
         option("--normalise", "LOW HIGH", "Range of theta_d, degrees; F is divided by its mean over this range."),
     ] = (10.0, 45.0),
-    channel: Annotated[Literal["R", "G", "B"], typer.Option("--channel", help="Channel to draw and print.")] = "G",
+    channel: Annotated[
+        str | None,
+        option(
+            "--channel",
+            "NAME",
+            "Channel of the table to draw and print. Default: G, or the middle one of other channels.",
+        ),
+    ] = None,
     slice_step: Annotated[int, option("--slice-step", "N", "Use every n-th slice of theta_d.", min=1, max=30)] = 1,
     output: Annotated[
         Path | None,
@@ -77,13 +84,20 @@ def command(
     with show.working(f"{file}: fitting the lobe through the camera"):
         workspace = use_caches()
         from matcam.exchange.contents import read_recorded_table
-        from matcam.inverse.fresnel_tables import tabulated_fresnel
+        from matcam.inverse.fresnel_tables import known_wavelengths, tabulated_fresnel
         from matcam.inverse.fresnel_term import fresnel
         from matcam.material.optical_constants import metals
 
         if metal is not None:
             metals(metal)  # raises an error for an unknown name before the fit
         table = read_recorded_table(file, sampling=rig.sampling)
+        table = table.assign_attrs(source=table.attrs.get("source") or file.name)
+        channel = _channel_of(table, channel)
+        compared = known_wavelengths(table) is not None
+        if metal is not None and not compared:
+            raise ArgumentError(
+                f"--metal is for the channels R, G, B, because {file} has other wavelengths: omit this option"
+            )
         recorded = rig.of_table()
         import_behind("matcam.figures.curves", "matcam.files.datasets")
         result = fresnel(
@@ -96,7 +110,7 @@ def command(
             force_correction=force_correction,
             workspace=workspace,
         )
-        tables = tabulated_fresnel(result, metal)
+        tables = tabulated_fresnel(result, metal) if compared else None
         _write(result, tables, output, force, channel)
         if budget:
             _write_budget(result, budget, force)
@@ -105,6 +119,15 @@ def command(
         show.as_json(_document(result, tables, files))
     else:
         _print(result, tables, files, channel)
+
+
+def _channel_of(table: Any, given: str | None) -> str:
+    labels = [str(label) for label in table["channel"].values]
+    if given is None:
+        return "G" if "G" in labels else labels[len(labels) // 2]
+    if given not in labels:
+        raise ArgumentError(f"--channel must be a channel of the table, {', '.join(labels)}, got {given!r:.40}")
+    return given
 
 
 def _write_budget(result: Any, path: Path, force: bool) -> None:
@@ -129,7 +152,7 @@ def _write(result: Any, tables: Any, output: Path, force: bool, channel: str) ->
     from matcam.figures.style import save
     from matcam.files.datasets import write_netcdf
 
-    position = result["channel"].values.tolist().index(channel)
+    position = [str(label) for label in result["channel"].values].index(channel)
     write_netcdf(output.with_suffix(".nc"), result, force=force)
     write_columns(output.with_suffix(".csv"), result.drop_dims("source"), force=force)
     save(fresnel_figure(result, tables, channel=position), output, force=force)
@@ -162,7 +185,7 @@ def _document(result: Any, tables: Any, files: list[Path]) -> dict[str, Any]:
                 "rms_corrected": tables["rms_corrected"].sel(table=t).values,
                 "rms_raw": tables["rms_raw"].sel(table=t).values,
             }
-            for t in tables["table"].values
+            for t in (tables["table"].values if tables is not None else ())
         },
         "files": files,
     }
@@ -177,8 +200,14 @@ def _print(result: Any, tables: Any, files: list[Path], channel: str) -> None:
     # nearest existing slices: a table has slices at 74.5 and 75.5 degrees, and --slice-step omits some
     at = one.sel(theta_d=np.unique(one["theta_d"].sel(theta_d=np.radians(_ANGLES), method="nearest")))
     relative = at["response"].values / float(result["response"][0])
+
+    def shown(value: float, std: float | None = None) -> str:
+        if np.isnan(value):
+            return "-"
+        return f"{value:.3f}" if std is None else f"{value:.3f} ± {std:.3f}"
+
     rows = [
-        [f"{angle:.4g}°", f"{1 - lost:.0%}", f"{raw:.3f}", f"{peak:.3f}", f"{corrected:.3f} ± {std:.3f}"]
+        [f"{angle:.4g}°", f"{1 - lost:.0%}", shown(raw), shown(peak), shown(corrected, std)]
         for angle, lost, raw, peak, corrected, std in zip(
             np.degrees(at["theta_d"].values),
             relative,
@@ -209,9 +238,11 @@ def _print(result: Any, tables: Any, files: list[Path], channel: str) -> None:
     show.say(f"camera uncertainty: {attrs['camera_uncertainty']}")
     show.notes(from_attribute(attrs["remarks"]))
     show.say(f"supported (std below 5 %) up to theta_d = {np.degrees(float(one['supported_angle'])):.1f}°")
-    rms = tables.sel(channel=channel)
-    order = np.argsort(rms["rms_corrected"].values, kind="stable")[:4]
+    rms = None if tables is None else tables.sel(channel=channel)
+    order = () if rms is None else np.argsort(rms["rms_corrected"].values, kind="stable")[:4]
     for i in order:
         name, after, before = str(rms["table"].values[i]), float(rms["rms_corrected"][i]), float(rms["rms_raw"][i])
         show.say(f"against {name}: rms difference {before:.1%} raw, {after:.1%} corrected")
+    if tables is None:
+        show.say("not compared with published tables, because the wavelengths of the channels are unknown")
     show.written(files)

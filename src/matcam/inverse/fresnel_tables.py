@@ -9,7 +9,7 @@ import xarray as xr
 
 from matcam.core import checks
 from matcam.core.errors import ArgumentError
-from matcam.core.grid import CHANNEL_WAVELENGTHS
+from matcam.core.grid import CHANNEL_WAVELENGTHS, CHANNELS
 from matcam.core.results.labelled import named
 from matcam.material.optical_constants import metal as metal_index
 from matcam.material.optical_constants import metals
@@ -40,8 +40,20 @@ def check_fresnel_result(result: xr.Dataset) -> None:
         raise ArgumentError(f"result must be a Dataset from fresnel, but it lacks {', '.join(lacking)}")
 
 
+def known_wavelengths(table: xr.DataArray | xr.Dataset) -> tuple[float, ...] | None:
+    """Return the wavelengths of channels R, G and B, m; None if there are other channels.
+
+    Three channels without these names are in the order R, G, B.
+    """
+    labels = [str(label) for label in table["channel"].values]
+    if len(labels) == len(CHANNELS) and set(labels) != set(CHANNELS):
+        labels = list(CHANNELS)
+    found = dict(zip(CHANNELS, CHANNEL_WAVELENGTHS, strict=True))
+    return tuple(found[label] for label in labels) if set(labels) <= set(found) else None
+
+
 def tabulated_fresnel(
-    result: xr.Dataset, metal: str | None = None, wavelengths: Sequence[float] = CHANNEL_WAVELENGTHS
+    result: xr.Dataset, metal: str | None = None, wavelengths: Sequence[float] | None = None
 ) -> xr.Dataset:
     """Compute the Fresnel terms of metals and dielectrics from published tables.
 
@@ -49,8 +61,8 @@ def tabulated_fresnel(
         result: Dataset from `fresnel`.
         metal: name of a metal in `metals`. Default: None, all metals, and dielectrics with refractive indices from 1.3 to
             1.8 in steps of 0.1.
-        wavelengths: wavelength of each channel, m, (channels,). Default: those of R, G and B. Other channels require
-            their own wavelengths.
+        wavelengths: wavelength of each channel, m, (channels,). Default: those of R, G and B by the names of the channels.
+            Other channels require their own wavelengths.
 
     Returns:
         Dataset over (table, theta_d, channel), without unit:
@@ -82,6 +94,11 @@ def tabulated_fresnel(
     """
     check_fresnel_result(result)
     channels = result.sizes["channel"]
+    wavelengths = known_wavelengths(result) if wavelengths is None else wavelengths
+    if wavelengths is None:
+        raise ArgumentError(
+            f"the wavelengths of the channels {', '.join(map(str, result['channel'].values))} are unknown: give wavelengths"
+        )
     if len(wavelengths) != channels:
         raise ArgumentError(f"wavelengths must be {channels}, one per channel of the result, got {len(wavelengths)}")
     theta_d = result["theta_d"].values
