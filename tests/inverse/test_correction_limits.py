@@ -169,6 +169,14 @@ def test_a_file_that_cannot_say_what_is_supported_keeps_the_recorded_value():
         np.testing.assert_array_equal(written[6:], 0.1)
 
 
+def test_noise_below_zero_is_not_missing_in_a_file():
+    recorded = np.full((90, 90, 180, 3), 0.1)
+    recorded[40:], recorded[60:] = -1e-4, np.nan
+    table = brdf_table(recorded, "centre")
+    done = corrected(table, recorded < 0, np.full(table.shape, 0.01), 1.0)
+    np.testing.assert_array_equal(supported_values(done, table).values, np.where(recorded < 0, 0.0, recorded))
+
+
 def test_a_file_does_not_keep_the_light_of_a_highlight_beside_the_corrected_one():
     """A camera spread 1000 1/sr over five rings; the surface reflects 5000 1/sr in one ring, and 1e-6 ± 10 1/sr beside it."""
     blurred = np.zeros((90, 90, 180, 3))

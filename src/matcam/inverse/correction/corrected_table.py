@@ -190,6 +190,7 @@ def supported_values(table: xr.Dataset, recorded: xr.DataArray) -> xr.DataArray:
     Beside a highlight, a corrected value is often far below the recorded value, which consists of blurred light of the
     highlight. The standard deviation of the correction may then exceed 5 % of the corrected value, although it is below 5 % of
     the recorded value. Such a corrected value is kept, because the corrected peak already contains the blurred light.
+    Negative values, which are noise about 0, become 0, because a MERL file uses them for missing values.
 
     Args:
         table: Dataset that `correct` returned.
@@ -203,4 +204,4 @@ def supported_values(table: xr.Dataset, recorded: xr.DataArray) -> xr.DataArray:
     """
     lowered = (table["response"].values > 1)[..., None] & (table["correction_std"].values < SUPPORTED)
     kept = table["supported"].values | lowered
-    return table["brdf"].copy(data=np.where(kept, table["brdf"].values, recorded.values))
+    return table["brdf"].copy(data=np.maximum(np.where(kept, table["brdf"].values, recorded.values), 0))
