@@ -28,8 +28,9 @@ from matcam.batch.recipe import Options, Recipe
 from matcam.batch.run import correct_all
 from matcam.cli.app import app
 from matcam.core.errors import ArgumentError, OutputError
+from matcam.core.grid import brdf_table
 from matcam.core.workspace import Workspace
-from matcam.io import read_netcdf
+from matcam.io import read_netcdf, write_netcdf
 from tests.batch import simple
 from tests.batch.tables import write_database, write_table
 from tests.conftest import REPOSITORY
@@ -54,6 +55,22 @@ def times(folder, *names):
 
 def reasons(done):
     return {failure.source.stem: failure.reason for failure in done.failures}
+
+
+def test_a_table_of_one_channel_is_written_as_netcdf_only(tmp_path):
+    """A MERL file needs three channels: it is refused before any work."""
+    one = brdf_table(np.full((90, 90, 180, 3), 0.1), "centre").isel(channel=[1])
+    write_netcdf(tmp_path / "one.nc", one.to_dataset(name="brdf"))
+
+    def made(name, corrector):
+        return Job(tmp_path / "one.nc", tmp_path / name, Recipe(rigs.merl(), Options(), corrector=corrector))
+
+    refused = attempt(made("out.binary", lambda *of: pytest.fail("has begun to work")))
+    assert refused.reason.endswith("requires the channels R, G, B, but this table has 1: write a .nc file")
+    job = made("out.nc", simple.brighter)
+    assert attempt(job).reason is None
+    assert sorted(path.name for path in tmp_path.glob("out.*")) == ["out.html", "out.json", "out.nc"]
+    assert {path.name for path in job.files} == {"out.html", "out.json", "out.nc"}
 
 
 def test_what_fails_stops_nothing_else(database, tmp_path, monkeypatch):

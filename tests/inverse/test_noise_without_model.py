@@ -22,7 +22,9 @@ def noise_of(table):
 
 def test_mirrored_cells_and_channels_show_the_noise(noisy):
     for table in (noisy, noisy.isel(channel=[0])):
-        assert noise_of(table).relative == pytest.approx(0.01 * np.sqrt(2), rel=0.15)  # a cell is the mean of two pixels
+        assert noise_of(table).relative == pytest.approx(
+            0.01 * np.sqrt(2), rel=0.15
+        )  # a cell is the mean of two pixels
 
 
 def test_equal_mirrored_cells_do_not_hide_the_noise(noisy):

@@ -20,7 +20,7 @@ from matcam.core.threads import import_behind
 from matcam.core.workspace import Workspace
 from matcam.exchange.contents import read_recorded_table
 from matcam.files.datasets import write_netcdf
-from matcam.files.merl import write_merl
+from matcam.files.merl import check_channels, write_merl
 from matcam.inverse.correction.corrected_table import supported_values
 from matcam.numerics.budget import write_budgets
 
@@ -31,7 +31,8 @@ class Job:
 
     Attributes:
         source: MERL file to read.
-        output: MERL file to write. Files .nc, .json and, if the recipe requires a page, .html are written beside it.
+        output: MERL file to write. Files .nc, .json and, if the recipe requires a page, .html are written beside it. If its
+            name ends in .nc, no MERL file is written.
         recipe: settings of the correction.
         force: whether to replace existing files.
         key: key of the run's settings; None outside a run. In a run, a thumbnail (.png) is written for the index, too.
@@ -58,12 +59,18 @@ class Job:
         return self.output.with_suffix(".json")
 
     @property
+    def writes_merl(self) -> bool:
+        """Check whether a MERL file is written."""
+        return self.output.suffix.lower() != ".nc"
+
+    @property
     def files(self) -> list[Path]:
         """Return all files of the job, the record last."""
+        merl = [self.output] if self.writes_merl else []
         page = [".html"] if self.recipe.page else []
         thumbnail = [".png"] if self.key is not None else []
         return [
-            self.output,
+            *merl,
             *(self.output.with_suffix(suffix) for suffix in (".nc", *page, *thumbnail)),
             *([self.budget] if self.budget else []),
             self.record,
@@ -153,7 +160,7 @@ def write_corrected(job: Job, workspace: Workspace | None = None) -> dict[str, A
     workspace: workspace of the worker, in place of that of the job.
 
     Raises:
-        ArgumentError, OutputError: a file could not be written; raised before any work.
+        ArgumentError, OutputError: a file could not be written, or not in this format; raised before any work.
         FileFormatError: the input is not a table, or the file changed while it was read.
         MatcamError: an error of the corrector.
     """
@@ -170,6 +177,8 @@ def write_corrected(job: Job, workspace: Workspace | None = None) -> dict[str, A
     table = read_recorded_table(job.source, sampling=job.recipe.sampling)
     if fingerprint(job.source) != before:
         raise FileFormatError(f"{job.source}: changed while it was read; correct it again when the file is complete")
+    if job.writes_merl:
+        check_channels(table)
     if job.recipe.page:
         import_behind("matcam.figures.pages")
     options = job.recipe.options
@@ -177,7 +186,8 @@ def write_corrected(job: Job, workspace: Workspace | None = None) -> dict[str, A
         options = options._replace(workspace=workspace)
     done = job.recipe.corrector(table, job.recipe.rig, options)
     with all_or_nothing():
-        write_merl(job.output, supported_values(done.table, table), force=job.force)
+        if job.writes_merl:
+            write_merl(job.output, supported_values(done.table, table), force=job.force)
         write_netcdf(job.output.with_suffix(".nc"), done.table, force=job.force, compress=job.recipe.compress)
         if job.recipe.page:
             done.write_page(job.output.with_suffix(".html"), job.source.name, job.force)

@@ -50,8 +50,8 @@ def command(
         option(
             "--output -o",
             "FILE",
-            "MERL file to write, with .nc, .json and .html beside it; or the folder of a run. Default: "
-            "FILE-corrected.binary.",
+            "MERL file to write, with .nc, .json and .html beside it; a name that ends in .nc: without MERL file; or the "
+            "folder of a run. Default: FILE-corrected.binary.",
         ),
     ] = None,
     workers: Annotated[
@@ -111,8 +111,10 @@ def command(
 
     one_file = len(paths) == 1 and not is_folder(paths[0])
     alone = one_file and (output is None or (bool(output.suffix) and not is_folder(output)))
-    if alone and output and output.suffix.lower() != ".binary":
-        raise ArgumentError(f"{output}: the corrected table is a MERL file, whose name must end in .binary")
+    if alone and output and output.suffix.lower() not in (".binary", ".nc"):
+        raise ArgumentError(
+            f"{output}: the corrected table is a MERL or NetCDF file: its name must end in .binary or .nc"
+        )
     if alone and (workers is not None or cluster is not None or zarr or fit_camera):
         raise ArgumentError(
             "--workers, --cluster, --zarr and --fit-camera are for a run: name an output folder with -o"

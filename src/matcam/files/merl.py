@@ -104,8 +104,7 @@ def write_merl(path: str | Path, brdf: xr.DataArray, *, force: bool = False) -> 
         34992012
     """
     brdf = checked_table(brdf)
-    if brdf.sizes["channel"] != len(CHANNELS):
-        raise ArgumentError(f"a MERL file requires the channels R, G, B, but this table has {brdf.sizes['channel']}")
+    check_channels(brdf)
     stored = np.array(np.moveaxis(brdf.values, -1, 0), dtype=np.float64, order="C")
     lowest, highest = np.fmin.reduce(stored, axis=None), np.fmax.reduce(stored, axis=None)
     if np.isnan(lowest):
@@ -120,6 +119,14 @@ def write_merl(path: str | Path, brdf: xr.DataArray, *, force: bool = False) -> 
     with replacing(path, force=force) as temporary, temporary.open("wb") as file:
         np.array(GRID_SHAPE, dtype=_HEADER).tofile(file)
         stored.astype(_VALUE, copy=False).tofile(file)
+
+
+def check_channels(brdf: xr.DataArray) -> None:
+    """Raise ArgumentError if a MERL file cannot contain the channels of a table."""
+    if brdf.sizes["channel"] != len(CHANNELS):
+        raise ArgumentError(
+            f"a MERL file requires the channels R, G, B, but this table has {brdf.sizes['channel']}: write a .nc file"
+        )
 
 
 def _read_stored(path: Path) -> np.ndarray:
