@@ -157,23 +157,32 @@ def _dark_times(lit: Sequence[ExposureStatistics], dark: Sequence[ExposureStatis
 
 def _read_noise(dark: Sequence[ExposureStatistics], gain: Stated) -> tuple[Stated, bool]:
     """Estimate the temporal noise of a dark pixel at exposure time 0, e-, and detect whether rounding hides it."""
-    times, variance = np.array([one.exposure.time for one in dark]), np.array([one.variance.mean() for one in dark])
-    error = variance * np.array([one.variance_error / math.sqrt(len(one.variance)) for one in dark])
-    if len(np.unique(times)) >= _TIMES:
-        _, offset = _line(times, variance)
-        dark_variance, std = offset.value, max(offset.std, float(error.min()) / math.sqrt(len(dark)))
-    else:
-        first = int(np.argmin(times))
-        dark_variance, std = float(variance[first]), float(error[first])
-    hidden = dark_variance < _HIDDEN
+    variance = [float(one.variance.mean()) for one in dark]
+    error = [v * one.variance_error / math.sqrt(len(one.variance)) for v, one in zip(variance, dark, strict=True)]
+    found = _at_time_zero(dark, variance, error)
+    hidden = found.value < _HIDDEN
     # The variance of a rounded code is 1/12 DN^2.
-    noise = math.sqrt(max(dark_variance, _HIDDEN) - 1 / 12)
-    return _per_gain(Stated(noise, std / (2 * noise)), gain), hidden
+    noise = math.sqrt(max(found.value, _HIDDEN) - 1 / 12)
+    return _per_gain(Stated(noise, found.std / (2 * noise)), gain), hidden
 
 
 def _black_level(dark: Sequence[ExposureStatistics]) -> Stated:
-    first = min(dark, key=lambda one: one.exposure.time)
-    return Stated(float(first.mean.mean()), float(np.sqrt(first.variance.mean() / (first.pixels * len(first.mean)))))
+    level = [float(one.mean.mean()) for one in dark]
+    error = [math.sqrt(one.variance.mean() / (one.pixels * len(one.mean))) for one in dark]
+    return _at_time_zero(dark, level, error)
+
+
+def _at_time_zero(dark: Sequence[ExposureStatistics], values: Sequence[float], errors: Sequence[float]) -> Stated:
+    """Extrapolate a statistic of the dark frames to exposure time 0; with fewer than three times, that of the shortest.
+
+    errors: standard deviations of the values due to temporal noise.
+    """
+    times = [one.exposure.time for one in dark]
+    if len(set(times)) < _TIMES:
+        first = int(np.argmin(times))
+        return Stated(values[first], errors[first])
+    _, offset = _line(np.array(times), np.array(values))
+    return Stated(offset.value, max(offset.std, min(errors) / math.sqrt(len(dark))))
 
 
 def _growth(dark, gain, of, power):  # type: ignore[no-untyped-def]

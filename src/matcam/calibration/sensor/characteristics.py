@@ -27,7 +27,7 @@ class SensorCharacteristics(Summarised):
         gain: system gain K, DN per e-.
         read_noise: temporal noise of a dark pixel without rounding, e-; an upper limit if `read_noise_hidden`.
         read_noise_hidden: whether rounding hides the read noise.
-        black_level: mean dark code at the shortest exposure, DN.
+        black_level: mean dark code at exposure time 0, DN; at the shortest exposure if there are fewer than three times.
         dark_current: increase of the dark signal with time, e-/s; NaN for fewer than three exposure times.
         dark_current_by_variance: increase of the dark variance with time, e-/s; NaN for fewer than three exposure times.
         dark_nonuniformity: relative standard deviation of the dark currents of the pixels, no unit; NaN if not determined.
