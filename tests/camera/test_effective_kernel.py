@@ -7,6 +7,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy.integrate import quad
+from scipy.optimize import brentq
 
 from docs_claims import limit
 from matcam import (
@@ -238,3 +239,10 @@ def test_derivatives_by_the_cameras_parameters():
         (kernel(0.5, 0.4 + h) - kernel(0.5, 0.4 - h)) / (2 * h),
     )
     np.testing.assert_allclose(gradient, finite, rtol=1e-7)
+
+
+@pytest.mark.parametrize("sigma", [0.3, 0.5, 0.6137])
+def test_mtf50_is_where_the_mtf_is_one_half(sigma):
+    camera = Camera(GaussianOptics(sigma), BoxPixel(0.5))
+    exact = brentq(lambda f: np.exp(-2 * (np.pi * sigma * f) ** 2) * np.sinc(f) - 0.5, 0.01, 1.0)
+    assert effective.mtf50(camera.optics, camera.pixel)[""] == pytest.approx(exact, abs=1e-6)

@@ -68,7 +68,7 @@ NAMES = (
     "prediction",
 )  # fmt: skip
 HAS = {
-    "camera": ["optics.sigma_px: *0.50 ± 0.50 .100 %.", "MTF50 along the rows: 0.3235 cycles/px"],
+    "camera": ["optics.sigma_px: *0.50 ± 0.50 .100 %.", "MTF50 along the rows: 0.323088 cycles/px"],
     "edge": [r"MTF50: *0\.\d+ ± 0\.\d+ cycles/px", "optics.sigma_px"],
     "fit": [
         r"ggx lobe, fitted through the camera",

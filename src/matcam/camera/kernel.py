@@ -213,4 +213,7 @@ def mtf50(optics: Optics, pixel: PixelResponse) -> dict[str, float]:
 def _half(lens: Optics, pixel: PixelResponse) -> float:
     passed = np.abs(np.asarray(transfer_along(lens, pixel, xp.asarray(_FREQUENCIES), xp.zeros(_FREQUENCIES.size))))
     below = np.flatnonzero(passed < 0.5)
-    return float(_FREQUENCIES[below[0]]) if below.size else float("nan")
+    if not below.size:
+        return float("nan")
+    around = [below[0], below[0] - 1]  # the MTF is 1 at frequency 0, and falls between these two
+    return float(np.interp(0.5, passed[around], _FREQUENCIES[around]))

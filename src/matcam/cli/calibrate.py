@@ -159,16 +159,6 @@ def _sensor(path: Path | None) -> Any:
     return sensor
 
 
-def _mtf50(camera: Any) -> float:
-    """Compute the frequency at which the MTF of lens and pixel is one half, cycles/px."""
-    import numpy as np
-
-    frequency = np.linspace(0, 2, 2001)
-    passed = np.asarray(camera.mtf(frequency))
-    at = int(np.argmax(passed < 0.5))
-    return float(np.interp(0.5, passed[[at, at - 1]], frequency[[at, at - 1]]))
-
-
 def _files(given: list[Path]) -> list[Path]:
     """List the images. Those of a folder are sorted by name."""
     from matcam.core.readers.names import check_within
@@ -255,8 +245,11 @@ def _verdict(found: Any) -> list[str]:
 def _print(found: Any, written: list[Path], pitch: float | None) -> None:
     for line in _verdict(found):
         show.say(line)
-    for name, camera in found.cameras.items() if pitch else ():
-        half = _mtf50(camera)
-        show.say(f"{name}: MTF50 along the rows {half:.4f} cycles/px, {half * 1000 / (pitch or 1):.2f} lp/mm")
+    if pitch:
+        from matcam.camera.kernel import mtf50
+
+        for name, camera in found.cameras.items():
+            for half in mtf50(camera.optics, camera.pixel).values():
+                show.say(f"{name}: MTF50 along the rows {half:.4f} cycles/px, {half * 1000 / pitch:.2f} lp/mm")
     show.notes(found.remarks)
     show.written(written)

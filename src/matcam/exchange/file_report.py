@@ -35,8 +35,8 @@ def inspect(source: Any, *, sampling: Sampling = "centre", radius: float = 256.0
 
     Example:
         >>> report = matcam.inspect(matcam.rigs.merl().camera)
-        >>> report["parameters"], report["mtf50_cycles_per_px"]
-        ({'optics.sigma_px': 0.5, 'pixel.half_width_px': 0.5}, 0.3235)
+        >>> report["parameters"], round(report["mtf50_cycles_per_px"], 4)
+        ({'optics.sigma_px': 0.5, 'pixel.half_width_px': 0.5}, 0.3231)
     """
     checks.positive("radius", radius, "px")
     if isinstance(source, Camera):
