@@ -285,6 +285,15 @@ def test_a_table_is_followed_by_a_command_that_takes_it_for_what_it_is(tmp_path,
     assert suggestions.after("simulate", values) == next_one
 
 
+@pytest.mark.parametrize("command", ["inspect", "fit", "fresnel"])
+def test_a_table_of_one_channel_is_corrected_without_a_merl_file(tmp_path, monkeypatch, command):
+    monkeypatch.chdir(tmp_path)
+    one = brdf_table(np.full((90, 90, 180, 3), 0.3), "centre").isel(channel=[0])
+    io.write_netcdf("a.nc", one.to_dataset(name="brdf"))
+    values = {"file": Path("a.nc"), "files": [Path("a.nc")]}
+    assert suggestions.after(command, values) == "matcam correct a.nc -o a-corrected.nc"
+
+
 def test_suggestions_are_for_commands_that_exist():
     from docs_commands import commands
 

@@ -48,7 +48,19 @@ def _camera(values: dict[str, Any]) -> list[Any]:
 
 def _of_table(values: dict[str, Any], file: Path | None) -> list[Any] | None:
     """Correct the table, unless it was fitted without a camera."""
-    return None if file is None or values.get("blind") else ["matcam", "correct", file, *_camera(values)]
+    return None if file is None or values.get("blind") else _correct(file, values)
+
+
+def _correct(file: Path, values: dict[str, Any]) -> list[Any]:
+    """Correct a table; without a MERL file if the table has other channels."""
+    words = ["matcam", "correct", file, *_camera(values)]
+    if not is_there(file) or identify(file) == "merl":
+        return words
+    from matcam.core.grid import CHANNELS
+    from matcam.exchange.contents import read_table
+
+    stored = read_table(file).sizes["channel"] == len(CHANNELS)
+    return words if stored else [*words, "-o", _unused(Path(f"{file.stem}-corrected.nc"))]
 
 
 def _after_predict(values: dict[str, Any]) -> list[Any] | None:
@@ -101,7 +113,7 @@ def _after_inspect(values: dict[str, Any]) -> list[Any] | None:
         return None
     if table.attrs.get(CORRECTED):
         return ["matcam", "convert", file, _unused(file.with_suffix(".bsdf"))]
-    return ["matcam", "correct", file, *_camera(values)] if _is_recorded_on_curve(table) else None
+    return _correct(file, values) if _is_recorded_on_curve(table) else None
 
 
 def _is_recorded_on_curve(table: Any) -> bool:
