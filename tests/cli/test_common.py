@@ -188,9 +188,15 @@ def test_the_next_command_is_about_the_same_rig_and_images(tmp_path, monkeypatch
     assert (
         suggestions.after("predict", {**predicted, "camera": Path("f16.json")}) is None
     )  # bounds need a Gaussian lens
-    edge = {"pictures": [Path("p.tif"), Path("q.tif")], "cfa": "RGGB", "tone": "auto"}
+    edge = {"pictures": [Path("p.tif"), Path("q.tif")], "cfa": "RGGB", "tone": "auto", "roi": (1, 2, 30, 40)}
     assert suggestions.after("edge", edge) == "matcam calibrate p.tif q.tif --cfa RGGB -o camera.json"
+    edge |= {"half_width": 0.4, "accept_sharpened": True}
+    more = "--cfa RGGB --half-width 0.4 --accept-sharpened"
+    assert suggestions.after("edge", edge) == f"matcam calibrate p.tif q.tif {more} -o camera.json"
     assert suggestions.after("edge", {**edge, "focus": "0,1"}) is None
+    whole = {**edge, "roi": None}  # each shows one edge, and a camera requires eight
+    assert suggestions.after("edge", whole) == "matcam chart squares star -o chart.pdf"
+    assert suggestions.after("edge", {**whole, "pictures": 8 * [Path("p.tif")]}).startswith("matcam calibrate p.tif p.tif")
     fitted = {"files": [Path("a.binary")], "lamp": 0.0}
     assert suggestions.after("fit", fitted) == "matcam correct a.binary"
     assert suggestions.after("fit", {**fitted, "blind": True}) is None
@@ -202,7 +208,7 @@ def test_no_next_command_reads_a_file_that_is_not_there(tmp_path, monkeypatch):
     written = {
         "output": Path("a.binary"), "capture": None, "camera": None, "folder": Path("shots"), "pictures": [Path("p.tif")],
         "file": Path("a.binary"), "files": [Path("a.binary")], "paths": [Path("a.binary")], "target": Path("b.binary"),
-        "materials": ["chrome"], "roughness": None,
+        "materials": ["chrome"], "roughness": None, "roi": (1, 2, 30, 40),
     }  # fmt: skip
     maker = suggestions._NEXT
     assert len(maker) > 10

@@ -77,11 +77,21 @@ def _after_predict(values: dict[str, Any]) -> list[Any] | None:
 
 
 def _after_edge(values: dict[str, Any]) -> list[Any] | None:
-    """Calibrate a camera with the same reading of the images; a through-focus series is no camera."""
+    """Calibrate a camera with the same reading of the images, if they may contain enough edges; otherwise draw a chart.
+
+    A region is a part of a photograph that may contain more edges. A through-focus series is no camera.
+    """
     if values.get("focus"):
         return None
-    given = [(f"--{name}", values.get(name)) for name in ("cfa", "tone")]
-    options = [word for option, value in given if value not in (None, "auto") for word in (option, value)]
+    if not (values.get("roi") or values.get("rois")):
+        from matcam.calibration.camera.consensus import FEWEST_EDGES
+
+        if len(values["pictures"]) < FEWEST_EDGES:
+            return ["matcam", "chart", "squares", "star", "-o", _unused(Path("chart.pdf"))]
+    usual = {"cfa": None, "tone": "auto", "half_width": 0.5, "pitch": None}
+    changed = [name for name, default in usual.items() if values.get(name, default) != default]
+    options = [word for name in changed for word in (f"--{name.replace('_', '-')}", values[name])]
+    options += ["--accept-sharpened"] if values.get("accept_sharpened") else []
     return ["matcam", "calibrate", *values["pictures"], *options, "-o", _unused(Path("camera.json"))]
 
 
