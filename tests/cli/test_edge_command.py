@@ -1,5 +1,6 @@
 """`matcam edge`, run as users run it."""
 
+import csv
 import json
 from functools import partial
 
@@ -125,6 +126,14 @@ def test_a_file_that_names_no_regions(edge, photograph, tmp_path, text, words):
     error = edge("chart.tif", "--rois", "rois.csv", code=2).stderr
     assert words in error
     assert "rois.csv" in error
+
+
+def test_one_edge_has_a_figure_and_a_row_of_a_table(edge, photograph, tmp_path):
+    said = edge("chart.tif", *ROI, "--table", "t.csv", "-o", "a.png", "--at", 0.25).stdout
+    (row,) = csv.DictReader((tmp_path / "t.csv").read_text().splitlines())
+    assert (row["file"], row["channel"]) == ("chart.tif", "grey")
+    assert f"{float(row['mtf50_cycles_per_px']):.4f}" in said
+    assert (tmp_path / "a.png").exists()
 
 
 BAD = [

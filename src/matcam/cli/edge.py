@@ -100,7 +100,7 @@ def command(
     from matcam.core import checks
     from matcam.numerics.budget import check_budget
 
-    several = len(pictures) > 1 or rois is not None or channel == "all" or table is not None
+    several = len(pictures) > 1 or rois is not None or channel == "all"
     positions = None if focus is None else focus_positions(focus, len(pictures), method)
     for name, given in (("-o", output), ("--sfr", sfr), ("--budget", budget)):
         if given and not (positions and name == "-o") and (several or (method == "iso12233" and name != "--sfr")):
@@ -162,7 +162,7 @@ def command(
                 raise
             whole = shlex.join(["matcam", "calibrate", str(picture)])
             raise FitError(f"{error} with --roi, or measure all edges: {whole}") from error
-    files = [*([output, output.with_suffix(".csv")] if output else []), *(path for path in (sfr, budget) if path)]
+    files = [*([output, output.with_suffix(".csv")] if output else []), *(path for path in (sfr, table, budget) if path)]
     if json:
         show.as_json(document_of(result) | {"files": files})
     elif method == "iso12233":
@@ -172,6 +172,13 @@ def command(
         _print_readings(_readings(result, frequencies), pitch, "without a model")
     if sfr:
         _write_sfr(result, sfr, pitch, force)
+    if table:
+        from matcam.calibration.readings.edge_series import SeriesEdge, channel_name, region_name, series_columns
+
+        row = SeriesEdge(str(picture), region_name(roi), channel_name(photograph, channel), document_of(result), "")
+        write_columns(table, series_columns([row]), force=force)
+        if not json:
+            show.say(f"table: {table}")
     if budget:
         _write_budget(result, budget, force)
     if output:

@@ -72,11 +72,12 @@ def run_series(
         focus_of_series,
         measure_series,
         read_regions,
+        region_name,
         series_columns,
     )
     from matcam.files.photographs import open_photograph
 
-    regions = read_regions(rois) if rois else {"whole" if roi is None else ",".join(map(str, roi)): roi}
+    regions = read_regions(rois) if rois else {region_name(roi): roi}
     photographs = [(str(path), partial(open_photograph, path)) for path in pictures]
     with show.working(f"measuring {len(pictures)} images"):
         rows = measure_series(photographs, regions, channel, cfa, measure)

@@ -47,6 +47,16 @@ def channels_of(photograph: Photograph, channel: str | None, cfa: str | None) ->
     return ["R", "G", "B", "Y"] if photograph.values.ndim == 3 else [None]
 
 
+def channel_name(photograph: Photograph, channel: str | None) -> str:
+    """Name a channel in a table. `channel`: a colour, or None for luminance or a grey photograph."""
+    return channel or ("Y" if photograph.values.ndim == 3 else "grey")
+
+
+def region_name(region: Region | None) -> str:
+    """Name a region in a table."""
+    return "whole" if region is None else ",".join(map(str, region))
+
+
 def measure_series(
     photographs: Sequence[tuple[str, Callable[[], Photograph]]],
     regions: dict[str, Region | None],
@@ -76,7 +86,7 @@ def measure_series(
             rows.append(SeriesEdge(name, "", "", {}, str(error).removeprefix(f"{name}: ")))
             continue
         for colour in channels_of(photograph, channel, cfa):
-            shown = colour or ("Y" if photograph.values.ndim == 3 else "grey")
+            shown = channel_name(photograph, colour)
             for region, roi in regions.items():
                 try:
                     found, problem = measure(photograph, roi, colour), ""
