@@ -1,6 +1,7 @@
 """`matcam sensor`: what it prints and writes, and that the other commands use its sensor."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -41,16 +42,23 @@ def test_sensor_writes_a_figure_a_table_a_page_maps_and_a_profile(matcam, folder
     assert response.mean() == pytest.approx(1, abs=1e-5)
     sensor = Camera.load(tmp_path / "camera.json").sensor
     assert float(sensor.pitch) == pytest.approx(3.45e-6)
+    said = matcam("inspect", "camera.json").stdout
+    assert re.search(r"gain_dn_per_electron +0\.2[45]", said)
+    assert re.search(r"pitch_m +3\.45e-06", said)
     # the profile's sensor takes a raw picture
     matcam("simulate", "--camera", "camera.json", "--exposure", 2000, "--radius", 30, "--size", 64, 64, "-o", "raw.tif")
     assert np.ptp(tifffile.imread(tmp_path / "raw.tif")) > 100
 
 
-def test_sensor_prints_values_with_standard_deviations(matcam, folder):
+def test_sensor_prints_values_with_standard_deviations(matcam, folder, tmp_path):
     text = matcam("sensor", folder).stdout
     assert "gain, DN per e-" in text
     assert "beyond saturation or clipped, and therefore not used" in text
     assert "exposures-sensor.png" in text
+    assert "next:" not in text
+    Camera(GaussianOptics(0.6)).save(tmp_path / "lens.json")
+    words = ("--camera", "lens.json", "--profile", "camera.json", "--pitch", 3.45, "--force")
+    assert matcam("sensor", folder, *words).stdout.splitlines()[-1] == "next: matcam inspect camera.json"
 
 
 @pytest.mark.parametrize(

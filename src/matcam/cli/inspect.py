@@ -169,6 +169,9 @@ def _print_profile(report: dict[str, Any]) -> None:
     for name, value in mtf50.items() if isinstance(mtf50, dict) else [("", mtf50)]:
         lens = f", {name}" if name else ""
         show.say(f"MTF50 along a row of pixels{lens}: {value:.4f} cycles/px")
+    if report["sensor"] is not None:
+        known = {name: value for name, value in report["sensor"].items() if value is not None}
+        show.table(["sensor", "value"], [[name, _plain(value)] for name, value in known.items()])
     for key in ("source", "created", "software", "notes"):
         if report["provenance"][key]:
             show.say(f"{key}: {report['provenance'][key]}")

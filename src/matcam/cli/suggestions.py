@@ -181,6 +181,7 @@ _NEXT: dict[str, Callable[[dict[str, Any]], list[Any] | None]] = {
     "capture check": _after_check,
     "edge": _after_edge,
     "calibrate": lambda v: ["matcam", "inspect", v["output"]] if v["output"] else None,
+    "sensor": lambda v: ["matcam", "inspect", v["profile"]] if v.get("profile") else None,
     "inspect": _after_inspect,
     "convert": _after_convert,
     "correct": _after_correct,

@@ -64,7 +64,7 @@ def _file_report(path: str | Path, kind: str, sampling: Sampling, radius: float)
 
 
 def _camera_report(camera: Camera) -> dict[str, Any]:
-    """Report on a camera: parameters, standard deviations, MTF50 (cycles/px, along a row) and provenance.
+    """Report on a camera: parameters, standard deviations, MTF50 (cycles/px, along a row), sensor and provenance.
 
     For a lens with colours, or one that varies over the image, the report has MTF50 of each representative lens, by
     name.
@@ -74,5 +74,6 @@ def _camera_report(camera: Camera) -> dict[str, Any]:
         "parameters": {name: float(value) for name, value in camera.parameters().items()},
         "std": camera.uncertainty.std() if camera.uncertainty else {},
         "mtf50_cycles_per_px": found.get("", found),
+        "sensor": camera.profile()["sensor"],
         "provenance": dataclasses.asdict(camera.provenance),
     }
