@@ -1,5 +1,7 @@
 """What codes mean, judged by captures whose truth is known (tests/oracle/capture.py)."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -53,6 +55,8 @@ def test_wrong_dials_are_named(merged):
     named = {r.text.split(":")[0].split()[1] for r in radiometry.remarks if r.code == "times-wrong"}
     assert wrong
     assert wrong <= named
+    said = " ".join(remark.text for remark in radiometry.remarks if remark.code == "times-wrong")
+    assert len(re.findall(r"[\d.]+ ± 0\.0*[1-9]\d times", said)) == len(named)  # two significant digits
 
 
 def test_clip_level_and_noise_come_from_the_frames(merged):

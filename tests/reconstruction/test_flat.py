@@ -1,5 +1,7 @@
 """Maps of a flat sample from pictures that an independent renderer drew, judged frequency by frequency."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -86,6 +88,8 @@ def test_fine_texture_is_lost_and_coarse_is_resolved():
         assert resolved[(radius > 0) & (radius < 0.03)].min() > 0.9
         assert resolved[radius > 0.6].max() < 0.1
     assert "lp/mm" in dim.verdict
+    coarse = dataclasses.replace(dim, cutoffs={**dim.cutoffs, "diffuse": [0.0039, 0.0078]})
+    assert "diffuse up to 0.0039 x 0.0078 cycles/px" in coarse.verdict
     # what is not resolved is not made up: the map is smoother than the truth
     values = dim.maps["specular"].values
     assert (values / values.mean()).std() < (true["specular"] / true["specular"].mean()).std()

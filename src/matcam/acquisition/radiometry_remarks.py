@@ -10,6 +10,7 @@ import numpy as np
 from matcam.acquisition.bracket_sample import BracketSample
 from matcam.acquisition.exposure_ratios import ClipLevel, ExposureRatios
 from matcam.core.remark import Remark, gathered
+from matcam.core.results.summary import with_std
 from matcam.files.capture_settings import Stated
 from matcam.numerics.frame_noise import not_linear
 
@@ -87,7 +88,8 @@ def exposure_remarks(names: Sequence[str], ratios: ExposureRatios, nominal: np.n
     wrong = ratios.value / said - 1
     for name, error, std in zip(names, wrong, ratios.std(), strict=True):
         if np.isfinite(std) and abs(error) > max(_WRONG_TIME, 4 * std):
-            text = f"exposure {name}: its light relative to {names[0]} is {1 + error:.3f} ± {std:.3f} times the nominal ratio"
+            measured = with_std(1 + error, max(std, 1e-9))
+            text = f"exposure {name}: its light relative to {names[0]} is {measured} times the nominal ratio"
             found.append(Remark("times-wrong", text + "; the measured ratio is used: check time_s in frames.csv"))
     slope = float(np.polyfit(np.log(said), np.log(ratios.value), 1)[0]) if said[-1] > 1.5 else 1.0
     proof = tone_curve_proof(tone_exponent(ratios, nominal))

@@ -161,10 +161,10 @@ class FlatReconstruction(Summarised):
 
     def _resolution(self, name: str) -> str:
         along, across = self.cutoffs[name]
-        text = f"{along:.2f} x {across:.2f} cycles/px"
+        text = f"{along:.2g} x {across:.2g} cycles/px"
         if self.mm_per_px is None:
             return text
-        return f"{text} ({along / self.mm_per_px:.3g} x {across / self.mm_per_px:.3g} lp/mm)"
+        return f"{text} ({along / self.mm_per_px:.2g} x {across / self.mm_per_px:.2g} lp/mm)"
 
 
 def reconstruct_flat(
