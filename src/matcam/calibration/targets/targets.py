@@ -145,7 +145,7 @@ def measure_targets(
             else:  # squares are measured by `edge_mtf`, patches by `printed_levels`
                 continue
         except FitError as error:
-            unmeasured.setdefault(kind, {})[number] = f"{name}: {error}"
+            unmeasured.setdefault(kind, {})[number] = f"{kind} {number}: {error}"
         else:
             found = [replace(one, source=name, f_number=f_number) for one in found]
             if printed is not None and not isinstance(element, Dots):
