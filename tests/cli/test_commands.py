@@ -164,6 +164,10 @@ def test_inspect(matcam, measured, tmp_path):
     text = matcam("inspect", "c.json").stdout
     assert "± 0.015" in text
     assert "MTF50" in text
+    xr.Dataset({"map": (("y", "x"), np.ones((3, 4)), {"units": "1"})}).to_netcdf(tmp_path / "maps.nc")
+    text = matcam("inspect", "maps.nc").stdout
+    assert re.search(r"map +3 y x 4 x +1", text)
+    assert "{" not in text
 
 
 @pytest.mark.slow

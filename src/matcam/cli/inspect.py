@@ -121,10 +121,21 @@ def _print_remainder(report: dict[str, Any]) -> None:
     for name, value in report.items():
         if name in ("file", "format", "holds"):
             continue
-        if isinstance(value, dict):
+        if name == "variables":
+            _print_variables(value)
+        elif isinstance(value, dict):
             show.table([name, ""], [[str(key), str(item)] for key, item in value.items()])
         else:
             show.say(f"{name.replace('_', ' ')}: {_plain(value)}")
+
+
+def _print_variables(variables: dict[str, Any]) -> None:
+    rows = [
+        [name, " x ".join(f"{size} {along}" for along, size in one["shape"].items()), one["units"]]
+        for name, one in variables.items()
+        if list(one["shape"]) != [name]  # coordinates are named by the sizes
+    ]
+    show.table(["variable", "size", "unit"], rows)
 
 
 def _plain(value: Any) -> str:
