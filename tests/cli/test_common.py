@@ -196,7 +196,9 @@ def test_the_next_command_is_about_the_same_rig_and_images(tmp_path, monkeypatch
     assert suggestions.after("edge", {**edge, "focus": "0,1"}) is None
     whole = {**edge, "roi": None}  # each shows one edge, and a camera requires eight
     assert suggestions.after("edge", whole) == "matcam chart squares star -o chart.pdf"
-    assert suggestions.after("edge", {**whole, "pictures": 8 * [Path("p.tif")]}).startswith("matcam calibrate p.tif p.tif")
+    assert suggestions.after("edge", {**whole, "pictures": 8 * [Path("p.tif")]}).startswith(
+        "matcam calibrate p.tif p.tif"
+    )
     fitted = {"files": [Path("a.binary")], "lamp": 0.0}
     assert suggestions.after("fit", fitted) == "matcam correct a.binary"
     assert suggestions.after("fit", {**fitted, "blind": True}) is None

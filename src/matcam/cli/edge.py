@@ -162,7 +162,10 @@ def command(
                 raise
             whole = shlex.join(["matcam", "calibrate", str(picture)])
             raise FitError(f"{error} with --roi, or measure all edges: {whole}") from error
-    files = [*([output, output.with_suffix(".csv")] if output else []), *(path for path in (sfr, table, budget) if path)]
+    files = [
+        *([output, output.with_suffix(".csv")] if output else []),
+        *(path for path in (sfr, table, budget) if path),
+    ]
     if json:
         show.as_json(document_of(result) | {"files": files})
     elif method == "iso12233":

@@ -238,11 +238,11 @@ def _print(result: Any, tables: Any, files: list[Path], channel: str) -> None:
     show.say(f"camera uncertainty: {attrs['camera_uncertainty']}")
     show.notes(from_attribute(attrs["remarks"]))
     show.say(f"supported (std below 5 %) up to theta_d = {np.degrees(float(one['supported_angle'])):.1f}°")
-    rms = None if tables is None else tables.sel(channel=channel)
-    order = () if rms is None else np.argsort(rms["rms_corrected"].values, kind="stable")[:4]
-    for i in order:
-        name, after, before = str(rms["table"].values[i]), float(rms["rms_corrected"][i]), float(rms["rms_raw"][i])
-        show.say(f"against {name}: rms difference {before:.1%} raw, {after:.1%} corrected")
-    if tables is None:
+    if tables is not None:
+        rms = tables.sel(channel=channel)
+        for i in np.argsort(rms["rms_corrected"].values, kind="stable")[:4]:
+            name, after, before = str(rms["table"].values[i]), float(rms["rms_corrected"][i]), float(rms["rms_raw"][i])
+            show.say(f"against {name}: rms difference {before:.1%} raw, {after:.1%} corrected")
+    else:
         show.say("not compared with published tables, because the wavelengths of the channels are unknown")
     show.written(files)
