@@ -46,7 +46,7 @@ EVERY = 18
 def test_what_is_known_stays_and_what_is_not_shrinks_to_the_recorded_value():
     log = np.array([2.0, 2.0, 2.0, -1.0, 0.0])
     std = np.array([0.01, 1.0, 3.0, 0.1, 0.5])
-    found = shrunk(LobeRatio(log, std), 0.0)
+    found = shrunk(LobeRatio(log, std, np.ones(log.shape, bool)), 0.0)
     np.testing.assert_allclose(found.log, [2 - 5e-5, 1.5, 0, -0.99, 0], atol=1e-12)
     assert np.all(np.abs(found.log) <= np.abs(log))
     assert np.all(found.std >= std * (1 - 1e-12))
@@ -55,7 +55,7 @@ def test_what_is_known_stays_and_what_is_not_shrinks_to_the_recorded_value():
 
 
 def test_no_camera_takes_its_share():
-    sure = LobeRatio(np.array([1.0]), np.array([0.01]))
+    sure = LobeRatio(np.array([1.0]), np.array([0.01]), np.array([True]))
     half = shrunk(sure, 0.5)
     assert 0 <= half.log[0] < 0.5
     assert half.std[0] > 0.5
@@ -144,7 +144,7 @@ def test_a_ratio_below_the_noise_multiplies_nothing():
     shape = (90, 90, 180)
     recorded = np.ones(shape)
     recorded[50:] = 1e-20
-    ratio = LobeRatio(np.full(shape, np.log(4e15)), np.full(shape, 0.01), recorded)
+    ratio = LobeRatio(np.full(shape, np.log(4e15)), np.full(shape, 0.01), np.ones(shape, bool), recorded)
     found = above_noise(ratio, np.full(90, 1e-6))
     np.testing.assert_allclose(found.log[:50], np.log(4e15), rtol=1e-11)
     assert np.abs(found.log[50:]).max() < 1e-20

@@ -14,7 +14,7 @@ from matcam.inverse.correction.corrected_table import supported_values
 from matcam.inverse.correction.correction_limits import albedo
 from matcam.inverse.correction.response_lattice import FINE, on_table, response_lattice, seen_cells
 from matcam.inverse.operator.chosen_cells import ChosenCells, positions_in
-from matcam.inverse.operator.lobe_operator import operator_in
+from matcam.inverse.operator.lobe_operator import operator_in, point_operator
 from matcam.inverse.operator.sample_view import sample_view
 from tests.oracle import sphere_cells, sphere_record
 from tests.oracle.merl_lobe import PHI_D, THETA_D, THETA_H, conductor
@@ -41,8 +41,34 @@ def test_the_response_of_a_highlight_agrees_with_the_oracle_to_the_limb():
         hidden = 1 + sum(lobe.smith(c) for c in cos)
         truth = lobe.p22(tan2) * (1 + tan2) ** 2 / hidden / (4 * cos[0] * cos[1])
         assert min(cos) < 0.071
-        assert seen_cells("centre")[i, j, k]
+        assert seen_cells(lattice)[i, j, k]
         assert found[i, j, k] == pytest.approx(np.mean(shown) / truth, rel=2e-3), (i, j, k)
+
+
+@pytest.mark.parametrize("alpha", [0.003, 0.1])
+def test_the_limb_does_not_change_entries_pixels_away(alpha):
+    """Entries far from the highlight, within 8 px of the limb: between the slices of the lattice they changed by up to 60 %."""
+    workspace, random = Workspace(entries=0), np.random.default_rng(0)
+    lattice = response_lattice(rigs.merl(), "centre", FINE, (), workspace)
+    lowest = np.min(cosines(THETA_H[:, None, None], THETA_D[:, None], PHI_D), axis=0)
+    slices = np.arange(2, 80, 4)
+    far = seen_cells(lattice) & (lowest < 0.25) & (np.arange(90) >= 20)[:, None, None]
+    i, k = np.moveaxis(np.array([random.permutation(np.argwhere(far[:, j]))[:12] for j in slices]), -1, 0)
+    theta_d, there = THETA_D[slices], np.ones(i.shape, bool)
+    at = positions_in(sample_view(rigs.merl()), THETA_H[i], theta_d[:, None], PHI_D[k])
+    cells = ChosenCells(slices, theta_d, i, k, THETA_H[i], PHI_D[k], there, *at, ~there)
+
+    def log_response(recorded, true, cells):
+        shown, own = (np.where(cells.valid, one.record(GGX(alpha), "smith", ()), 1.0) for one in (recorded, true))
+        return np.log(shown / own)
+
+    direct = operator_in(rigs.merl(), cells, (), "far entries", workspace)
+    expected = log_response(direct, point_operator(cells), cells)
+    found = on_table(log_response(lattice.recorded, lattice.true, lattice.cells), lattice)
+    error = found[i, slices[:, None], k] - expected
+    print(f"alpha {alpha}: rms {np.sqrt(np.mean(error**2)):.4f}, largest {np.abs(error).max():.4f}")
+    assert np.sqrt(np.mean(error**2)) < 0.01
+    assert np.abs(error).max() < 0.04
 
 
 @pytest.mark.parametrize(("radius", "i", "j", "k"), [(1500.0, 5, 88, 24), (256.0, 12, 87, 30)])

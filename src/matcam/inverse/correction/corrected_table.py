@@ -12,7 +12,6 @@ from matcam.core.grid import CORRECTED, Sampling, merl_grid, sampling_of
 from matcam.core.results.labelled import named
 from matcam.inverse.correction.correction_limits import PEAK, ROWS, EnergyLimit, LobeRatio, above_noise, energy_limit
 from matcam.inverse.correction.farthest_glare import FarthestGlare
-from matcam.inverse.correction.response_lattice import seen_cells
 from matcam.inverse.fit.body import Base, DiffusePart
 from matcam.inverse.fit.material_fit import MaterialFit
 from matcam.inverse.normalised_fresnel import GAIN
@@ -69,7 +68,7 @@ def corrected_table(
     angles = _angles(sampling)
     peak = np.nanmax(np.where(np.isfinite(data), data, 0), axis=(0, 2))
     ratio_of_lobes = above_noise(ratio_of_lobes, _noise_floor(found, noise, peak, sampling))
-    seen = seen_cells(sampling)
+    seen = ratio_of_lobes.seen
     ratio = np.where(seen, np.exp(ratio_of_lobes.log), 1.0)
     corrected, camera_std = np.empty_like(data), np.empty_like(data)
     parts: list[VariancePart] = []

@@ -39,6 +39,7 @@ class LobeRatio(NamedTuple):
     Attributes:
         log: ln(true / recorded).
         std: relative standard deviation of the ratio, due to fitted parameters, shape, rig and alternatives.
+        seen: True for entries that are corrected.
         recorded: recorded lobe divided by its peak in the slice (no unit). A correction by the ratio is meaningless for
             entries whose lobe is below the noise. Default: None, not computed.
         parts: sources of the variance `std`^2 at the peak of each slice, (90,). Default: none.
@@ -46,6 +47,7 @@ class LobeRatio(NamedTuple):
 
     log: np.ndarray
     std: np.ndarray
+    seen: np.ndarray
     recorded: np.ndarray | None = None
     parts: tuple[VariancePart, ...] = ()
 

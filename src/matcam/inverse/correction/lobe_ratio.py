@@ -24,6 +24,7 @@ from matcam.inverse.correction.response_lattice import (
     ResponseLattice,
     on_table,
     response_lattice,
+    seen_cells,
 )
 from matcam.inverse.correction.rig_refits import RigRefit
 from matcam.inverse.fit.fit_readings import FitCoordinates
@@ -149,7 +150,7 @@ def lobe_ratio(
         moved, by_phase = pixel_log_ratio(lattices, at, pixels, sample_view(rig).radius, phase_std)
         log, variance = log + moved, variance + by_phase
         parts = (*parts, VariancePart("phase of the pixels", "B", np.broadcast_to(by_phase, log.shape)[PEAK]))
-    return LobeRatio(log, np.sqrt(variance), recorded, parts)
+    return LobeRatio(log, np.sqrt(variance), seen_cells(fine), recorded, parts)
 
 
 def _plain(where: ResponseLattice, at: FitCoordinates, shifts: np.ndarray) -> np.ndarray:

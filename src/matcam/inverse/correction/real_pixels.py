@@ -57,7 +57,7 @@ def pixel_log_ratio(
         splines.append(_splines(coarse, _log_change(*records)))
     mirrored = fine.spacing.mirrored
     grid = merl_grid(fine.sampling)
-    seen = seen_cells(fine.sampling)
+    seen = seen_cells(fine)
     log, variance = np.zeros(GRID_SHAPE), np.zeros(GRID_SHAPE)
     for j, theta_d in enumerate(grid.theta_d):
         i, k = np.nonzero(seen[:, j])

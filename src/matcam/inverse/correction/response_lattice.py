@@ -16,6 +16,7 @@ from scipy.interpolate import CubicSpline, PchipInterpolator
 
 from matcam.core.grid import GRID_SHAPE, Sampling, merl_grid
 from matcam.core.workspace import Workspace
+from matcam.forward.integral.blur import blur_of
 from matcam.inverse.operator.chosen_cells import ChosenCells, positions_in
 from matcam.inverse.operator.lobe_operator import LobeOperator, operator_in, point_operator, rig_key
 from matcam.inverse.operator.rig_axes import Axis
@@ -26,14 +27,21 @@ _DENSE_RINGS = 20
 """Number of rings of theta_h about the highlight in which the lattices are dense."""
 _DENSE_COSINE, _SPARSE_COSINE = 0.02, 0.12
 """Smallest cosine of the angles of light and view of an entry that is corrected, in the dense rings and beyond them. For larger
-cosines the interpolated response agrees with a direct computation to 4 % (typically 0.1 %). The blurred highlight of a slice
+cosines the interpolated response agrees with a direct computation to 3 % (typically 0.1 %). The blurred highlight of a slice
 extends to the limb. If its peak were corrected and the light beside the peak were not, this light would be counted twice.
 The cells of a fit have larger cosines (`FAR_COSINE`).
 """
+_CLEAR = 3.0
+"""Distance from the limb, in standard deviations of the lens beyond the border of a pixel, at which the limb does not change a
+record. Closer entries are not corrected beyond the dense rings, because the lattice does not resolve the effect of the limb.
+"""
 _LATTICE_COSINE = 0.005
 """Smallest cosine of the angles of light and view of a valid cell of a lattice. It is smaller than the limit of the entries,
-because entries lie between the cells of the lattice.
+because entries lie between the cells of the lattice. In rings beyond `_LIMB_RINGS` the limit is that of the entries, because
+the slices of the lattice are too far apart there for the effect of the limb.
 """
+_LIMB_RINGS = _DENSE_RINGS + 4
+"""Number of rings that the interpolation of the dense rings requires."""
 _LATTICES = 4
 """Number of lattices that are stored in memory, about 10 MB each."""
 VANISHED = 1e-40
@@ -94,6 +102,7 @@ class ResponseLattice(NamedTuple):
         true: operator from a lobe to its record without blur.
         spacing: positions of the cells.
         sampling: sampling of the table.
+        far_cosine: smallest cosine of the angles of light and view of an entry that is corrected, beyond the dense rings.
     """
 
     cells: ChosenCells
@@ -101,6 +110,7 @@ class ResponseLattice(NamedTuple):
     true: LobeOperator
     spacing: Spacing
     sampling: Sampling
+    far_cosine: float
 
     def of_fresnel(self, log_slope: Callable[[np.ndarray], np.ndarray]) -> ResponseLattice:
         """Apply an F that varies within a cell, as in a near rig.
@@ -122,18 +132,20 @@ def response_lattice(
         spacing = spacing.all_round()
     elif view.line:
         spacing = spacing.of_line()
-    key = ("lattice", rig_key(rig), sampling, spacing, axes, _LATTICE_COSINE)
+    clear = float(rig.camera.pixel.half_width) + _CLEAR * blur_of(rig).std_of_half
+    far_cosine = max(_SPARSE_COSINE, float(np.sqrt(min(2 * clear / view.radius, 1.0))))
+    key = ("lattice", rig_key(rig), sampling, spacing, axes, _LATTICE_COSINE, _LIMB_RINGS, far_cosine)
 
     def make() -> ResponseLattice:
-        cells = _lattice_cells(view, sampling, spacing)
+        cells = _lattice_cells(view, sampling, spacing, far_cosine)
         recorded = operator_in(rig, cells, axes, repr(key), workspace)
-        return ResponseLattice(cells, recorded, point_operator(cells), spacing, sampling)
+        return ResponseLattice(cells, recorded, point_operator(cells), spacing, sampling, far_cosine)
 
     return workspace.remember("response lattice", key, make, most=_LATTICES)
 
 
-def _lattice_cells(view: SampleView, sampling: Sampling, spacing: Spacing) -> ChosenCells:
-    """Build the cells of a lattice."""
+def _lattice_cells(view: SampleView, sampling: Sampling, spacing: Spacing, far_cosine: float) -> ChosenCells:
+    """Build the cells of a lattice. far_cosine: see `ResponseLattice`."""
     grid = merl_grid(sampling)
     ring, azimuth = (a.ravel() for a in np.meshgrid(spacing.rings, np.radians(spacing.azimuths), indexing="ij"))
     slices = np.array(spacing.slices)
@@ -141,7 +153,7 @@ def _lattice_cells(view: SampleView, sampling: Sampling, spacing: Spacing) -> Ch
     theta_h, theta_d = np.broadcast_to(grid.theta_h[ring], shape), grid.theta_d[slices]
     phi_d = np.broadcast_to(azimuth, shape)
     x, y, cos_i, cos_o = positions_in(view, theta_h, theta_d[:, None], phi_d)
-    valid = np.minimum(cos_i, cos_o).min(-1) > _LATTICE_COSINE
+    valid = np.minimum(cos_i, cos_o).min(-1) > np.where(ring < _LIMB_RINGS, _LATTICE_COSINE, far_cosine)
     safe = np.where(valid[..., None], cos_i, 1.0)
     none = np.zeros(shape, int)  # cells of the lattice lie between those of a table
     return ChosenCells(
@@ -149,12 +161,12 @@ def _lattice_cells(view: SampleView, sampling: Sampling, spacing: Spacing) -> Ch
     )
 
 
-def seen_cells(sampling: Sampling) -> np.ndarray:
-    """Select the cells of a table that are corrected, bool, (90, 90, 180)."""
-    grid = merl_grid(sampling)
+def seen_cells(where: ResponseLattice) -> np.ndarray:
+    """Select the entries of a table that are corrected, bool, (90, 90, 180)."""
+    grid = merl_grid(where.sampling)
     th, td = grid.theta_h[:, None, None], grid.theta_d[:, None]
     lowest = np.cos(th) * np.cos(td) - np.sin(th) * np.sin(td) * np.abs(np.cos(grid.phi_d))
-    return lowest > np.where(np.arange(GRID_SHAPE[0])[:, None, None] < _DENSE_RINGS, _DENSE_COSINE, _SPARSE_COSINE)
+    return lowest > np.where(np.arange(GRID_SHAPE[0])[:, None, None] < _DENSE_RINGS, _DENSE_COSINE, where.far_cosine)
 
 
 def on_table(values: np.ndarray, where: ResponseLattice) -> np.ndarray:
