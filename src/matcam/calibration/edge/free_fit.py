@@ -16,6 +16,7 @@ Glare is a wide Gaussian. Several radii are tested on the residual of the free c
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -36,8 +37,8 @@ from matcam.calibration.edge.free_curve import (
 )
 from matcam.calibration.edge.geometry import TERMS, EdgeCells
 from matcam.calibration.edge.maximum_likelihood import ADDED, LINEAR, SHIFT, EdgeModel, Noise, lit_edge
-from matcam.core.arrays import changed, last_of, linalg, repeated, slope_along, xp
-from matcam.numerics.linalg import FLOOR, lifted_inverse
+from matcam.core.arrays import changed, first_axis_map, last_of, linalg, repeated, slope_along, xp
+from matcam.numerics.linalg import lifted_inverse
 
 if TYPE_CHECKING:
     from matcam.core.jax import jax
@@ -168,13 +169,12 @@ def linear_fit(
         lit = lit_edge(basis.pilot, linear, cells.terms)
         columns = xp.concatenate([lit.columns * used[:_LEVELS, None], even * lit.step, odd * lit.step])
         known = (basis.pilot, lit.step, linear, used, weight, variance, cells.value - lit.value, columns)
-        return LinearFit(shape, cells, *known, *[unknown] * 3)
+        return LinearFit(shape, cells, *known, *[unknown] * 3).solved(columns)
 
-    used = _chosen_light(problem(state.linear, xp.ones(LINEAR)))
+    used = _chosen_light(state.linear, cells, problem)
 
     def corrected(linear: jax.Array, _: int) -> tuple[jax.Array, LinearFit]:
         fit = problem(linear, used)
-        fit = fit.solved(fit.columns)
         return changed(linear, slice(_LEVELS), linear[:_LEVELS] + fit.strength[:_LEVELS]), fit
 
     # The light multiplies the curve, so the second pass starts from the light that the first pass has corrected.
@@ -231,47 +231,32 @@ def structure(fit: LinearFit, tested: EdgeModel) -> Structure:
     return Structure(score @ fit.inverse @ score, xp.trace(spread), 2 * xp.sum(spread * spread.T))
 
 
-def _chosen_light(full: LinearFit) -> jax.Array:
+def _chosen_light(
+    linear: jax.Array, cells: EdgeCells, problem: Callable[[jax.Array, jax.Array], LinearFit]
+) -> jax.Array:
     """Select the linear parameters (LINEAR,) that are free.
 
     The selection is the entry of `LIGHTS` that minimises the Bayesian information criterion (Schwarz 1978). Each entry
-    is tested with and without glare, because uneven light and glare resemble each other.
+    is tested with and without glare, because uneven light and glare resemble each other. `linear`: parameters with light
+    of all orders. `problem`: function that fits the free curve at given parameters, with a mask of the free ones.
     """
-    radii, cells, weight = _radii(full.shape), full.cells, full.weight
-    unlikely = xp.where(xp.exp(radii) > VEIL * _width(cells), _VEIL_COST, 0.0)
-    glare = _column(full, radii[:, None])
-    normal = (full.columns * weight) @ full.columns.T
-    score = full.columns @ (weight * full.residual)
-    by_glare = (glare * weight) @ full.residual
-    cross = (glare * weight) @ full.columns.T
-    alone = (weight * glare**2).sum(1) + _PRIOR_GLARE**-2
-    per_parameter = xp.log(xp.maximum(cells.pixels.sum(), 2.0))
-    degrees = xp.maximum((cells.pixels > 0).sum() - len(_PRECISIONS), 1.0)
-    before = (weight * full.residual**2).sum()
-    size = xp.diagonal(normal) + _PRECISIONS
-    unit = xp.where(size > 0, 1 / xp.sqrt(xp.where(size > 0, size, 1.0)), 0.0)
 
-    # For each light, chi-square and its decrease by glare. Parameters that are not free are 0, which changes the residual
-    # linearly; they are decoupled. The units make the diagonal 1.
-    free = np.concatenate([LIGHTS[:, :_LEVELS], np.ones((len(LIGHTS), EVEN + ODD))], 1)
-    given = (full.levels * (1 - LIGHTS))[:, :_LEVELS]
-    towards, scale = given @ normal[:_LEVELS], free * unit
-    precise = (normal + np.diag(_PRECISIONS)) * scale[:, None] * scale[..., None]
-    root = linalg.cholesky(precise + xp.where(scale > 0, FLOOR, 1.0)[..., None] * np.eye(len(_PRECISIONS)))
-    both = xp.concatenate([((score + towards) * scale)[:, None], cross * scale[:, None]], 1)
-    solved = linalg.solve(root, both.swapaxes(1, 2))
-    mine, shared = solved[..., 0], solved[..., 1:]
-    chi2 = before + 2 * given @ score[:_LEVELS] + (given * towards[:, :_LEVELS]).sum(1) - (mine**2).sum(1)
-    left = by_glare + given @ cross[:, :_LEVELS].T - (mine[..., None] * shared).sum(1)
-    rise = xp.maximum((xp.maximum(left, 0.0) ** 2 / (alone - (shared**2).sum(1)) - unlikely).max(1), 0.0)
+    def tested(linear: jax.Array, used: jax.Array) -> jax.Array:
+        """Compute chi-square, including the priors, and its decrease by glare, (1, 2)."""
+        fit = problem(linear[0], used[0])
+        radii = _radii(fit.shape)
+        unlikely = xp.where(xp.exp(radii) > VEIL * _width(cells), _VEIL_COST, 0.0)
+        rise = xp.maximum((_rises(fit, radii) - unlikely).max(), 0.0)
+        return xp.stack([(fit.weight * fit.residual * fit.left).sum(), rise])[None]
+
+    chi2, rise = first_axis_map(tested, (LIGHTS * linear, LIGHTS), 1).T
+    per_parameter = xp.log(xp.maximum(cells.pixels.sum(), 2.0))
     # Structure that neither light nor glare explains is treated as noise.
+    degrees = xp.maximum((cells.pixels > 0).sum() - len(_PRECISIONS), 1.0)
     scatter = xp.maximum(xp.min(chi2 - rise) / degrees, 1.0)
     chi2, rise = chi2 / scatter, rise / scatter
-    cost = (
-        chi2
-        + xp.maximum(per_parameter, _LEAST_COST) * LIGHTS.sum(1)
-        - xp.where(rise > FOUND, rise - 2 * per_parameter, 0.0)
-    )
+    by_parameter = xp.maximum(per_parameter, _LEAST_COST) * LIGHTS.sum(1)
+    cost = chi2 + by_parameter - xp.where(rise > FOUND, rise - 2 * per_parameter, 0.0)
     return xp.asarray(xp.take(LIGHTS, xp.argmin(cost), axis=0))
 
 
