@@ -13,6 +13,8 @@ not mistaken for a mask.
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Iterator
 from functools import cache
 from typing import NamedTuple
 
@@ -274,32 +276,22 @@ def _effects(frequency: FloatArray, mtf: FloatArray) -> FloatArray:
 @cache
 def _filters() -> _Filters:
     """Tabulate all filters; the first is the identity."""
-    flat = np.ones((_GRID, _GRID // 2 + 1))
-    families: list[list[FloatArray]] = [
-        [_gaussian(width) for width in _WIDTHS],
-        [flat + amount * (1 - _gaussian(radius)) for amount, radius in _MASKS],
-        [
-            np.sum([(1 - _gaussian(w)) ** k for k in range(n + 1)], axis=0)
-            for w in (0.4, 0.5, 0.6, 0.7, 0.8)
-            for n in (1, 2, 3, 4, 5)
-        ],
+    gaussians = [_gaussian(width) for width in _WIDTHS]
+    masks = [1 + amount * (1 - _gaussian(radius)) for amount, radius in _MASKS]
+    deconvolutions = [
+        np.sum([(1 - _gaussian(width)) ** k for k in range(count + 1)], axis=0)
+        for width in (0.4, 0.5, 0.6, 0.7, 0.8)
+        for count in (1, 2, 3, 4, 5)
     ]
-    of_noise = [np.abs(k) ** 2 for family in families for k in family]
-    transfers = [k[0] for family in families for k in family]
-    priors = [(1 - _NO_FILTER) / 4 / len(family) for family in families for _ in family]
-    means = [*map(_resampling, (_linear, _cubic, _spline)), _filled_mosaic()]
-    for power, transfer in means:
-        of_noise.append(power)
-        transfers.append(transfer)
-        priors.append((1 - _NO_FILTER) / 4 / len(means))
-    correlation = []
-    for power in of_noise:
-        covariance = np.fft.irfft2(power, (_GRID, _GRID))
-        near = [covariance[dy, dx] / covariance[0, 0] for dy, dx in LAGS]
-        correlation.append(near + [0.0] * len(_FAR_LAGS))
+    of_one = [[(k**2, k[0]) for k in family] for family in (gaussians, masks, deconvolutions)]
+    families = [*of_one, [*_resampled(), _filled_mosaic()]]
+    power, transfer = zip(*itertools.chain(*families), strict=True)
+    covariance = np.fft.irfft2(power, (_GRID, _GRID))
+    near = covariance[:, *np.transpose(LAGS)] / covariance[:, :1, 0]
+    priors = [(1 - _NO_FILTER) / len(families) / len(family) for family in families for _ in family]
     return _Filters(
-        np.array([[0.0] * len(correlation[0]), *correlation]),
-        np.array([np.ones(_GRID // 2 + 1), *transfers]),
+        np.pad(near, ((1, 0), (0, len(_FAR_LAGS)))),
+        np.array([np.ones(_GRID // 2 + 1), *transfer]),
         np.array([_NO_FILTER, *priors]),
     )
 
@@ -311,16 +303,18 @@ def _gaussian(width: float) -> FloatArray:
     return np.outer(transfer, transfer[: _GRID // 2 + 1])
 
 
-def _resampling(taps) -> tuple[FloatArray, FloatArray]:  # type: ignore[no-untyped-def]
-    """Compute noise power and transfer of resampling, averaged over all phases.
-
-    `taps`: function that computes the transfer at given frequencies and a phase.
-    """
-    frequency = np.fft.fftfreq(_GRID)
-    phases = (np.arange(8) + 0.5) / 8
-    transfers = np.stack([taps(frequency, phase) for phase in phases])
-    power = (np.abs(transfers) ** 2).mean(0)
-    return np.outer(power, power[: _GRID // 2 + 1]), np.abs(transfers.mean(0))[: _GRID // 2 + 1]
+def _resampled() -> Iterator[tuple[FloatArray, FloatArray]]:
+    """Yield noise power and transfer of resampling, averaged over the positions of the new pixels."""
+    distance = (np.arange(_GRID) - _GRID // 2) + (np.arange(8)[:, None] + 0.5) / 8
+    waves, x = np.exp(-2j * np.pi * np.fft.fftfreq(_GRID)[:, None, None] * distance), np.abs(distance)
+    # Cubic convolution (Keys 1981).
+    cubic = np.select([x < 1, x < 2], [np.polyval([1.5, -2.5, 0, 1], x), np.polyval([-0.5, 2.5, -4, 2], x)])
+    # Interpolation of an impulse by a cubic spline (Unser 1999).
+    spline = ndimage.map_coordinates(np.eye(1, _GRID)[0], x[None], order=3, mode="mirror")
+    for kernel in (np.maximum(1 - x, 0.0), cubic, spline):
+        transfers = (waves * kernel).sum(-1)
+        power = (np.abs(transfers) ** 2).mean(1)
+        yield np.outer(power, power[: _GRID // 2 + 1]), np.abs(transfers.mean(1))[: _GRID // 2 + 1]
 
 
 def _filled_mosaic() -> tuple[FloatArray, FloatArray]:
@@ -335,44 +329,15 @@ def _filled_mosaic() -> tuple[FloatArray, FloatArray]:
     return np.fft.rfft2(covariance).real, (1 + (line + 1) / 2) / 2
 
 
-def _shifted(weights: FloatArray, first: int, frequency: FloatArray, phase: float) -> FloatArray:
-    """Compute the transfer of filter taps at first, first + 1, ... px, relative to the interpolated point `phase`."""
-    positions = first + np.arange(weights.size) - phase
-    return np.asarray(np.exp(-2j * np.pi * frequency[:, None] * positions) @ weights)
-
-
-def _linear(frequency: FloatArray, phase: float) -> FloatArray:
-    return _shifted(np.array([1 - phase, phase]), 0, frequency, phase)
-
-
-def _cubic(frequency: FloatArray, phase: float) -> FloatArray:
-    """Compute the transfer of cubic convolution (Keys 1981)."""
-    t = phase
-    weights = np.array([-t * (1 - t) ** 2, 2 - 5 * t**2 + 3 * t**3, t * (1 + 4 * t - 3 * t**2), -(t**2) * (1 - t)])
-    return _shifted(weights / 2, -1, frequency, phase)
-
-
-def _spline(frequency: FloatArray, phase: float) -> FloatArray:
-    """Compute the transfer of cubic spline interpolation (Unser 1999)."""
-    t = phase
-    weights = np.array([(1 - t) ** 3, 4 - 6 * t**2 + 3 * t**3, 1 + 3 * t + 3 * t**2 - 3 * t**3, t**3]) / 6
-    return _shifted(weights, -1, frequency, phase) / ((2 + np.cos(2 * np.pi * frequency)) / 3)
-
-
 def _line_bumps(blur: float, outermost: float) -> tuple[FloatArray, FloatArray]:
     """Compute centres and widths of the basis functions of a line spread function, px: wider outside the core."""
-    # Within 6 blurs, the width is 0.3 blurs, and at least 0.2 px. Outside, it is a quarter of the distance.
+    # Within 6 blurs, the width is 0.3 blurs, and at least 0.2 px. Outside, it is a fifth of the distance.
     width = max(0.2, 0.3 * blur)
     half = min(max(6.0 * blur, 5.0), outermost)
     core = width * np.arange(int(2 * half / width) + 1)
     core -= core.mean()
-    positions, widths, at = [], [], float(core[-1])
-    while at < outermost:
-        step = max(width, 0.25 * at)
-        at += step
-        positions.append(at)
-        widths.append(step)
-    outside, wide = np.array(positions[:-1]), np.array(widths[:-1])
-    return np.concatenate([-outside[::-1], core, outside]), np.concatenate(
-        [wide[::-1], np.full(core.size, width), wide]
-    )
+    outside = core[-1] * 1.25 ** np.arange(1, 40)
+    outside = outside[outside < outermost]
+    positions = np.concatenate([-outside[::-1], core, outside])
+    apart = np.abs(positions)
+    return positions, np.where(apart > 1.1 * core[-1], apart / 5, width)
