@@ -28,8 +28,6 @@ _SMALLEST, _LARGEST = 4, 0.01
 """Smallest area of a disc, px^2, and largest area relative to the image."""
 _NEAR = 0.03
 """Largest distance of a mark from its expected position, relative to the size of the chart in the image."""
-_CLOSE = 0.005
-"""Mean distance below which no other distortion is tested, relative to the size of the chart in the image."""
 _MOST_MARKS = (24, 9)
 """Largest number of marks of similar size that are tested, with and without a known first mark. It limits the time."""
 _SIMILAR_SIZE = 2.5
@@ -128,10 +126,6 @@ class _Views(NamedTuple):
     explained: np.ndarray
     off: FloatArray
 
-    def agree(self, marks: int) -> bool:
-        """Check whether a view explains at least `marks` marks accurately."""
-        return bool((self.off[self.explained >= marks] < _CLOSE).any())
-
     def subset(self, which: np.ndarray) -> _Views:
         """Select a subset of the views."""
         return _Views(*(column[which] for column in self))
@@ -156,15 +150,12 @@ def match_marks(chart: Chart, marks: list[Mark], smooth: FloatArray) -> list[tup
         marks_used = similar_marks[: _MOST_MARKS[0 if pinned else 1]]
         seen = np.array([marks[j][:2] for j in marks_used])
         quads = _quads(positions, [first] if pinned else list(range(len(positions))))
-        found: list[_Views] = []
+        starts, found = tops if pinned else list(range(len(seen))), list[_Views]()
         # Tested distortions: coefficients d of the undistorted radius r (1 + d r^2), r in half diagonals.
         for barrel in (0.0, 0.06, 0.13, -0.03):
             off = (seen - middle) / unit
             flat = (seen - middle) * (1 + barrel * (off**2).sum(1, keepdims=True))
-            starts = tops if pinned else list(range(len(seen)))
             found.append(_views(positions, quads, flat, starts, barrel, pinned=pinned))
-            if found[-1].agree(max(5, min(len(seen), len(positions)) - 1)):
-                break
         best = _best(found)
         top = int(best.explained.max(initial=0))
         if top >= max(min(5, len(positions)), min(len(seen), len(positions)) - 2):
@@ -212,7 +203,6 @@ def _views(
         # Only the quadruples of the page occur with all starting points.
         fours = fours[fours[:, 0] == fours.min(1)]
     to_page, to_picture = _bases(positions[quads]), _bases(seen[fours])
-    to_page, to_picture = (maps[np.isfinite(maps).all((1, 2))] for maps in (to_page, to_picture))
     matrix = (to_picture[:, None] @ np.linalg.inv(to_page)).reshape(-1, 3, 3)
     matrix = matrix / matrix[:, 2:, 2:]
     x, y, w = np.einsum("nij,jk->ink", matrix, np.column_stack([positions, np.ones(len(positions))]).T)
@@ -250,23 +240,20 @@ def _shown(chart: Chart, view: FloatArray, barrel: float, smooth: FloatArray, mi
     centre = corners.mean(1)
     sides = (corners + np.roll(corners, -1, axis=1)) / 2
     paper = centre[:, None] + 1.3 * (sides - centre[:, None])
-    steps = []
-    for points in (centre[:, None], paper):
-        u, v, w = view @ np.column_stack([points.reshape(-1, 2), np.ones(points[..., 0].size)]).T
-        flat = np.stack([u / w, v / w], axis=-1)
-        square = ((flat / unit) ** 2).sum(1)
-        at = flat / (1 + barrel * square / (1 + 2 * barrel * square))[:, None] + middle
-        inside = ((at >= 0) & (at <= np.array(smooth.shape[::-1]) - 1)).all(1)
-        level = ndimage.map_coordinates(smooth, at[:, ::-1].T, order=1, mode="nearest")
-        steps.append(np.where(inside, level, np.nan).reshape(points.shape[:2]))
+    points = np.concatenate([centre[:, None], paper], axis=1)
+    flat = np.concatenate([points, np.ones((*points.shape[:2], 1))], axis=2) @ view.T
+    flat = flat[..., :2] / flat[..., 2:]
+    square = ((flat / unit) ** 2).sum(-1, keepdims=True)
+    at = flat / (1 + barrel * square / (1 + 2 * barrel * square)) + middle
+    level = ndimage.map_coordinates(smooth, np.moveaxis(at[..., ::-1], -1, 0), order=1, cval=np.nan)
     # Squares have paper on all sides; patches are in a row, and have paper on two sides.
-    ordered = np.sort(np.where(np.isfinite(steps[1]), steps[1], -np.inf), axis=1)
+    ordered = np.sort(np.nan_to_num(level[:, 1:], nan=-np.inf), axis=1)
     bright = np.where([isinstance(element, Square) for element in dark], ordered[:, 0], ordered[:, 2])
-    there = np.isfinite(steps[0][:, 0]) & (bright > 0)
+    there = np.isfinite(level[:, 0]) & (bright > 0)
     if there.sum() <= len(dark) // 2:
         return 0.0
-    expected = np.array([element.level for element in dark])[there]
-    return float(np.clip((1 - steps[0][there, 0] / bright[there]) / (1 - expected), -1, 1).mean())
+    expected = np.array([element.level for element in dark])
+    return float(np.clip((1 - level[:, 0] / bright) / (1 - expected), -1, 1)[there].mean())
 
 
 def _in_turn(points: FloatArray, start: int) -> list[int]:
@@ -277,15 +264,9 @@ def _in_turn(points: FloatArray, start: int) -> list[int]:
 
 
 def _bases(points: FloatArray) -> FloatArray:
-    """Compute the maps (n, 3, 3) from the projective basis to four points (n, 4, 2); NaN if three are collinear."""
-    whole = np.concatenate([points, np.ones((*points.shape[:2], 1))], axis=2).transpose(0, 2, 1)
-    first = whole[:, :, :3]
-    size = np.ptp(points, axis=1).prod(1)
-    good = np.abs(np.linalg.det(first)) > 1e-3 * np.maximum(size, 1e-300)
-    maps = np.full(first.shape, np.nan)
-    if good.any():
-        weight = np.linalg.solve(first[good], whole[good, :, 3:])[..., 0]
-        whole_good = first[good] * weight[:, None, :]
-        clear = (np.abs(weight) > 1e-3).all(1)
-        maps[np.flatnonzero(good)[clear]] = whole_good[clear]
-    return maps
+    """Compute maps (m, 3, 3) from the projective basis to four points (n, 4, 2), without those of collinear points."""
+    whole = np.concatenate([points, np.ones((*points.shape[:2], 1))], axis=2)
+    # Cramer's rule: determinants of three points, one of which the fourth replaces. The scale of a map is arbitrary.
+    weight = np.linalg.det(whole[:, [[3, 1, 2], [0, 3, 2], [0, 1, 3], [0, 1, 2]]])
+    good = (np.abs(weight) > 1e-3 * np.maximum(np.ptp(points, axis=1).prod(1), 1e-300)[:, None]).all(1)
+    return (whole[good, :3] * weight[good, :3, None]).swapaxes(1, 2)

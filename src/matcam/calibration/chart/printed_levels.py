@@ -123,42 +123,32 @@ def _over_paper(values: FloatArray, patch: Patch, projection: Projection) -> tup
     centre, across, along = corners.mean(0), (corners[1] - corners[0]) / 2, (corners[3] - corners[0]) / 2
     line = np.linspace(-1, 1, _GRID)
 
-    def level(u: FloatArray, v: FloatArray) -> tuple[float, float] | None:
+    def level(u: FloatArray, v: FloatArray) -> tuple[float, float]:
+        """Compute the mean of the pixels and its standard deviation; NaN for too few pixels."""
         position = np.stack([a.ravel() for a in np.meshgrid(u, v)], axis=-1)
         at = np.rint(projection(centre + position[:, :1] * across + position[:, 1:] * along)).astype(int)
         at = np.unique(at, axis=0)
         at = at[((at >= 0) & (at < values.shape[::-1])).all(1)]
         seen = values[at[:, 1], at[:, 0]]
         seen = seen[np.isfinite(seen)]
-        if seen.size < _KNOWN:
-            return None
-        return float(seen.mean()), float(seen.std() / np.sqrt(seen.size))
+        return (float(seen.mean()), float(seen.std() / np.sqrt(seen.size))) if seen.size >= _KNOWN else (np.nan, np.nan)
 
     middle, *ends = projection(np.array([centre, centre + across, centre + along]))
     shortest = max(min(float(np.hypot(*(end - middle))) for end in ends), 1e-9)
     # A border of 0.3 to 0.6 of half the size is excluded, because blur affects the level there.
     inner = (1 - np.clip(_CLEAR / shortest, 0.3, 0.6)) * line
-    own = level(inner, inner)
-    parts = [level(half, inner) for half in np.split(inner, 2)]
-    if own is None or not own[0] > 0:
-        return None
-    uneven = [abs(part[0] - own[0]) - 3 * part[1] for part in parts if part is not None]
-    if max(uneven, default=0.0) > _UNEVEN * own[0]:
-        return None
+    own, std = level(inner, inner)
+    halves = np.array([level(half, inner) for half in np.split(inner, 2)])
+    uneven = np.nan_to_num(np.abs(halves[:, 0] - own) - 3 * halves[:, 1]).max()
     # The distance to the paper is the same beyond the shorter and the longer sides.
     ratio = float(np.hypot(*across) / np.hypot(*along))
     # The paper begins 0.2 to 0.45 of half the size from the border of the patch; its measured width is 0.15.
-    distance = 1 + np.clip(_CLEAR / shortest, 0.2, 0.45) + np.linspace(0, 0.15, _GRID // 2)
-    beside_u = 1 + (distance - 1) * min(1.0, 1 / ratio)
-    beside_v = 1 + (distance - 1) * min(1.0, ratio)
-    pairs = [
-        (level(beside_u, inner), level(-beside_u, inner)), (level(inner, beside_v), level(inner, -beside_v)),
-    ]  # fmt: skip
-    means = [(a[0] + b[0]) / 2 for a, b in pairs if a is not None and b is not None]
-    apart = [abs(a[0] - b[0]) / (a[0] + b[0]) for a, b in pairs if a is not None and b is not None]
-    if not means or not max(means) > 0:
+    distance = np.clip(_CLEAR / shortest, 0.2, 0.45) + np.linspace(0, 0.15, _GRID // 2)
+    u, v = 1 + distance * min(1.0, 1 / ratio), 1 + distance * min(1.0, ratio)
+    paper = np.array([[level(u, inner)[0], level(-u, inner)[0]], [level(inner, v)[0], level(inner, -v)[0]]])
+    best = int(np.argmax(np.nan_to_num(paper.mean(1))))
+    mean, apart = float(paper[best].mean()), float(abs(np.subtract(*paper[best])) / paper[best].sum())
+    # NaN fails all comparisons.
+    if not (own > 0 and mean > 0 and apart <= _UNEVEN and uneven <= _UNEVEN * own):
         return None
-    best = int(np.argmax(means))
-    if apart[best] > _UNEVEN:
-        return None
-    return own[0] / means[best], float(np.hypot(own[1] / own[0], 0.1 * apart[best]))
+    return own / mean, float(np.hypot(std / own, 0.1 * apart))

@@ -36,7 +36,7 @@ from matcam.calibration.edge.free_curve import (
     line_width,
 )
 from matcam.calibration.edge.geometry import TERMS, EdgeCells
-from matcam.calibration.edge.maximum_likelihood import ADDED, LINEAR, SHIFT, EdgeModel, Noise, lit_edge
+from matcam.calibration.edge.maximum_likelihood import ADDED, SHIFT, EdgeModel, Noise, lit_edge
 from matcam.core.arrays import changed, first_axis_map, last_of, linalg, repeated, slope_along, xp
 from matcam.numerics.linalg import lifted_inverse
 

@@ -6,8 +6,6 @@ images, alternate pixels do not differ systematically over the whole image.
 
 from __future__ import annotations
 
-import itertools
-
 import numpy as np
 
 from matcam.calibration.photograph.linear_image import LinearImage
@@ -61,16 +59,14 @@ def _of_lines(values: FloatArray, dark: float) -> float:
     with np.errstate(invalid="ignore", divide="ignore"):
         share = np.where(mean > dark, at / mean - 1, np.nan)
     found = 0.0
-    for row, sign in itertools.product((0, 1), (1, -1)):
-        parts = sign * share[row::2, ::2], -sign * share[row::2, 1::2]
-        least, sizes = max(_ALTERNATING, found) / 2, [np.isfinite(part).sum() for part in parts]
-        # A median exceeds `least` only if half of the pixels do.
-        half = all(2 * (part > least).sum() >= size for part, size in zip(parts, sizes, strict=True))
-        if half and min(sizes) >= _FEWEST:
-            used = [part[np.isfinite(part)] for part in parts]
-            ends = [float(np.median(part)) for part in used]
+    for row in (0, 1):
+        # Values of the two kinds of pixels, the second with the opposite sign.
+        parts = [part[np.isfinite(part)] for part in (share[row::2, ::2], -share[row::2, 1::2])]
+        if min(part.size for part in parts) >= _FEWEST:
+            ends = [float(np.median(part)) for part in parts]
             # Standard deviation of a median.
-            std = max(1.25 * robust_std(part - end) / np.sqrt(part.size) for part, end in zip(used, ends, strict=True))
-            if min(ends) > max(least, _SIGNIFICANT * std):
-                found = 2 * min(ends)
+            std = max(1.25 * robust_std(part - end) / np.sqrt(part.size) for part, end in zip(parts, ends, strict=True))
+            least = min(map(abs, ends))
+            if ends[0] * ends[1] > 0 and least > max(_ALTERNATING / 2, _SIGNIFICANT * std):
+                found = max(found, 2 * least)
     return found

@@ -102,22 +102,20 @@ def best_focus(position: ArrayLike, mtf50: ArrayLike, mtf50_std: ArrayLike) -> B
         )
     low, high = float(z[near].min()), float(z[near].max())
     middle, half = (low + high) / 2, (high - low) / 2
-    columns = np.vander((z[near] - middle) / half, 3, increasing=True)
-    root = m[near] ** 3 / (2 * std[near])  # 1 / standard deviation of MTF50^-2
-    rows = columns * root[:, None]
-    covariance = np.linalg.inv(rows.T @ rows)
-    value = covariance @ rows.T @ (root * m[near] ** -2)
-    residual = root * m[near] ** -2 - rows @ value
-    covariance *= max(1.0, float(residual @ residual) / (len(rows) - 3))
-    level, slope, bend = value
+    u, square, root = (z[near] - middle) / half, m[near] ** -2, m[near] ** 3 / (2 * std[near])
+    # The weight `root` is the inverse standard deviation of MTF50^-2.
+    value, covariance = np.polyfit(u, square, 2, w=root, cov="unscaled")
+    chi2 = float(((root * (square - np.polyval(value, u))) ** 2).sum())
+    covariance *= max(1.0, chi2 / (u.size - 3))
+    bend, slope, level = value
     at = -slope / (2 * bend)
     lowest = level + slope * at + bend * at**2
-    if bend < _CURVED * np.sqrt(covariance[2, 2]) or abs(at) > 1 or lowest <= 0:
+    if bend < _CURVED * np.sqrt(covariance[0, 0]) or abs(at) > 1 or lowest <= 0:
         raise FitError(
             f"no maximum of MTF50 lies between the positions {low:g} and {high:g}: add positions on both sides of the focus"
         )
-    by_position = np.array([0.0, -1 / (2 * bend), slope / (2 * bend**2)])
-    by_level = np.array([1.0, at, at**2])
+    by_position = np.array([slope / (2 * bend**2), -1 / (2 * bend), 0.0])
+    by_level = np.array([at**2, at, 1.0])
     best = float(lowest**-0.5)
     return BestFocus(
         position=float(middle + half * at),

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+from numpy.polynomial.hermite_e import hermeval
 from numpy.polynomial.polynomial import polyder, polyval2d
 from scipy import ndimage
 from scipy.spatial import cKDTree
@@ -23,7 +24,7 @@ from matcam.calibration.targets.wave_fit import noise_from_residuals
 from matcam.core.arrays import FloatArray
 from matcam.core.errors import FitError
 from matcam.numerics.linalg import scaled_inverse
-from matcam.numerics.normal import robust_std
+from matcam.numerics.normal import normal_density, robust_std
 from matcam.numerics.polynomials import plane_fit
 
 FEWEST = 9
@@ -54,7 +55,7 @@ _AT_ONCE = 512
 """Number of dots that are processed together. It limits the memory for the tables of derivatives."""
 
 
-def _disc_nodes(radii: int = 5, turns: int = 14) -> tuple[FloatArray, FloatArray]:
+def _disc_nodes(radii: int, turns: int) -> tuple[FloatArray, FloatArray]:
     """Compute nodes (2, n) and weights (n,) of a quadrature over the unit disc: Gauss nodes in radius, rotated rings."""
     nodes, weights = np.polynomial.legendre.leggauss(radii)
     turn = 2 * np.pi * (np.arange(turns) + 0.5 * (np.arange(radii)[:, None] % 2)) / turns
@@ -62,7 +63,7 @@ def _disc_nodes(radii: int = 5, turns: int = 14) -> tuple[FloatArray, FloatArray
     return positions.reshape(2, -1), np.repeat(weights / 2 / turns, turns)
 
 
-_DISC, _SHARE = _disc_nodes()
+_DISC, _SHARE = _disc_nodes(5, 14)
 """Nodes (2, n) and weights (n,) of the quadrature over the unit disc."""
 
 
@@ -318,13 +319,11 @@ def _axis(t: FloatArray, sigma: FloatArray, half_width: float, highest: int) -> 
     ends = [(t + half_width) / s, (t - half_width) / s]
     table = [(ndtr(ends[0]) - ndtr(ends[1])) / (2 * half_width)]
     if highest:
-        bell = [np.exp(-z * z / 2) / np.sqrt(2 * np.pi) for z in ends]
+        bell = [normal_density(z) for z in ends]
         # The derivative d^k/dz^k of the normal density is (-1)^k He_k(z) times the density.
-        hermite = [lambda z: 1.0, lambda z: -z, lambda z: z * z - 1, lambda z: -(z * z * z) + 3 * z]
-        for k in range(highest):
-            table.append(
-                (hermite[k](ends[0]) * bell[0] - hermite[k](ends[1]) * bell[1]) / (2 * half_width * s ** (k + 1))
-            )
+        for order in np.eye(highest):
+            below, above = (hermeval(-z, order) * density for z, density in zip(ends, bell, strict=True))
+            table.append((below - above) / (2 * half_width * s ** len(table)))
     return table
 
 

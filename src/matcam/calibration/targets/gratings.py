@@ -204,23 +204,13 @@ def coltman(frequency: ArrayLike, contrast: ArrayLike) -> FloatArray:
     from scipy.interpolate import PchipInterpolator
 
     between = PchipInterpolator(np.concatenate([[0.0], f]), np.concatenate([[1.0], c]), extrapolate=False)
-    total = np.zeros_like(f)
-    for k in range(1, int(f[-1] / f[0]) + 1, 2):
-        # Moebius inversion of C(f) = (4 / pi) sum of chi(k) M(k f) / k with chi(k) = +-1 for k = 1, 3 mod 4.
-        total += _moebius(k) * (1 if k % 4 == 1 else -1) / k * np.nan_to_num(between(k * f))
-    return np.asarray(np.pi / 4 * total)
 
+    def sine(at: float) -> float:
+        # C(f) = (4 / pi) sum of chi(k) M(k f) / k, with chi(k) = +-1 for k = 1, 3 mod 4.
+        beyond = sum((2 - k % 4) * sine(k * at) / k for k in range(3, int(f[-1] / at) + 1, 2))
+        return float(np.pi / 4 * np.nan_to_num(between(at))) - beyond
 
-def _moebius(k: int) -> int:
-    sign, p = 1, 2
-    while k > 1:
-        if k % p == 0:
-            k //= p
-            if k % p == 0:
-                return 0
-            sign = -sign
-        p += 1
-    return sign
+    return np.array([sine(at) for at in f.tolist()])
 
 
 def _inside_polygon(corners: FloatArray, shape: tuple[int, int]) -> np.ndarray:
