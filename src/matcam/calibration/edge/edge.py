@@ -297,8 +297,8 @@ def _in_even_light(rows: EdgeRegions, fits: EdgeFits) -> tuple[EdgeRegions, list
         if np.isfinite([*curve, blur]).all() and blur < _WIDEST * np.isfinite(region).sum(1).max() * rows.step:
             distance = rows.distances(i, curve, fits.length[i])
             gain, read = (float(np.asarray(part)[i]) for part in fits.noise)
-            glare = bool(fits.free.even[i, GLARE] != 0)
-            if (fits.free.even[i, GHOSTS] != 0).any():  # a ghost is not uneven light
+            glare = bool(fits.free.coefficients[i, GLARE] != 0)
+            if (fits.free.coefficients[i, GHOSTS] != 0).any():  # a ghost is not uneven light
                 blur = max(blur, float(shape.apart[i]) / EXCLUDED_WIDTHS + blur)
             # The light along the edge is divided out of the rows in all cases.
             own = Rows.of(region, rows.y[i], rows.start[i], rows.step)

@@ -379,7 +379,7 @@ def stack_result(
 ) -> EdgeStack:
     """Convert the fits of a stack to results in the coordinates of the image. All arrays of `fits` are NumPy arrays."""
     free = fits.free
-    glare = free.even[..., GLARE]
+    glare = free.coefficients[..., GLARE]
     slope, end = np.asarray(fits.slope), np.asarray(frame.length) / 2 / np.asarray(fits.length)
     # The orders that are even in y determine the curve at its middle, and the mean of its ends.
     even = legendre(np.stack([0 * end, end]), CURVE)[::2]

@@ -94,28 +94,19 @@ class CoreShape(NamedTuple):
     apart: jax.Array
 
 
-class Basis(NamedTuple):
-    """Values of the basis functions: P (n,), B_k (EVEN, n), O_k (ODD, n)."""
-
-    pilot: jax.Array
-    even: jax.Array
-    odd: jax.Array
-
-
 class FreeCurve(NamedTuple):
     """Fitted edge response.
 
     Attributes:
         shape: parameters of the basis.
-        even: (EVEN,) even coefficients, relative to the step; 0 for a ghost or glare that was not found.
-        odd: (ODD,) odd coefficients, relative to the step.
+        coefficients: (EVEN + ODD,) even coefficients, then odd ones, relative to the step; 0 for a ghost or glare that was
+            not found.
         levels: (SHIFT,) dark level, bright level and coefficients of the light, as in `State.linear`.
-        covariance: covariance matrix of the even coefficients, the odd coefficients and ln of the glare radius.
+        covariance: covariance matrix of the coefficients and ln of the glare radius.
     """
 
     shape: CoreShape
-    even: jax.Array
-    odd: jax.Array
+    coefficients: jax.Array
     levels: jax.Array
     covariance: jax.Array
 
@@ -135,8 +126,8 @@ def line_width(shape: CoreShape) -> jax.Array:
     return xp.sqrt(shape.sigma**2 + shape.half_width**2 / 3)
 
 
-def edge_basis(shape: CoreShape, distance: AnyArray, spread: AnyArray) -> Basis:
-    """Evaluate the basis as edge responses at `distance`, px.
+def edge_basis(shape: CoreShape, distance: AnyArray, spread: AnyArray) -> tuple[jax.Array, jax.Array]:
+    """Evaluate the basis as edge responses at `distance`, px: P (n,), then B_k - P and O_k (EVEN + ODD, n).
 
     `spread`: variance of the distances in each bin, px^2.
     """
@@ -150,8 +141,8 @@ def edge_basis(shape: CoreShape, distance: AnyArray, spread: AnyArray) -> Basis:
     curvature = -2 * distance * tail_width / (xp.pi * (distance**2 + tail_width**2) ** 2)
     tail = 0.5 + xp.arctan(distance / tail_width) / xp.pi + spread / 2 * curvature
     moved = line_width(shape) * line
-    even = xp.concatenate([(right + left) / 2, tail[None], glare_edge(shape.radius, distance, spread)[None]])
-    return Basis(pilot, even, xp.concatenate([(left - right) / 2, moved[None]]))
+    even = xp.concatenate([(right + left) / 2, xp.stack([tail, glare_edge(shape.radius, distance, spread)])])
+    return pilot, xp.concatenate([even - pilot, (left - right) / 2, moved[None]])
 
 
 def glare_edge(radius: jax.Array, distance: AnyArray, spread: AnyArray) -> jax.Array:
@@ -159,8 +150,8 @@ def glare_edge(radius: jax.Array, distance: AnyArray, spread: AnyArray) -> jax.A
     return special.ndtr(distance / xp.sqrt(radius**2 + spread))
 
 
-def transfer_basis(shape: CoreShape, f: jax.Array) -> Basis:
-    """Evaluate the Fourier transforms of the basis functions at f cycles/px.
+def transfer_basis(shape: CoreShape, f: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Evaluate the Fourier transforms of the functions of `edge_basis` at f cycles/px.
 
     The transforms of P and B_k are real. Those of O_k are imaginary, and their imaginary parts are returned.
     """
@@ -171,22 +162,20 @@ def transfer_basis(shape: CoreShape, f: jax.Array) -> Basis:
     turn, bump = 2 * xp.pi * f * positions[:, None], gauss(width[:, None])
     tail = xp.exp(-2 * xp.pi * _TAIL * line_width(shape) * xp.abs(f))
     moved = 2 * xp.pi * f * line_width(shape) * pilot
-    even = xp.concatenate([bump * xp.cos(turn), tail[None], gauss(shape.radius)[None]])
-    return Basis(pilot, even, xp.concatenate([bump * xp.sin(turn), moved[None]]))
+    even = xp.concatenate([bump * xp.cos(turn), xp.stack([tail, gauss(shape.radius)])])
+    return pilot, xp.concatenate([even - pilot, bump * xp.sin(turn), moved[None]])
 
 
 def edge_response(curve: FreeCurve, distance: AnyArray) -> SampledCurve:
     """Evaluate the ESF, 0 on the dark side and 1 on the bright side, at a distance in px."""
-    basis = edge_basis(curve.shape, distance, xp.zeros(()))
-    return _combined(curve, basis.pilot, basis.even - basis.pilot, basis.odd)
+    return _combined(curve, *edge_basis(curve.shape, distance, xp.zeros(())))
 
 
 def line_response(curve: FreeCurve, distance: jax.Array) -> SampledCurve:
     """Evaluate the LSF, 1/px, at a distance in px."""
     width = line_width(curve.shape)
-    slopes = slope_along(lambda d: tuple(edge_basis(curve.shape, d, xp.zeros(()))), distance, width)
-    pilot, even, odd = (slope / width for slope in slopes)
-    return _combined(curve, pilot, even - pilot, odd)
+    slopes = slope_along(lambda d: edge_basis(curve.shape, d, xp.zeros(())), distance, width)
+    return _combined(curve, *(slope / width for slope in slopes))
 
 
 def transfer(curve: FreeCurve, f: jax.Array) -> tuple[SampledCurve, SampledCurve]:
@@ -194,15 +183,14 @@ def transfer(curve: FreeCurve, f: jax.Array) -> tuple[SampledCurve, SampledCurve
 
     `f`: frequencies, cycles/px. Noise increases the modulus of a complex number. Therefore the noise power is subtracted.
     """
-    basis = transfer_basis(curve.shape, f)
-    towards = basis.even - basis.pilot
-    total = _combined(curve, basis.pilot, towards, xp.zeros((ODD, f.size)))
-    glare, share = basis.even[GLARE], curve.even[GLARE]
+    pilot, columns = transfer_basis(curve.shape, f)
+    is_even = (np.arange(EVEN + ODD) < EVEN)[:, None]
+    even = columns * is_even
+    total, odd = _combined(curve, pilot, even), _combined(curve, 0 * pilot, columns * ~is_even)
+    share = curve.coefficients[GLARE]
     # The MTF without glare is (M - g M_glare) / (1 - g), where g is the share of glare.
-    core_value = (total.value - share * glare) / (1 - share)
-    slopes = changed(towards, GLARE, core_value - basis.pilot) / (1 - share)
-    core = SampledCurve(core_value, _std(curve, xp.concatenate([slopes, xp.zeros((ODD + 1, f.size))])))
-    odd = _combined(curve, xp.zeros(f.shape), xp.zeros((EVEN, f.size)), basis.odd)
+    core_value = (total.value - share * (pilot + even[GLARE])) / (1 - share)
+    core = SampledCurve(core_value, _std(curve, changed(even, GLARE, core_value - pilot) / (1 - share)))
     return _modulus(total, odd), _modulus(core, SampledCurve(odd.value / (1 - share), odd.std / (1 - share)))
 
 
@@ -227,7 +215,8 @@ def ghost_of(curve: FreeCurve) -> Ghost:
 
     Its share is 0 if no ghost was found.
     """
-    odd, at = -np.asarray(curve.odd)[..., GHOSTS], EVEN + GHOSTS
+    at = EVEN + GHOSTS
+    odd = -np.asarray(curve.coefficients)[..., at]
     share, covariance = odd.sum(-1), np.asarray(curve.covariance)[..., at[:, None], at]
     step = GHOST_STEP * np.asarray(line_width(curve.shape))[..., None] * np.arange(GHOSTS.size)
     weight = np.maximum(odd * np.sign(share)[..., None], 0.0)
@@ -262,14 +251,13 @@ def _bumps(shape: CoreShape) -> tuple[AnyArray, AnyArray]:
     return xp.concatenate([CENTRES * s, ghosts]), np.repeat([_WIDTH, GHOST_WIDTH], [PAIRS, GHOSTS.size]) * s
 
 
-def _combined(curve: FreeCurve, pilot: jax.Array, even: jax.Array, odd: jax.Array) -> SampledCurve:
+def _combined(curve: FreeCurve, pilot: jax.Array, columns: jax.Array) -> SampledCurve:
     """Combine the basis functions with the coefficients of a curve, and compute the standard deviation."""
-    columns = xp.concatenate([even, odd, xp.zeros((1, pilot.size))])
-    return SampledCurve(pilot + curve.even @ even + curve.odd @ odd, _std(curve, columns))
+    return SampledCurve(pilot + curve.coefficients @ columns, _std(curve, columns))
 
 
 def _std(curve: FreeCurve, columns: jax.Array) -> jax.Array:
-    return xp.sqrt(xp.maximum(xp.sum(columns * (curve.covariance @ columns), 0), 0.0))
+    return xp.sqrt(xp.maximum(xp.sum(columns * (curve.covariance[:-1, :-1] @ columns), 0), 0.0))
 
 
 def _modulus(even: SampledCurve, odd: SampledCurve) -> SampledCurve:

@@ -107,7 +107,7 @@ class LinearFit(NamedTuple):
     def misfit(self, curve: FreeCurve) -> jax.Array:
         """Compute the residual (n,) of the cells about a curve with the basis functions of this fit."""
         columns = changed(self.columns, _COLUMN, _column(self, xp.log(curve.shape.radius)))[_LEVELS:] / self.step
-        response = self.pilot + xp.concatenate([curve.even, curve.odd]) @ columns
+        response = self.pilot + curve.coefficients @ columns
         return self.cells.value - lit_edge(response, curve.levels, self.cells.terms).value
 
     @property
@@ -157,18 +157,18 @@ def linear_fit(
     """
     state, unknown = at.state, xp.zeros(())
     cells = cells._replace(distance=cells.distance + state.linear[SHIFT])
-    basis = edge_basis(shape, cells.distance, cells.spread)
-    even = changed(basis.even - basis.pilot, GLARE, 0.0)
-    even, odd = (changed(part, GHOSTS, part[GHOSTS] * ghost) for part in (even, basis.odd))
+    pilot, free = edge_basis(shape, cells.distance, cells.spread)
+    ghosts = np.append(GHOSTS, EVEN + GHOSTS)
+    free = changed(changed(free, GLARE, 0.0), ghosts, free[ghosts] * ghost)
     variance = noise.variance(at.value, cells.dim)
     # The error of an approximation by basis functions 0.6 s wide is 2e-4 of the step. It affects only images with less
     # noise.
     weight = cells.pixels / (variance + cells.pixels * (2e-4 * (state.linear[1] - state.linear[0])) ** 2)
 
     def problem(linear: jax.Array, used: jax.Array) -> LinearFit:
-        lit = lit_edge(basis.pilot, linear, cells.terms)
-        columns = xp.concatenate([lit.columns * used[:_LEVELS, None], even * lit.step, odd * lit.step])
-        known = (basis.pilot, lit.step, linear, used, weight, variance, cells.value - lit.value, columns)
+        lit = lit_edge(pilot, linear, cells.terms)
+        columns = xp.concatenate([lit.columns * used[:_LEVELS, None], free * lit.step])
+        known = (pilot, lit.step, linear, used, weight, variance, cells.value - lit.value, columns)
         return LinearFit(shape, cells, *known, *[unknown] * 3).solved(columns)
 
     used = _chosen_light(state.linear, cells, problem)
@@ -194,11 +194,7 @@ def ghost_found(fit: LinearFit, glare: tuple[jax.Array, jax.Array], known: jax.A
     last = xp.minimum(xp.maximum(6.0 * line_width(fit.shape), 8.0), 0.3 * _width(fit.cells))
     positions = xp.linspace(first, last, 24)
 
-    columns = _ghosts(beside, positions)
-    weighted = columns * beside.weight
-    cross, score = weighted @ beside.columns.T, (weighted @ beside.left)[..., None]
-    alone = weighted @ columns.swapaxes(1, 2) - cross @ beside.inverse @ cross.swapaxes(1, 2)
-    rises = (score * linalg.solve(alone + _PRIOR_GHOST**-2 * xp.eye(alone.shape[1]), score)).sum((1, 2))
+    rises = _rises(beside, _ghosts(beside, positions), _PRIOR_GHOST)
     best = xp.argmax(rises)
     left = (beside.chi2 - rises[best]) / beside.degrees
     found = rises[best] > GHOST_FOUND * xp.where(known, 1.0, xp.maximum(left, 1.0))
@@ -246,7 +242,7 @@ def _chosen_light(
         fit = problem(linear[0], used[0])
         radii = _radii(fit.shape)
         unlikely = xp.where(xp.exp(radii) > VEIL * _width(cells), _VEIL_COST, 0.0)
-        rise = xp.maximum((_rises(fit, radii) - unlikely).max(), 0.0)
+        rise = xp.maximum((_glare_rises(fit, radii) - unlikely).max(), 0.0)
         return xp.stack([(fit.weight * fit.residual * fit.left).sum(), rise])[None]
 
     chi2, rise = first_axis_map(tested, (LIGHTS * linear, LIGHTS), 1).T
@@ -270,7 +266,7 @@ def curve_without_glare(fit: LinearFit) -> FreeCurve:
 def glare_candidate(fit: LinearFit) -> tuple[jax.Array, jax.Array]:
     """Find the most probable glare: ln of its radius, px, and the increase of 2 ln likelihood."""
     radii = _radii(fit.shape)
-    rises = _rises(fit, radii)
+    rises = _glare_rises(fit, radii)
     best = xp.argmax(rises)
     return radii[best], rises[best]
 
@@ -281,7 +277,7 @@ def curve_with_glare(fit: LinearFit, log_radius: jax.Array) -> FreeCurve:
     def refine(at: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
         middle, width = at
         nearby = middle + width / 2 * xp.array([-1.0, 0.0, 1.0])
-        three = _rises(fit, nearby)
+        three = _glare_rises(fit, nearby)
         curvature = three[0] - 2 * three[1] + three[2]
         vertex = middle + width / 2 * xp.clip(
             (three[0] - three[2]) / xp.where(curvature < 0, 2 * curvature, -1.0), -1, 1
@@ -317,19 +313,23 @@ def _per_step(fit: LinearFit, strength: jax.Array, covariance: jax.Array, radius
     )
     shape = fit.shape._replace(radius=radius)
     levels = fit.levels[:_LEVELS] + strength[:_LEVELS]
-    return FreeCurve(shape, relative[:EVEN], relative[EVEN:], levels, jacobian @ covariance @ jacobian.T)
+    return FreeCurve(shape, relative, levels, jacobian @ covariance @ jacobian.T)
 
 
-def _rises(fit: LinearFit, log_radii: jax.Array) -> jax.Array:
-    """Compute the increase of 2 ln(likelihood) that results from adding glare of each radius to the model.
+def _glare_rises(fit: LinearFit, log_radii: jax.Array) -> jax.Array:
+    """Compute the increase of 2 ln likelihood by glare of each radius. Negative shares are excluded."""
+    return _rises(fit, _column(fit, log_radii[:, None])[:, None], _PRIOR_GLARE, 0.0)
 
-    All other parameters are refitted. Negative shares are excluded.
+
+def _rises(fit: LinearFit, columns: jax.Array, std: float, least: float = -np.inf) -> jax.Array:
+    """Compute the increase of 2 ln likelihood (m,) that results from adding columns (m, q, n) to the model.
+
+    All other parameters are refitted. `std`: prior standard deviation of the coefficients. `least`: smallest score.
     """
-    columns = _column(fit, log_radii[:, None])
     weighted = columns * fit.weight
-    cross = weighted @ fit.columns.T
-    alone = (weighted * columns).sum(1) + _PRIOR_GLARE**-2 - ((cross @ fit.inverse) * cross).sum(1)
-    return xp.maximum(weighted @ fit.left, 0.0) ** 2 / alone
+    cross, score = weighted @ fit.columns.T, xp.maximum(weighted @ fit.left, least)[..., None]
+    alone = weighted @ columns.swapaxes(1, 2) - cross @ fit.inverse @ cross.swapaxes(1, 2)
+    return (score * linalg.solve(alone + std**-2 * np.eye(columns.shape[1]), score)).sum((1, 2))
 
 
 def _column(fit: LinearFit, log_radius: jax.Array) -> jax.Array:

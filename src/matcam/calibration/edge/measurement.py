@@ -237,7 +237,7 @@ def lens_fit(found: EdgeFits, half_width: AnyArray | np.float64, lens: LensModel
     first = found.state._replace(profile=lens.start(found.state.profile[0]))
     tested = edge_model(found.cells, _climb(found.cells, first, lens, profile, found.noise, 12), profile)
     at = edge_model(found.cells, found.state, gaussian)
-    ghost = (found.free.even[GHOSTS] != 0).any()
+    ghost = (found.free.coefficients[GHOSTS] != 0).any()
     fit = free_fit.linear_fit(found.cells, at, found.noise, found.free.shape, ghost)
     widened = partial(with_unexplained, roughness=found.roughness, misfit=found.misfit)
     return _lens_fit(found.cells, tested, found.noise, fit, lens, found.angle, half, found.excess, widened)

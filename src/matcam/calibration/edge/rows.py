@@ -228,7 +228,7 @@ def refusals(
     lost = ~np.isfinite(contrast + blur + over + least) | (found.crossing < _LEAST_ROWS)
     gap = _largest_gap(region, crossings, np.nan_to_num(np.asarray(found.slope)))
 
-    glare = found.free.even[:, GLARE]
+    glare = found.free.coefficients[:, GLARE]
     veiled = (glare > _VEILED) & (found.free.shape.radius > VEIL * width) & (found.misfit > MISFIT)
 
     ghost = ghost_of(found.free)
