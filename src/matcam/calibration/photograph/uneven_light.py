@@ -23,15 +23,15 @@ EXCLUDED_WIDTHS = 3.5
 """Distance from the edge within which pixels are excluded, in standard deviations of the blur; 1.5 px are added."""
 _LENGTHS = (8.0, 20.0, 50.0)
 """Correlation lengths of the light that are tested, px."""
-_AMPLITUDES = np.asarray(1e-3 * 2.0 ** np.arange(9), float)
-"""Relative standard deviations of the light that are tested: 0.1 to 25 %."""
+_AMPLITUDES = np.append(0.0, 1e-3 * 2.0 ** np.arange(9))
+"""Relative standard deviations of the light that are tested: 0 (even light), and 0.1 to 25 %."""
 _GLARE = 0.1
 """Prior standard deviation of the share of light in glare."""
 _GLARE_PROBABILITY = 0.1
 """Prior probability of glare."""
 _RADII = 4.0 * 1.5 ** np.arange(9)
 """Standard deviations of the glare that are tested, px."""
-_NOISES = (1.0, 1.5, 2.5, 4.0)
+_NOISES = np.array([1.0, 1.5, 2.5, 4.0])
 """Variances of the bins that are tested, relative to independent noise. They exceed 1 if a filter has correlated the noise."""
 _SUSPECT = 3.0
 """Number of standard deviations by which chi-square of the bins must exceed its expectation to estimate the light."""
@@ -78,14 +78,13 @@ class _Bins(NamedTuple):
 
 
 class _Family(NamedTuple):
-    """Models of the light with one correlation length and several amplitudes.
+    """Models of the light with one correlation length and all amplitudes.
 
     The data are p independent residuals of n bins after the fit of levels and polynomials.
 
     Attributes:
         length: correlation length, px.
         adds: whether the light is added to the scene; else it multiplies the scene.
-        amplitudes: relative standard deviations of the light, (a,).
         seen: derivative of the data with respect to the light in each bin (n, p).
         power: eigenvalues of the covariance of the data that light of amplitude 1 causes (p,).
         vectors: eigenvectors of this covariance (p, p).
@@ -95,7 +94,6 @@ class _Family(NamedTuple):
 
     length: float
     adds: bool
-    amplitudes: FloatArray
     seen: FloatArray
     power: FloatArray
     vectors: FloatArray
@@ -112,13 +110,15 @@ class _Family(NamedTuple):
         return score, precision @ (self.glares**2).T + _GLARE**-2
 
     def log_evidence(self) -> FloatArray:
-        """Compute the logarithm of the probability without and with glare, (2, a, noises)."""
-        precision = self.precision(self.amplitudes[:, None, None], np.array(_NOISES)[:, None])
+        """Compute the logarithm of the probability without and with glare, (2, amplitudes, noises)."""
+        precision = self.precision(_AMPLITUDES[:, None, None], _NOISES[:, None])
         without = (np.log(precision) - self.data**2 * precision).sum(-1) / 2
         score, alone = self.by_glare(precision)
         gain = logsumexp((score**2 / alone - np.log(alone * _GLARE**2)) / 2, axis=-1) - np.log(len(_RADII))
         prior = np.log([1 - _GLARE_PROBABILITY, _GLARE_PROBABILITY])[:, None, None]
-        return np.asarray(prior + np.stack([without, without + gain]))
+        # Even light has half of the prior probability.
+        uneven = np.log(np.where(_AMPLITUDES > 0, _AMPLITUDES.size - 1, 1))[:, None]
+        return np.asarray(prior - uneven + np.stack([without, without + gain]))
 
     def weights(self, amplitude: float, noise: float, glaring: bool) -> FloatArray:
         """Compute the weights of the data (p,) in the posterior mean of the light."""
@@ -169,16 +169,14 @@ def light_field(
     data = basis.T @ scaled
     columns = np.stack([(ndtr(bins.distance / radius) - bright) * step / bins.std for radius in _RADII]) @ basis
     families = _families(bins, basis, data, columns, step)
-    kinds = [(family, amplitude, noise) for family in families for amplitude in family.amplitudes for noise in _NOISES]
-    # Even light has half of the prior probability.
-    prior = [np.log(1.0 if not family.length else 2 * len(_LENGTHS) * _AMPLITUDES.size) for family, _, _ in kinds]
-    evidence = np.concatenate([family.log_evidence().reshape(2, -1) for family in families], axis=1) - prior
+    evidence = np.stack([family.log_evidence() for family in families], axis=1)
     probability = np.exp(evidence - evidence.max())
     probability /= probability.sum()
     glaring = bool(probability[1].sum() > 0.5)
     # The light is that of the more probable hypothesis, with or without glare.
-    best, power, unexplained = kinds[int(np.argmax(evidence[int(glaring)]))]
-    possible = float(np.sqrt(probability.sum(0) @ np.array([kind[1] for kind in kinds]) ** 2))
+    kind, level, scatter = np.unravel_index(np.argmax(evidence[int(glaring)]), evidence.shape[1:])
+    best, power, unexplained = families[kind], float(_AMPLITUDES[level]), float(_NOISES[scatter])
+    possible = float(np.sqrt(probability.sum((0, 1, 3)) @ _AMPLITUDES**2))
     factor, addend = np.ones_like(value), np.zeros_like(value)
     if not power:
         return LightField(factor, addend, 0.0, possible) if glare else None
@@ -290,18 +288,18 @@ def _bins(
 
 
 def _families(bins: _Bins, basis: FloatArray, data: FloatArray, glares: FloatArray, step: float) -> list[_Family]:
-    """List all models of the light; even light is the first.
+    """List all models of the light.
 
     `data`, `glares`: residuals of the bins (p,), and of glare with a share of 1 (radii, p), after levels and polynomials.
     """
-    families = [_Family(0.0, False, np.zeros(1), basis, np.zeros(data.size), np.eye(data.size), data, glares)]
+    families = []
     for length in _LENGTHS:
         correlation = _correlation(bins.x, bins.y, bins, length)
         for adds in (False, True):
             seen = basis * ((step if adds else bins.level) / bins.std)[:, None]
             power, axes = np.linalg.eigh(seen.T @ correlation @ seen)
             power = np.asarray(np.maximum(power, 0.0), float)
-            families.append(_Family(length, adds, _AMPLITUDES, seen, power, axes, axes.T @ data, glares @ axes))
+            families.append(_Family(length, adds, seen, power, axes, axes.T @ data, glares @ axes))
     return families
 
 

@@ -224,32 +224,30 @@ def _region(
     (rows, columns), sites = shape, plane.sites
     first = np.ceil(strips.v - strips.rows / 2).astype(int)
     v = first[:, None] + by_row * np.arange(rows)
-    left = np.rint(strips.u[:, None] + strips.tilt[:, None] * (v - strips.v[:, None])).astype(int)
-    width = np.minimum(strips.width, columns * step)
-    left -= width[:, None] // 2
+    # A row is read from its dark end: towards smaller u if the strip is mirrored.
+    forward = np.where(strips.mirrored, -1, 1)[:, None]
+    width = np.minimum(strips.width, columns * step)[:, None]
+    begin = (
+        np.rint(strips.u[:, None] + strips.tilt[:, None] * (v - strips.v[:, None])).astype(int) - forward * width // 2
+    )
     if step == 2:
         first_row: np.ndarray = np.where(strips.transposed[:, None], sites.any(0), sites.any(1))
         if by_row == 2:  # the first row must have sites of the colour
             v = v + ~np.take_along_axis(first_row, v[:, :1] % 2, 1)
         turned = np.where(strips.transposed[:, None, None], sites.T, sites)
-        left = left + ~turned[np.arange(strips.u.size)[:, None], v % 2, left % 2]
-    u = left[..., None] + step * np.arange(columns)
-    there = (v < first[:, None] + strips.rows[:, None])[..., None] & (np.arange(columns) * step < width[:, None, None])
-    u, full_v = np.where(there, u, left[:, :1, None]), np.where(there, v[..., None], first[:, None, None])
+        begin = begin + forward * ~turned[np.arange(strips.u.size)[:, None], v % 2, begin % 2]
+    u = begin[..., None] + forward[..., None] * step * np.arange(columns)
+    there = (v < first[:, None] + strips.rows[:, None])[..., None] & (np.arange(columns) * step < width[..., None])
+    u, full_v = np.where(there, u, begin[:, :1, None]), np.where(there, v[..., None], first[:, None, None])
     turned = strips.transposed[:, None, None]
     at = np.where(turned, u, full_v), np.where(turned, full_v, u)
     value = np.where(there, plane.values[at], np.nan)
     saturated = np.zeros(len(value)) if plane.saturated is None else plane.saturated[at].mean((1, 2))
-    mirrored = strips.mirrored
-    last = (there.any(1).sum(1) - 1)[:, None]
-    # Mirrored rows are read from the last sample to the first, so that missing samples are at the end.
-    back = np.where(mirrored[:, None], last - np.arange(columns), np.arange(columns)) % columns
-    value = np.take_along_axis(value, back[:, None, :], 2)
     middle = first + (strips.rows - 1) / 2
-    start = np.where(mirrored[:, None], strips.u[:, None] - left - step * last, left - strips.u[:, None])
+    start = forward * (begin - strips.u[:, None])
     x, y = (np.where(strips.transposed, *pair) for pair in ((middle, strips.u), (strips.u, middle)))
     turns = turns_for(float((strips.rows * np.abs(strips.tilt)).min()) / step)
-    frame = RegionFrame(x, y, strips.transposed, mirrored, (strips.rows - 1).astype(float))
+    frame = RegionFrame(x, y, strips.transposed, strips.mirrored, (strips.rows - 1).astype(float))
     return EdgeRegions(value, v - middle[:, None], start.astype(float), step, frame, turns), saturated
 
 
