@@ -433,8 +433,10 @@ def write_text(path: str | Path, text: str, *, force: bool = False, errors: str 
 def plain(value: Any) -> Any:
     """Convert a result to lists, numbers and strings, as JSON requires.
 
-    NaN and infinities become None.
+    NaN and infinities become None. Objects are converted by their method `to_dict`.
     """
+    if hasattr(value, "to_dict"):
+        return plain(value.to_dict())
     if isinstance(value, dict):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

@@ -140,7 +140,7 @@ class Calibration(Summarised):
         return plain(
             {
                 "channel": self.channel,
-                "channels": {name: fit.to_dict() for name, fit in self.channels.items()},
+                "channels": self.channels,
                 "pictures": self.pictures,
                 "failed": self.failed,
                 "remarks": texts(self.remarks),

@@ -220,7 +220,7 @@ class EdgeMTF(Summarised, EdgeValues[float]):
                 "misfit": self.misfit,
                 "overshoot": self.overshoot,
                 "remarks": texts(self.remarks),
-                "parametric": self.parametric.to_dict(),
+                "parametric": self.parametric,
                 "frequency_cycles_per_px": self.frequency,
                 "mtf": self.mtf,
                 "mtf_std": self.mtf_std,
@@ -355,10 +355,7 @@ class EdgeStack(Summarised, EdgeValues[np.ndarray]):
         Returns:
             "edges": `EdgeMTF.to_dict` of each edge; "problems": for each edge, the reason why it cannot be measured, or null.
         """
-        return {
-            "edges": [edge.to_dict() for edge in self],
-            "problems": [problem and problem.to_dict() for problem in self.problems],
-        }
+        return plain({"edges": list(self), "problems": self.problems})
 
     def __getitem__(self, index: int) -> EdgeMTF:
         lens = {name: _of_one(getattr(self.parametric, name), index) for name in ParametricEdge.__dataclass_fields__}

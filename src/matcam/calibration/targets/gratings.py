@@ -18,13 +18,12 @@ from matcam.calibration.chart.chart import PROFILES, Grating
 from matcam.calibration.chart.registration import Projection, check_projection_given, pixel_box
 from matcam.calibration.photograph.linear_image import SMALLEST, LinearImage, measurable_region, region_of
 from matcam.calibration.photograph.tone import Tone
-from matcam.calibration.targets.mtf_samples import MTFSamples
+from matcam.calibration.targets.mtf_samples import MTFSamples, with_units
 from matcam.calibration.targets.wave_fit import WaveFit, WavePixels, fit_wave, local_wave
 from matcam.calibration.targets.wave_search import MARGIN, FoundGrating, find_grating
 from matcam.core import checks
 from matcam.core.arrays import FloatArray
 from matcam.core.errors import ArgumentError, FitError
-from matcam.core.io import plain
 from matcam.files.photographs import Photograph
 
 _USEFUL = 0.1
@@ -81,18 +80,7 @@ class GratingMTF:
         Returns:
             All attributes, with units in the names of those that have one, and the contrast.
         """
-        return plain(
-            {
-                "samples": self.samples.to_dict(),
-                "frequency_cycles_per_px": self.frequency,
-                "orders": self.orders,
-                "modulation": self.modulation,
-                "modulation_std": self.modulation_std,
-                "contrast": self.contrast,
-                "gain": self.gain,
-                "read_variance": self.read_variance,
-            }
-        )
+        return with_units(self, frequency="cycles_per_px", contrast=None)
 
 
 def grating_mtf(

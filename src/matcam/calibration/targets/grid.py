@@ -19,7 +19,7 @@ from matcam.calibration.chart.registration import Projection, check_projection_g
 from matcam.calibration.photograph.linear_image import LinearImage, measurable_region, region_of
 from matcam.calibration.photograph.tone import Tone
 from matcam.calibration.targets.dot_fit import FEWEST, SHARED, DotFit, DotLattice, find_dots, fit_dots, square_lattice
-from matcam.calibration.targets.mtf_samples import MTFSamples
+from matcam.calibration.targets.mtf_samples import MTFSamples, with_units
 from matcam.core import checks
 from matcam.core.arrays import FloatArray
 from matcam.core.errors import ArgumentError, FitError
@@ -163,19 +163,9 @@ class DotGrid:
         middle, half = np.array(self.middle), self.field.half
         positions = middle + half * np.array([[0, 0], [-1, -1], [1, -1], [1, 1], [-1, 1]])
         sigma, std = self.sigma_at(*positions.T)
-        return plain(
-            {
-                "x_px": self.x,
-                "y_px": self.y,
-                "sigma_px": self.sigma,
-                "sigma_std_px": self.sigma_std,
-                "samples": [one.to_dict() for one in self.samples],
-                "field": {"position_px": positions, "sigma_px": sigma, "sigma_std_px": std},
-                "radius_px": self.radius,
-                "gain": self.gain,
-                "read_variance": self.read_variance,
-            }
-        )
+        found = with_units(self, x="px", y="px", sigma="px", sigma_std="px", radius="px")
+        field = {"position_px": positions, "sigma_px": sigma, "sigma_std_px": std}
+        return found | {"field": plain(field)}
 
 
 def dot_grid(

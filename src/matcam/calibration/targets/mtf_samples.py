@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -115,17 +115,13 @@ class MTFSamples:
         Returns:
             All attributes, with units in the names of those that have one, and the standard deviations.
         """
-        return plain(
-            {
-                "kind": self.kind,
-                "position_px": self.position,
-                "frequency_cycles_per_px": self.frequency,
-                "direction_rad": self.direction,
-                "mtf": self.mtf,
-                "mtf_std": self.mtf_std,
-                "covariance": self.covariance,
-                "channel": self.channel,
-                "f_number": self.f_number,
-                "source": self.source,
-            }
-        )
+        return with_units(self, position="px", frequency="cycles_per_px", direction="rad", mtf_std=None)
+
+
+def with_units(result: Any, **units: str | None) -> dict[str, Any]:
+    """Convert a result to a JSON object: all of its fields and the named properties.
+
+    `units`: units that are appended to names; None for a property without a unit.
+    """
+    names = dict.fromkeys(field.name for field in fields(result)) | units
+    return plain({f"{name}_{unit}" if unit else name: getattr(result, name) for name, unit in names.items()})

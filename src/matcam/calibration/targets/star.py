@@ -20,13 +20,12 @@ from matcam.calibration.chart.chart import Star
 from matcam.calibration.chart.registration import Projection, check_projection_given, pixel_box
 from matcam.calibration.photograph.linear_image import SMALLEST, LinearImage, measurable_region
 from matcam.calibration.photograph.tone import Tone
-from matcam.calibration.targets.mtf_samples import MTFSamples
+from matcam.calibration.targets.mtf_samples import MTFSamples, with_units
 from matcam.calibration.targets.wave_fit import WaveFit, WavePixels, fit_wave, local_wave
 from matcam.calibration.targets.wave_search import FoundStar, StarPhase, find_star
 from matcam.core import checks
 from matcam.core.arrays import FloatArray
 from matcam.core.errors import FitError
-from matcam.core.io import plain
 from matcam.files.photographs import Photograph
 
 _HIGHEST = 0.75
@@ -91,19 +90,7 @@ class StarMTF:
         Returns:
             All attributes, with units in the names of those that have one.
         """
-        return plain(
-            {
-                "samples": self.samples.to_dict(),
-                "centre_px": self.centre,
-                "centre_std_px": self.centre_std,
-                "cycles": self.cycles,
-                "contrast": self.contrast,
-                "contrast_std": self.contrast_std,
-                "chi2": self.chi2,
-                "gain": self.gain,
-                "read_variance": self.read_variance,
-            }
-        )
+        return with_units(self, centre="px", centre_std="px")
 
 
 def star_mtf(

@@ -19,6 +19,7 @@ from matcam.calibration.targets.mtf_samples import MTFSamples
 from matcam.calibration.targets.star import star_mtf
 from matcam.core import checks
 from matcam.core.errors import FitError
+from matcam.core.io import plain
 from matcam.core.remark import Remark, texts
 from matcam.files.photographs import Photograph
 
@@ -54,11 +55,7 @@ class Targets:
         Returns:
             Samples, grids and problems.
         """
-        return {
-            "samples": [samples.to_dict() for samples in self.samples],
-            "grids": [grid.to_dict() for grid in self.grids],
-            "problems": texts(self.problems),
-        }
+        return plain({"samples": self.samples, "grids": self.grids, "problems": texts(self.problems)})
 
 
 def measure_targets(
