@@ -202,7 +202,12 @@ def edge_fits(
     free = free._replace(covariance=free.covariance * excess)
     misfit = misfit_of(linear, free, excess)
     widened = partial(with_unexplained, roughness=moved.roughness, misfit=misfit)
-    mtf, core = map(widened, free_curve.transfer(free, xp.asarray(FREQUENCIES)))
+
+    def transfer(f: jax.Array) -> tuple[SampledCurve, SampledCurve]:
+        total, core = free_curve.transfer(free, f)
+        return widened(total, f), widened(core, f)
+
+    mtf, core = transfer(xp.asarray(FREQUENCIES))
     return EdgeFits(
         curve=curve,
         length=rows.length,
@@ -215,9 +220,9 @@ def edge_fits(
         parametric=_lens_fit(cells, model, noise, linear, lens, angle, half, excess, widened),
         free=free,
         mtf=mtf,
-        mtf50=free_curve.half_frequency(mtf),
+        mtf50=free_curve.half_frequency(mtf.value, lambda f: transfer(f)[0]),
         core_mtf=core,
-        core_mtf50=free_curve.half_frequency(core),
+        core_mtf50=free_curve.half_frequency(core.value, lambda f: transfer(f)[1]),
         overshoot=_overshoot(free),
         cells=cells,
         state=model.state,
@@ -291,7 +296,7 @@ def _lens_fit(
     angle: jax.Array,
     half_width: jax.Array,
     excess: jax.Array,
-    widened: Callable[[SampledCurve], SampledCurve],
+    widened: Callable[[SampledCurve, jax.Array], SampledCurve],
 ) -> LensFit:
     """Compute the result of a fit of a lens model, `at`. `widened`: `with_unexplained` for this edge."""
     parameters = at.state.profile
@@ -300,8 +305,13 @@ def _lens_fit(
     lens_covariance = covariance[LINEAR:, LINEAR:]
 
     numbers, by = _with_slopes(lens.numbers, parameters)
-    value, slopes = _with_slopes(lambda p: lens.mtf(p, xp.asarray(FREQUENCIES), angle, half_width), parameters)
-    mtf = widened(SampledCurve(value, xp.sqrt(xp.maximum((slopes @ lens_covariance * slopes).sum(-1), 0.0))))
+
+    def response(f: jax.Array) -> SampledCurve:
+        value, slopes = _with_slopes(lambda p: lens.mtf(p, f, angle, half_width), parameters)
+        std = xp.sqrt(xp.maximum((slopes @ lens_covariance * slopes).sum(-1), 0.0))
+        return widened(SampledCurve(value, std), f)
+
+    mtf = response(xp.asarray(FREQUENCIES))
     return LensFit(
         state=at.state,
         covariance=covariance,
@@ -312,7 +322,7 @@ def _lens_fit(
         numbers_covariance=by @ lens_covariance @ by.T,
         expected=at.value,
         mtf=mtf,
-        mtf50=free_curve.half_frequency(mtf),
+        mtf50=free_curve.half_frequency(mtf.value, response),
     )
 
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from matcam.calibration.edge.free_curve import FREQUENCIES, FreeCurve, SampledCurve
+from matcam.calibration.edge.free_curve import FreeCurve, SampledCurve
 from matcam.calibration.edge.free_fit import LinearFit
 from matcam.calibration.edge.geometry import AlignedRows, PhasedRows
 from matcam.calibration.edge.maximum_likelihood import Noise
@@ -108,15 +108,15 @@ _WINDOWS = np.arange(-10.0, 9.0)
 """Distances from the edge at which the windows begin, px."""
 
 
-def with_unexplained(curve: SampledCurve, roughness: jax.Array, misfit: jax.Array) -> SampledCurve:
-    """Increase the standard deviation of an MTF at `FREQUENCIES` by the effect of roughness and misfit.
+def with_unexplained(curve: SampledCurve, f: jax.Array, roughness: jax.Array, misfit: jax.Array) -> SampledCurve:
+    """Increase the standard deviation of an MTF at f cycles/px by the effect of roughness and misfit.
 
     `roughness`: standard deviation of the position of the edge between rows, px; it blurs the edge, as a lens does. `misfit`:
     standard deviation of the bins near the edge beyond noise, in units of the step.
     """
-    blurred = 2 * (xp.pi * roughness * FREQUENCIES) ** 2 * xp.abs(curve.value)
+    blurred = 2 * (xp.pi * roughness * f) ** 2 * xp.abs(curve.value)
     # The ratio 5 follows from the ghosts and shadows of tests/oracle/real_edges.py. At frequency 0, the MTF is always 1.
-    unknown = 5.0 * misfit * xp.minimum(FREQUENCIES / 0.1, 1.0)
+    unknown = 5.0 * misfit * xp.minimum(f / 0.1, 1.0)
     return SampledCurve(curve.value, xp.sqrt(curve.std**2 + blurred**2 + unknown**2))
 
 
