@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import datetime
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from matcam.calibration.camera.camera_fit import CameraFit, CameraRequest, fit_camera
-from matcam.calibration.camera.evidence import EdgeTable, Evidence, Finding, PicturePlan
+from matcam.calibration.camera.evidence import EdgeTable, Evidence, Finding, measure_picture
 from matcam.calibration.camera.lateral_colour import LateralColour, lateral_colour, lateral_remark
 from matcam.calibration.camera.processed_pictures import processing_std
 from matcam.calibration.chart.chart import Chart
@@ -225,12 +226,15 @@ def calibrate(
     if not len(pictures) and not len(samples):
         raise ArgumentError("neither pictures nor samples were given: give at least one of them")
     described = read_chart(chart) if isinstance(chart, str | Path) else chart
-    plan = PicturePlan(tone, channels, half_width or 0.5, accept_sharpened, described, cfa)
+    measure = partial(
+        measure_picture, tone=tone, channels=channels, half_width=half_width or 0.5, accept_sharpened=accept_sharpened,
+        chart=described, cfa=cfa,
+    )  # fmt: skip
     measured = _Pictures()
     for number, (picture, f_number) in enumerate(
         zip(pictures, _checked_f_numbers(f_numbers, len(pictures)), strict=True)
     ):
-        measured.add(picture, f"image {number + 1}", f_number, plan)
+        measured.add(picture, f"image {number + 1}", f_number, measure)
     measured.check()
     findings = measured.findings + [Finding(s.channel, s.source, s.f_number, None, (s,)) for s in samples]
     request = CameraRequest(model, half_width, wavelength, pixel_pitch)
@@ -281,7 +285,7 @@ class _Pictures:
     errors: list[MatcamError] = field(default_factory=list)
     cameras: dict[str, str] = field(default_factory=dict)
 
-    def add(self, picture: Any, name: str, f_number: float | None, plan: PicturePlan) -> None:
+    def add(self, picture: Any, name: str, f_number: float | None, measure: Callable[..., Any]) -> None:
         """Measure an image, or record its error. `name`: name of an image that is not a file."""
         if isinstance(picture, str | Path):
             name = str(picture)
@@ -299,7 +303,7 @@ class _Pictures:
                 own = picture.exif.f_number
                 if picture.exif.camera:
                     self.cameras.setdefault(picture.exif.camera, short)
-            findings, remarks = plan.measure(picture, short, own if f_number is None else f_number)
+            findings, remarks = measure(picture, short, own if f_number is None else f_number)
         except ArgumentError:
             raise
         except MatcamError as error:

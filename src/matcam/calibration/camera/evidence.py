@@ -189,70 +189,68 @@ class Finding(NamedTuple):
     software: Processed | None = None
 
 
-@dataclass(frozen=True)
-class PicturePlan:
-    """Options for measuring every photograph. The fields are arguments of `calibrate`."""
+def measure_picture(
+    picture: Photograph | LinearImage,
+    name: str,
+    f_number: float | None,
+    *,
+    tone: Tone,
+    channels: Sequence[str] | None,
+    half_width: float,
+    accept_sharpened: bool,
+    chart: Chart | None,
+    cfa: str | None,
+) -> tuple[list[Finding], list[Remark]]:
+    """Measure each colour of an image; return the measurements and remarks.
 
-    tone: Tone
-    channels: Sequence[str] | None
-    half_width: float
-    accept_sharpened: bool
-    chart: Chart | None
-    cfa: str | None = None
-
-    def measure(
-        self, picture: Photograph | LinearImage, name: str, f_number: float | None
-    ) -> tuple[list[Finding], list[Remark]]:
-        """Measure each colour of an image; return the measurements and remarks.
-
-        A FitError is raised if nothing can be measured, or the chart is not found.
-        """
-        mosaic = (self.cfa or picture.cfa) is not None
-        if isinstance(picture, LinearImage):
-            if self.cfa is not None:
-                raise ArgumentError("cfa is already specified by the LinearImage: omit it")
-            planes: Iterable[LinearImage] = [replace(picture, source=name, f_number=f_number)]
-            values, mosaic = (smoothed(picture.values) if mosaic else picture.values), False
-        else:
-            planes = planes_of(picture, self.channels, self.tone, f_number, name, self.cfa)
-            values = picture.values
-        edges = find_edges(values, mosaic=mosaic) if self.chart is None else None
-        registration: Projection | None = None
-        findings: list[Finding] = []
-        remarks: list[Remark] = []
-        for plane in planes:
-            refuse_unnamed_mosaic(plane)
-            remarks = remarks or list(plane.remarks)
-            if self.chart is not None and registration is None:
-                # All pixels of a mosaic are used to find the chart, because its position hardly depends on the colour.
-                seen = balanced(values) if mosaic else plane.values
-                registration = register_chart(seen, self.chart)
-                edges = described_edges(seen, self.chart, registration)
-            even = plane if registration is None else _without_waves(plane, self.chart, registration)
-            software = processed(even, accept=self.accept_sharpened)
-            remarks += [r.about(plane.channel) for r in software.remarks]
-            result: EdgeStack | None = None
-            samples: tuple[MTFSamples, ...] = ()
-            dots: tuple[BlurSamples, ...] = ()
-            if self.chart is not None:
-                targets = measure_targets(plane, self.chart, registration=registration, half_width=self.half_width)
-                samples = targets.samples
-                dots = dot_positions(self.chart, targets)
-                assumed = any(remark.code == "tone-assumed" for remark in plane.remarks)
-                printed_remarks = [targets.printed.remark(assumed=assumed)] if targets.printed is not None else []
-                remarks += [r.about(plane.channel) for r in (*targets.problems, *printed_remarks) if r]
-            if edges is not None:
-                try:
-                    result = plane_edge_stack(plane, edges, self.half_width, accept_sharpened=self.accept_sharpened)
-                except FitError as error:
-                    if not samples and self.chart is not None and registration is not None:
-                        raise _nothing_measured(self.chart, registration) from error
-                    if not samples:
-                        raise
-                else:
-                    remarks += edge_remarks(result, plane.channel)
-            findings.append(Finding(plane.channel, name, f_number, result, samples, dots, plane.shape, software))
-        return findings, remarks
+    The keywords are arguments of `calibrate`. A FitError is raised if nothing can be measured, or the chart is not found.
+    """
+    mosaic = (cfa or picture.cfa) is not None
+    if isinstance(picture, LinearImage):
+        if cfa is not None:
+            raise ArgumentError("cfa is already specified by the LinearImage: omit it")
+        planes: Iterable[LinearImage] = [replace(picture, source=name, f_number=f_number)]
+        values, mosaic = (smoothed(picture.values) if mosaic else picture.values), False
+    else:
+        planes = planes_of(picture, channels, tone, f_number, name, cfa)
+        values = picture.values
+    edges = find_edges(values, mosaic=mosaic) if chart is None else None
+    registration: Projection | None = None
+    findings: list[Finding] = []
+    remarks: list[Remark] = []
+    for plane in planes:
+        refuse_unnamed_mosaic(plane)
+        remarks = remarks or list(plane.remarks)
+        if chart is not None and registration is None:
+            # All pixels of a mosaic are used to find the chart, because its position hardly depends on the colour.
+            seen = balanced(values) if mosaic else plane.values
+            registration = register_chart(seen, chart)
+            edges = described_edges(seen, chart, registration)
+        even = plane if registration is None else _without_waves(plane, chart, registration)
+        software = processed(even, accept=accept_sharpened)
+        remarks += [r.about(plane.channel) for r in software.remarks]
+        result: EdgeStack | None = None
+        samples: tuple[MTFSamples, ...] = ()
+        dots: tuple[BlurSamples, ...] = ()
+        if chart is not None:
+            targets = measure_targets(plane, chart, registration=registration, half_width=half_width)
+            samples = targets.samples
+            dots = dot_positions(chart, targets)
+            assumed = any(remark.code == "tone-assumed" for remark in plane.remarks)
+            printed_remarks = [targets.printed.remark(assumed=assumed)] if targets.printed is not None else []
+            remarks += [r.about(plane.channel) for r in (*targets.problems, *printed_remarks) if r]
+        if edges is not None:
+            try:
+                result = plane_edge_stack(plane, edges, half_width, accept_sharpened=accept_sharpened)
+            except FitError as error:
+                if not samples and chart is not None and registration is not None:
+                    raise _nothing_measured(chart, registration) from error
+                if not samples:
+                    raise
+            else:
+                remarks += edge_remarks(result, plane.channel)
+        findings.append(Finding(plane.channel, name, f_number, result, samples, dots, plane.shape, software))
+    return findings, remarks
 
 
 def _without_waves(plane: LinearImage, chart: Chart | None, registration: Projection) -> LinearImage:

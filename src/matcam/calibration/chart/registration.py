@@ -21,6 +21,7 @@ from matcam.calibration.photograph.linear_image import LinearImage, smoothed
 from matcam.core import checks
 from matcam.core.arrays import FloatArray
 from matcam.core.errors import ArgumentError, FitError
+from matcam.numerics.normal import robust_std
 
 Projection = Callable[[FloatArray], FloatArray]
 """Map from positions on the page (n, 2), mm, to positions in the image (n, 2), px: a `Registration` or any function."""
@@ -170,28 +171,21 @@ def radial_distortion(positions: FloatArray, seen: FloatArray, shape: tuple[int,
         raise FitError(
             f"{len(positions)} positions do not determine the distortion; at least {_FEWEST_POSITIONS} are needed"
         )
-    middle, spread = positions.mean(0), max(float(np.ptp(positions, axis=0).max()), 1e-300)
-    at, used = (positions - middle) / spread, np.ones(len(positions), bool)
-    for _ in range(3):
-        try:
-            start = np.append(_homography(at[used], _from_middle(seen[used], shape)).ravel()[:8], 0.0)
-        except np.linalg.LinAlgError:
-            raise FitError(
-                "the positions do not determine the pose of the page: give dots that span the page"
-            ) from None
-        size = np.append(np.maximum(np.abs(start[:8]), 1e-6), 0.01)
+    at = (positions - positions.mean(0)) / max(float(np.ptp(positions, axis=0).max()), 1e-300)
+    try:
+        start = np.append(_homography(at, _from_middle(seen, shape)).ravel()[:8], 0.0)
+    except np.linalg.LinAlgError:
+        raise FitError("the positions do not determine the pose of the page: give dots that span the page") from None
+    size = np.append(np.maximum(np.abs(start[:8]), 1e-6), 0.01)
 
-        def off(p: FloatArray, at: FloatArray = at, size: FloatArray = size) -> FloatArray:
-            return np.asarray(_project(np.append(p * size, 0.0), at, (shape[0], shape[1])) - seen)
+    def off(p: FloatArray) -> FloatArray:
+        return np.asarray((_project(np.append(p * size, 0.0), at, (shape[0], shape[1])) - seen).ravel())
 
-        fit = least_squares(lambda p: off(p)[used].ravel(), start / size, x_scale="jac")  # noqa: B023
-        left = np.hypot(*off(fit.x).T)
-        good = left < 4 * max(float(np.median(left[used])), 1e-9)
-        if good.sum() < _FEWEST_POSITIONS or np.array_equal(good, used):
-            break
-        used = good
-    variance = 2 * fit.cost / max(fit.fun.size - fit.x.size, 1)
-    covariance = np.linalg.pinv(fit.jac.T @ fit.jac) * variance
+    plain = least_squares(off, start / size, x_scale="jac")
+    # Wrong positions have little weight.
+    scale = max(robust_std(plain.fun), 1e-9)
+    fit = least_squares(off, plain.x, x_scale="jac", loss="cauchy", f_scale=3 * scale)
+    covariance = np.linalg.pinv(fit.jac.T @ fit.jac) * max(robust_std(fit.fun), 1e-9) ** 2
     return float(fit.x[8] * size[8]), float(np.sqrt(covariance[8, 8]) * size[8])
 
 

@@ -37,7 +37,7 @@ from matcam.calibration.edge.free_curve import (
 )
 from matcam.calibration.edge.geometry import TERMS, EdgeCells
 from matcam.calibration.edge.maximum_likelihood import ADDED, SHIFT, EdgeModel, Noise, lit_edge
-from matcam.core.arrays import changed, first_axis_map, last_of, linalg, repeated, slope_along, xp
+from matcam.core.arrays import changed, first_axis_map, last_of, linalg, repeated, slope_along, special, xp
 from matcam.numerics.linalg import lifted_inverse
 
 if TYPE_CHECKING:
@@ -60,9 +60,7 @@ Such glare resembles uneven light, which is more frequent.
 """
 _LEAST_COST = 10.8
 """Smallest increase of 2 ln likelihood that a parameter of the light requires. Noise exceeds it with probability 1e-3."""
-_LEVELS = SHIFT
-"""Number of columns for the levels and the light."""
-_COLUMN = _LEVELS + GLARE
+_COLUMN = SHIFT + GLARE
 """Index of the column of the glare. The column is 0 until glare is tested."""
 
 
@@ -106,7 +104,7 @@ class LinearFit(NamedTuple):
 
     def misfit(self, curve: FreeCurve) -> jax.Array:
         """Compute the residual (n,) of the cells about a curve with the basis functions of this fit."""
-        columns = changed(self.columns, _COLUMN, _column(self, xp.log(curve.shape.radius)))[_LEVELS:] / self.step
+        columns = changed(self.columns, _COLUMN, _column(self, xp.log(curve.shape.radius)))[SHIFT:] / self.step
         response = self.pilot + curve.coefficients @ columns
         return self.cells.value - lit_edge(response, curve.levels, self.cells.terms).value
 
@@ -133,20 +131,6 @@ class LinearFit(NamedTuple):
         return self._replace(columns=columns, normal=normal, inverse=inverse, strength=strength)
 
 
-class Structure(NamedTuple):
-    """Test of another model by a fit of the free curve to the residuals of that model.
-
-    Attributes:
-        found: increase of 2 ln likelihood.
-        mean: expectation of `found` if the other model is correct.
-        variance: variance of `found` if the other model is correct.
-    """
-
-    found: jax.Array
-    mean: jax.Array
-    variance: jax.Array
-
-
 def linear_fit(
     cells: EdgeCells, at: EdgeModel, noise: Noise, shape: CoreShape, ghost: jax.Array | float = 0.0
 ) -> LinearFit:
@@ -167,7 +151,7 @@ def linear_fit(
 
     def problem(linear: jax.Array, used: jax.Array) -> LinearFit:
         lit = lit_edge(pilot, linear, cells.terms)
-        columns = xp.concatenate([lit.columns * used[:_LEVELS, None], free * lit.step])
+        columns = xp.concatenate([lit.columns * used[:SHIFT, None], free * lit.step])
         known = (pilot, lit.step, linear, used, weight, variance, cells.value - lit.value, columns)
         return LinearFit(shape, cells, *known, *[unknown] * 3).solved(columns)
 
@@ -175,7 +159,7 @@ def linear_fit(
 
     def corrected(linear: jax.Array, _: int) -> tuple[jax.Array, LinearFit]:
         fit = problem(linear, used)
-        return changed(linear, slice(_LEVELS), linear[:_LEVELS] + fit.strength[:_LEVELS]), fit
+        return changed(linear, slice(SHIFT), linear[:SHIFT] + fit.strength[:SHIFT]), fit
 
     # The light multiplies the curve, so the second pass starts from the light that the first pass has corrected.
     return last_of(corrected, state.linear * used, np.arange(2))
@@ -214,17 +198,22 @@ def _width(cells: EdgeCells) -> jax.Array:
     return distance.max() - distance.min()
 
 
-def structure(fit: LinearFit, tested: EdgeModel) -> Structure:
-    """Test another model by a fit of the free curve to its residuals.
+def misfit_probability(fit: LinearFit, tested: EdgeModel) -> jax.Array:
+    """Compute the probability of the residuals of another model, from a fit of the free curve to them.
 
     The test statistic is the quadratic form s' A^-1 s of the scores s. If the tested model is correct, the covariance of
-    the scores is the information minus the part that the tested fit has absorbed.
+    the scores is the information minus the part that the tested fit has absorbed. The distribution is approximated by a
+    scaled chi-square with the same mean and variance (Satterthwaite 1946).
     """
     score = fit.columns @ (fit.weight * (fit.cells.value - tested.value))
     shared = (fit.columns * fit.weight) @ tested.design.T
     absorbed = shared @ lifted_inverse((tested.design * fit.weight) @ tested.design.T) @ shared.T
     spread = fit.inverse @ (fit.normal - absorbed)
-    return Structure(score @ fit.inverse @ score, xp.trace(spread), 2 * xp.sum(spread * spread.T))
+    mean, variance = xp.trace(spread), 2 * xp.sum(spread * spread.T)
+    known = (variance > 0) & (mean > 0)  # NaN if nothing was fitted
+    mean, variance = xp.where(known, mean, 1.0), xp.where(known, variance, 1.0)
+    found = xp.maximum(score @ fit.inverse @ score, 0.0)
+    return xp.where(known, special.gammaincc(mean**2 / variance, found * mean / variance), xp.nan)
 
 
 def _chosen_light(
@@ -305,14 +294,14 @@ def _per_step(fit: LinearFit, strength: jax.Array, covariance: jax.Array, radius
     """
     before = fit.levels[1] - fit.levels[0]
     now = before + strength[1] - strength[0]
-    relative = strength[_LEVELS:] * before / now
+    relative = strength[SHIFT:] * before / now
     scaling = xp.append(xp.full(EVEN + ODD, before / now), 1.0)
     by_step = xp.append(relative, 0.0) / now
     jacobian = xp.concatenate(
-        [by_step[:, None], -by_step[:, None], xp.zeros((EVEN + ODD + 1, _LEVELS - 2)), xp.diag(scaling)], 1
+        [by_step[:, None], -by_step[:, None], xp.zeros((EVEN + ODD + 1, SHIFT - 2)), xp.diag(scaling)], 1
     )
     shape = fit.shape._replace(radius=radius)
-    levels = fit.levels[:_LEVELS] + strength[:_LEVELS]
+    levels = fit.levels[:SHIFT] + strength[:SHIFT]
     return FreeCurve(shape, relative, levels, jacobian @ covariance @ jacobian.T)
 
 
@@ -368,7 +357,7 @@ def _precisions() -> np.ndarray:
     core, ghosts = 0.1 * np.exp(-((CENTRES / 1.6) ** 2) / 2), np.full(GHOSTS.size, _PRIOR_GHOST)
     odd = np.minimum(core, 0.03)
     even = np.concatenate([core, ghosts, [0.3, _PRIOR_GLARE]])
-    return np.concatenate([np.zeros(_LEVELS), even**-2, odd**-2, ghosts**-2, [0.0]])
+    return np.concatenate([np.zeros(SHIFT), even**-2, odd**-2, ghosts**-2, [0.0]])
 
 
 _PRECISIONS = _precisions()

@@ -56,7 +56,7 @@ class LensFit(NamedTuple):
         covariance: covariance matrix of size LINEAR + k.
         chi2: chi-square of the bins for the given noise.
         degrees: degrees of freedom: number of bins minus number of parameters.
-        structure: test of the residuals by the free curve.
+        misfit_probability: probability of the residuals, from a test by the free curve.
         numbers: (k,) parameters of the lens, in the units of their names.
         numbers_covariance: (k, k) covariance of `numbers`.
         expected: (n,) model values of the bins.
@@ -68,7 +68,7 @@ class LensFit(NamedTuple):
     covariance: jax.Array
     chi2: jax.Array
     degrees: jax.Array
-    structure: free_fit.Structure
+    misfit_probability: jax.Array
     numbers: jax.Array
     numbers_covariance: jax.Array
     expected: jax.Array
@@ -317,7 +317,7 @@ def _lens_fit(
         covariance=covariance,
         chi2=(weight * (cells.value - at.value) ** 2).sum(),
         degrees=(cells.pixels > 0).sum() - parameters.size - LINEAR,
-        structure=free_fit.structure(free, at),
+        misfit_probability=free_fit.misfit_probability(free, at),
         numbers=numbers,
         numbers_covariance=by @ lens_covariance @ by.T,
         expected=at.value,

@@ -214,7 +214,7 @@ def parametric_stack(
     its results and `free` are added in quadrature to its standard deviations. `bad`: mask (n,) of edges whose values become
     NaN.
     """
-    probability = _misfit_probability(*map(np.asarray, fit.structure))
+    probability = np.asarray(fit.misfit_probability)
     wrong = ~(probability > _WRONG)
 
     def std(own: SampledCurve, other: SampledCurve) -> np.ndarray:
@@ -247,15 +247,3 @@ def with_nan(values: AnyArray | np.float64, bad: np.ndarray) -> np.ndarray:
     if not bad.any():
         return np.asarray(values)
     return np.where(bad.reshape(-1, *[1] * (np.ndim(values) - 1)), np.nan, values)
-
-
-def _misfit_probability(found: np.ndarray, mean: np.ndarray, variance: np.ndarray) -> np.ndarray:
-    """Compute the probability that a quadratic form of normal variables exceeds `found`.
-
-    Its distribution is approximated by a scaled chi-square with the same mean and variance (Satterthwaite 1946).
-    """
-    from scipy.special import chdtrc  # imported here because no other function needs it
-
-    known = (variance > 0) & (mean > 0)  # NaN if nothing was fitted
-    mean, variance = np.where(known, mean, 1.0), np.where(known, variance, 1.0)
-    return np.where(known, chdtrc(2 * mean**2 / variance, np.maximum(found, 0.0) * 2 * mean / variance), np.nan)

@@ -233,7 +233,6 @@ def _fit_grating(
 ) -> tuple[WaveFit, tuple[int, ...], FloatArray, FloatArray]:
     """Fit the wave; return the fit, the orders, the mean frequency (2,), cycles/px, and the mean position (2,), px."""
     pixels = WavePixels.where(values, found.inside)
-    pixels = pixels.at(pixels.subset())
     frequency = local_wave(found.phase, found.parameters, pixels.x, pixels.y).frequency
     # Higher harmonics are neglected: the MTF of a square pixel has its first zero at 1 cycle/px.
     highest = max(1, int(1.1 / max(float(frequency.mean()), 1e-6)))

@@ -193,19 +193,19 @@ def _fit_star(values: FloatArray, found: FoundStar) -> tuple[WaveFit, tuple[floa
     It is fitted at low frequencies first, where the approximate phase is reliable, and then at all frequencies.
     """
     phase, parameters = found.phase, found.parameters
-    pixels = WavePixels.where(values, np.ones(values.shape, bool))
-    inner = _inner_rim(np.hypot(pixels.x - parameters[0], pixels.y - parameters[1]), pixels.value, found)
+    y, x = np.indices(values.shape, float)
+    known = np.isfinite(values)
+    inner = _inner_rim(np.hypot(x - parameters[0], y - parameters[1])[known], values[known], found)
     fit = None
     for highest in (_FIRST, 0.4, _HIGHEST):
-        frequency = local_wave(phase, parameters, pixels.x, pixels.y).frequency
-        radius = np.hypot(pixels.x - parameters[0], pixels.y - parameters[1])
-        mask = (radius < phase.outer - _RIM) & (radius > inner + _RIM) & (frequency < highest)
+        frequency = local_wave(phase, parameters, x, y).frequency
+        radius = np.hypot(x - parameters[0], y - parameters[1])
+        mask = known & (radius < phase.outer - _RIM) & (radius > inner + _RIM) & (frequency < highest)
         if mask.sum() < 500:
             continue
         # The first estimates of the phase use 20,000 pixels.
-        used = pixels.subset(mask, None if highest == _HIGHEST else 20_000)
-        some = pixels.at(used)
-        edges = float(frequency[used].min()), float(frequency[used].max())
+        some = WavePixels.where(values, mask, 200_000 if highest == _HIGHEST else 20_000)
+        edges = float(frequency[mask].min()), float(frequency[mask].max())
         fit = fit_wave(some, phase, parameters, partial(_basis, edges=edges), steps=4)
         if fit is None:
             raise FitError("the pixels of the star do not determine the MTF: photograph the star at a larger scale")

@@ -24,8 +24,6 @@ from matcam.numerics.polynomials import plane_powers
 
 _STEP = 1e-3
 """Step of the numerical derivatives of the phase, px."""
-_MOST = 200_000
-"""Largest number of pixels in a fit. More pixels require memory, and add little information."""
 
 
 Basis = Callable[[FloatArray, FloatArray], FloatArray]
@@ -57,22 +55,16 @@ class WavePixels(NamedTuple):
     y: FloatArray
 
     @classmethod
-    def where(cls, values: FloatArray, mask: np.ndarray) -> WavePixels:
-        """Select the pixels of a region that are inside a mask and not missing."""
-        rows, columns = np.nonzero(mask & np.isfinite(values))
+    def where(cls, values: FloatArray, mask: np.ndarray, most: int = 200_000) -> WavePixels:
+        """Select the pixels of a region that are inside a mask and not missing.
+
+        Of more than `most` pixels, which require memory and add little information, a reproducible random subset is used.
+        """
+        at = np.flatnonzero(mask & np.isfinite(values))
+        if at.size > most:
+            at = np.sort(np.random.default_rng(0).choice(at, most, replace=False))
+        rows, columns = np.unravel_index(at, values.shape)
         return cls(values[rows, columns], columns.astype(float), rows.astype(float))
-
-    def subset(self, mask: np.ndarray | None = None, most: int | None = None) -> np.ndarray:
-        """Select the indices of at most `most` pixels, a reproducible random subset of a mask (n,)."""
-        positions = np.arange(self.value.size) if mask is None else np.flatnonzero(mask)
-        most = _MOST if most is None else most
-        if len(positions) <= most:
-            return positions
-        return np.sort(np.random.default_rng(0).choice(positions, most, replace=False))
-
-    def at(self, indices: np.ndarray) -> WavePixels:
-        """Select the pixels with given indices."""
-        return WavePixels(*(column[indices] for column in self))
 
 
 @dataclass(frozen=True, eq=False)
