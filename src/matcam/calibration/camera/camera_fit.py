@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -41,8 +42,6 @@ _PIXEL = 0.3
 """Smallest MTF of the pixel by which a measured curve is divided."""
 _STD = 0.03
 """Standard deviation of the lens MTF above which a measured curve is extrapolated."""
-_STEP = 1e-4
-"""Change of ln(blur) by which the MTF is differentiated. The truncation error is below 1e-4 of the derivative."""
 _END = 1e-6
 """MTF at which the extrapolation of a measured curve ends."""
 
@@ -329,15 +328,13 @@ def _mean_curve(
     The standard deviation follows from the scatter of the edges.
     """
     theta, half = jnp.asarray(found.parameters), jnp.asarray(found.half)
-    wider = theta.at[0].add(_STEP)
     if table is None:
+        along = partial(found.lens.mtf, f=jnp.asarray(FREQUENCIES), angle=jnp.zeros(()), half_width=half)
         nothing = np.full(FREQUENCIES.size, np.nan)
-        along, moved = (
-            np.asarray(found.lens.mtf(at, jnp.asarray(FREQUENCIES), jnp.zeros(()), half)) for at in (theta, wider)
-        )
-        return MeanCurve(FREQUENCIES, nothing, nothing, along), (moved - along) / _STEP
-    models, moved = (np.abs(np.asarray(_edge_curves(edges, at, half))) for at in (theta, wider))
-    weight = table.weights
+        by = np.asarray(jax.jacfwd(along)(theta))[:, 0]
+        return MeanCurve(FREQUENCIES, nothing, nothing, np.asarray(along(theta))), by
+    values, by = map(np.asarray, _edge_curves(edges, theta, half))
+    models, weight = np.abs(values), table.weights
     mean, expected = (weight * table.mtf).sum(0), (weight * models).sum(0)
     count = table.x.size
     # The scatter is computed about the model, because the MTF of the pixel depends on the angle of an edge.
@@ -345,13 +342,19 @@ def _mean_curve(
     scatter = np.sqrt((weight**2 * apart**2).sum(0) * count / max(count - 1, 1))
     stated = np.sqrt((weight**2 * table.mtf_std**2).sum(0))
     curve = MeanCurve(FREQUENCIES, mean, np.maximum(scatter, stated) if count > 1 else stated, expected)
-    return curve, (weight * (moved - models)).sum(0) / _STEP
+    return curve, (weight * np.sign(values) * by).sum(0)
 
 
-@kept_program
-def _edge_curves(edges: Any, theta: jax.Array, half: jax.Array) -> jax.Array:
-    """Evaluate the signed MTF of the camera for each edge, (edges, frequencies)."""
-    return jax.lax.map(lambda e: e[0].mtf(theta, FREQUENCIES, e[1], half), (edges.lens, jnp.asarray(edges.angle)))
+@kept_program(returns=tuple[jax.Array, jax.Array])
+def _edge_curves(edges: Any, theta: jax.Array, half: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Evaluate the signed MTF of the camera for each edge, and its derivative by ln(blur), (edges, frequencies) each."""
+
+    def one(edge: Any) -> tuple[jax.Array, jax.Array]:
+        lens, angle = edge
+        change = jnp.zeros_like(theta).at[0].set(1.0)
+        return jax.jvp(lambda at: lens.mtf(at, FREQUENCIES, angle, half), (theta,), (change,))
+
+    return jax.lax.map(one, (edges.lens, jnp.asarray(edges.angle)))
 
 
 def _measured_camera(found: _FittedLens, table: EdgeTable, curve: MeanCurve, shift: np.ndarray) -> Camera:

@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike
 
 from matcam.calibration.edge import free_curve
 from matcam.calibration.edge.free_curve import FREQUENCIES, GLARE, EdgeSamples, SampledCurve
-from matcam.calibration.edge.geometry import CURVE, legendre
-from matcam.calibration.edge.maximum_likelihood import SHIFT, Noise, light_of
+from matcam.calibration.edge.geometry import CURVE, EdgeCells, legendre
+from matcam.calibration.edge.maximum_likelihood import ADDED, SHIFT, light_of
 from matcam.calibration.edge.measurement import EdgeFits
 from matcam.calibration.edge.parametric_result import (
     EdgeValues,
@@ -24,8 +24,9 @@ from matcam.calibration.edge.parametric_result import (
 )
 from matcam.calibration.edge.profiles import LensModel
 from matcam.calibration.edge.rows import MISFIT, SHARPENED, RegionFrame
+from matcam.calibration.photograph.linear_filters import BareEdge
 from matcam.core import checks
-from matcam.core.arrays import tuple_map, xp
+from matcam.core.arrays import tuple_map
 from matcam.core.io import plain
 from matcam.core.remark import Remark, texts
 from matcam.core.results.summary import Quantity, Summarised, Summary
@@ -121,11 +122,6 @@ class EdgeMTF(Summarised, EdgeValues[float]):
             Value and standard deviation, of the same shape.
         """
         return self._curve(free_curve.line_response, distance)
-
-    @property
-    def glare_found(self) -> bool:
-        """Check for glare."""
-        return self.glare_fraction != 0
 
     @property
     def remarks(self) -> tuple[Remark, ...]:
@@ -249,24 +245,31 @@ class EdgeMTF(Summarised, EdgeValues[float]):
             remarks=self.remarks,
         )
 
-    @cached_property
+    @property
     def samples(self) -> EdgeSamples:
         """Measured edge response, sorted by distance."""
-        cells, fit, shift = self.fits.cells, self.fits.parametric, self.fits.state.linear[SHIFT]
-        used = np.asarray(cells.pixels) > 0
-        levels = np.asarray(self.fits.free.levels)
-        dark, bright = levels[:2]
-        light, addend = (np.asarray(part) for part in light_of(xp.asarray(levels), xp.asarray(cells.terms)))
-        unit = (bright - dark) * light
-        variance = Noise(np.float64(self.gain), np.float64(self.read_noise)).variance(fit.expected, cells.dim)
-        order = np.argsort(np.asarray(cells.distance)[used])
-        columns = (
-            cells.distance + shift,
-            (cells.value - addend - dark * light) / unit,
-            np.sqrt(self.excess * variance / np.maximum(cells.pixels, 1)) / unit,
-            (fit.expected - addend - dark * light) / unit,
-        )
-        return EdgeSamples(*(np.asarray(column)[used][order] for column in columns))
+        bare = self.bare
+        return EdgeSamples(bare.distance, bare.value, bare.std, bare.parametric)
+
+    @cached_property
+    def bare(self) -> BareEdge:
+        """Cells of the edge without a lens model."""
+        fits = self.fits
+        order = np.argsort(fits.cells.distance)
+        order = order[fits.cells.pixels[order] > 0]
+        cells = EdgeCells(*(column[..., order] for column in fits.cells))
+        (dark, bright), free, expected = fits.free.levels[:2], fits.state.used > 0, fits.parametric.expected[order]
+        factor, addend = light_of(fits.free.levels, cells.terms)
+        unit = (bright - dark) * factor
+        value, parametric = ((a - addend - dark * factor) / unit for a in (cells.value, expected))
+        variance = fits.noise.variance(expected, cells.dim)
+        scene = (value + dark / (bright - dark)) / factor
+        multiplied, added = cells.terms[free[2 : SHIFT - ADDED]], cells.terms[:ADDED][free[SHIFT - ADDED : SHIFT]]
+        light = np.concatenate([np.ones((1, order.size)), scene * multiplied, added / unit])
+        std = np.sqrt(fits.excess * variance / cells.pixels) / unit
+        distance, spread = np.asarray(cells.distance + fits.state.linear[SHIFT]), np.asarray(cells.spread)
+        blur = float(free_curve.line_width(fits.free.shape))
+        return BareEdge(distance, spread, value, std, parametric, light, blur)
 
     def _curve(self, function: Any, distance: ArrayLike) -> SampledCurve:
         at = checks.number("distance", np.asarray(distance))
@@ -335,11 +338,6 @@ class EdgeStack(Summarised, EdgeValues[np.ndarray]):
     def good(self) -> np.ndarray:
         """Indices of the edges that could be measured."""
         return np.flatnonzero([problem is None for problem in self.problems])
-
-    @property
-    def glare_found(self) -> np.ndarray:
-        """Mask (n,) of the edges with glare."""
-        return self.glare_fraction != 0
 
     def _summary(self) -> Summary:
         found = f", median MTF50 {np.median(self.mtf50[self.good]):.4f} cycles/px" if self.good.size else ""

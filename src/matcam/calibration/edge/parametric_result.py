@@ -59,6 +59,11 @@ class EdgeValues(Generic[Number]):
     overshoot: Number
     overshoot_std: Number
 
+    @property
+    def glare_found(self) -> Any:
+        """Whether glare was found; of a stack, a mask (n,)."""
+        return self.glare_fraction != 0
+
 
 @dataclass(frozen=True, eq=False)
 class _LensNumbers(Generic[Number]):
@@ -78,6 +83,11 @@ class _LensNumbers(Generic[Number]):
     lens: LensModel
     fitted: np.ndarray
     half_width: float
+
+    @property
+    def consistent(self) -> Any:
+        """Whether the model explains the edge at a significance level of 0.1 %; of a stack, a mask (n,)."""
+        return self.misfit_probability > _WRONG
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -107,14 +117,6 @@ class ParametricEdge(Summarised, _LensNumbers[float]):
         >>> fit.names, np.round(fit.values, 2)
         (('optics.sigma_px',), array([0.79]))
     """
-
-    @property
-    def consistent(self) -> bool:
-        """Check whether the model explains the edge.
-
-        The significance level is 0.1 %.
-        """
-        return bool(self.misfit_probability > _WRONG)
 
     @property
     def camera(self) -> Camera:
@@ -195,14 +197,6 @@ class ParametricStack(_LensNumbers[np.ndarray]):
         >>> matcam.edge_mtf_stack([image, image]).parametric.values.shape
         (2, 1)
     """
-
-    @property
-    def consistent(self) -> np.ndarray:
-        """Mask (n,) of the edges that the model explains.
-
-        The significance level is 0.1 %.
-        """
-        return self.misfit_probability > _WRONG
 
 
 def parametric_stack(

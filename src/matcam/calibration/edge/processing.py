@@ -20,7 +20,6 @@ from scipy.special import ndtr, ndtri
 from matcam.calibration.edge.edge_result import EdgeMTF, EdgeStack
 from matcam.calibration.edge.free_curve import edge_response, ghost_of, line_width
 from matcam.calibration.edge.free_fit import VEIL
-from matcam.calibration.edge.maximum_likelihood import ADDED, SHIFT, light_of
 from matcam.calibration.edge.rows import CLEAR, SHARPENED, EdgeRegions
 from matcam.calibration.edge.wider_errors import widened, with_core_as_total
 from matcam.calibration.photograph.flat_noise import (
@@ -33,7 +32,6 @@ from matcam.calibration.photograph.flat_noise import (
 )
 from matcam.calibration.photograph.linear_filters import (
     AMOUNT,
-    BareEdge,
     Correlations,
     correlations,
     edge_gain,
@@ -128,26 +126,6 @@ class _EdgeRegion:
         if self.mosaic or not np.isfinite(self.noise.neighbour_ratio_std):
             return None
         return correlations(np.where(np.isfinite(self.value), self.value, 0.0), self.sides)
-
-    @cached_property
-    def bare(self) -> BareEdge:
-        """Cells of the edge without a lens model."""
-        fits = self.edge.fits
-        cells, used = fits.cells, fits.cells.pixels > 0
-        terms, levels, free = cells.terms[:, used], fits.free.levels, fits.state.used
-        factor, addend = light_of(levels, terms)
-        variance = fits.noise.variance(fits.parametric.expected[used], cells.dim[used])
-        value = cells.value[used] - addend
-        light_columns = value / factor * terms[free[2 : SHIFT - ADDED] > 0]
-        return BareEdge(
-            distance=np.asarray(cells.distance[used] + fits.state.linear[SHIFT]),
-            spread=np.asarray(cells.spread[used]),
-            value=np.asarray(value),
-            std=np.asarray(np.sqrt(fits.excess * variance / cells.pixels[used])),
-            step=np.asarray((levels[1] - levels[0]) * factor),
-            light=np.concatenate([factor[None], light_columns, terms[:ADDED][free[SHIFT - ADDED : SHIFT] > 0]]),
-            blur=self.blur,
-        )
 
     def traces(self) -> list[Trace]:
         smoothed = _smoothed(self)
@@ -288,8 +266,8 @@ def _slightly_sharpened(region: _EdgeRegion) -> list[Trace]:
     # For most images the noise already excludes the mask, and the fits of the edge are skipped.
     if seen is None or region.noise.smoothed or (gain := mask_gain(seen)) < 0:
         return []
-    gain += edge_gain(region.bare)
-    if gain < needed_gain(region.bare.blur):
+    gain += edge_gain(region.edge.bare)
+    if gain < needed_gain(region.edge.bare.blur):
         return []
     share = effect_on_half(region.edge.frequency, region.edge.mtf)
     text = (
@@ -362,17 +340,17 @@ def _asymmetric(region: _EdgeRegion) -> list[Trace]:
     variance of photon noise is proportional to the light. A larger variance of the dark side makes a tone curve more
     probable.
     """
-    edge, bare, noise = region.edge, region.bare, region.noise
+    edge, bare, noise = region.edge, region.edge.bare, region.noise
     if ghost_of(edge.fits.free).share > 0:
         return []
     at = bare.distance / np.sqrt(bare.blur**2 + bare.spread)
     response, line = ndtr(at), np.exp(-(at**2) / 2)
     # Further free terms: levels and light, position and width of the edge, and the deviation of the lens from a Gaussian.
-    even = np.stack([response, line, at * line, at**3 * line]) * bare.step
-    columns = np.concatenate([(bare.step * response * (1 - response))[None], even, bare.light])
+    shape = np.stack([response * (1 - response), response, line, at * line, at**3 * line])
+    columns = np.concatenate([shape, bare.light])
     if edge.glare_fraction > 0:
-        columns = np.concatenate([columns, (ndtr(bare.distance / edge.glare_radius) * bare.step)[None]])
-    weight = 1 / np.hypot(bare.std, LEAST_NOISE * bare.step)
+        columns = np.concatenate([columns, ndtr(bare.distance / edge.glare_radius)[None]])
+    weight = 1 / np.hypot(bare.std, LEAST_NOISE)
     scale = np.linalg.norm(columns * weight, axis=1)
     inverse = np.linalg.pinv((columns * weight / np.maximum(scale, 1e-300)[:, None]).T, rcond=1e-6)
     curvature = float(inverse[0] @ (bare.value * weight)) / scale[0]

@@ -64,15 +64,15 @@ class Correlations(NamedTuple):
 
 
 class BareEdge(NamedTuple):
-    """Set of n means of pixels across an edge.
+    """Set of n means of pixels across an edge, corrected for uneven light, in units of the step.
 
     Attributes:
-        distance: (n,) distance from the edge, px.
+        distance: (n,) distance from the edge, px, ascending.
         spread: (n,) variance of the distances in each mean, px^2.
-        value: (n,) value minus the light that is added to the scene.
+        value: (n,) value, 0 on the dark and 1 on the bright side.
         std: (n,) standard deviation of the noise.
-        step: (n,) bright minus dark level in the light of each mean.
-        light: (k, n) functions of the levels and of uneven light, with free coefficients.
+        parametric: (n,) prediction of the parametric fit.
+        light: (k, n) changes of the value by the levels and by uneven light, with free coefficients.
         blur: standard deviation of the line spread function, px.
     """
 
@@ -80,7 +80,7 @@ class BareEdge(NamedTuple):
     spread: FloatArray
     value: FloatArray
     std: FloatArray
-    step: FloatArray
+    parametric: FloatArray
     light: FloatArray
     blur: float
 
@@ -181,7 +181,7 @@ def mask_gain(seen: Correlations) -> float:
 
 def edge_gain(edge: BareEdge) -> float:
     """Compute the decrease of chi-square of an edge due to the unsharp mask, for any non-negative line spread function."""
-    weight = 1 / np.hypot(edge.std, LEAST_NOISE * edge.step)
+    weight = 1 / np.hypot(edge.std, LEAST_NOISE)
     given = edge.light * weight
     # The unbounded coefficients are eliminated by projection.
     basis = np.linalg.qr((given / np.maximum(np.linalg.norm(given, axis=1), 1e-300)[:, None]).T)[0]
@@ -198,10 +198,7 @@ def edge_gain(edge: BareEdge) -> float:
 
     lens, wider = edges(0.0), edges(RADIUS)
     wanted = beyond((edge.value * weight)[None])[0]
-    left = [
-        nnls(beyond(columns * edge.step * weight).T, wanted)[1] ** 2
-        for columns in (lens, lens + AMOUNT * (lens - wider))
-    ]
+    left = [nnls(beyond(columns * weight).T, wanted)[1] ** 2 for columns in (lens, lens + AMOUNT * (lens - wider))]
     return float(left[0] - left[1])
 
 

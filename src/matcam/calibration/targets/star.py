@@ -204,7 +204,7 @@ def _fit_star(values: FloatArray, found: FoundStar) -> tuple[WaveFit, tuple[floa
         if mask.sum() < 500:
             continue
         # The first estimates of the phase use 20,000 pixels.
-        some = WavePixels.where(values, mask, 200_000 if highest == _HIGHEST else 20_000)
+        some = WavePixels.where(values, mask, None if highest == _HIGHEST else 20_000)
         edges = float(frequency[mask].min()), float(frequency[mask].max())
         fit = fit_wave(some, phase, parameters, partial(_basis, edges=edges), steps=4)
         if fit is None:

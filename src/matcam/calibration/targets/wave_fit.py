@@ -24,6 +24,8 @@ from matcam.numerics.polynomials import plane_powers
 
 _STEP = 1e-3
 """Step of the numerical derivatives of the phase, px."""
+_MOST = 200_000
+"""Largest number of pixels in a fit. More pixels require memory, and add little information."""
 
 
 Basis = Callable[[FloatArray, FloatArray], FloatArray]
@@ -55,12 +57,9 @@ class WavePixels(NamedTuple):
     y: FloatArray
 
     @classmethod
-    def where(cls, values: FloatArray, mask: np.ndarray, most: int = 200_000) -> WavePixels:
-        """Select the pixels of a region that are inside a mask and not missing.
-
-        Of more than `most` pixels, which require memory and add little information, a reproducible random subset is used.
-        """
-        at = np.flatnonzero(mask & np.isfinite(values))
+    def where(cls, values: FloatArray, mask: np.ndarray, most: int | None = None) -> WavePixels:
+        """Select at most `most` pixels of a region that are inside a mask and not missing: a reproducible random subset."""
+        at, most = np.flatnonzero(mask & np.isfinite(values)), most or _MOST
         if at.size > most:
             at = np.sort(np.random.default_rng(0).choice(at, most, replace=False))
         rows, columns = np.unravel_index(at, values.shape)
