@@ -13,6 +13,8 @@ if TYPE_CHECKING:
 
     from matcam.core.jax import jax
 
+SIGNIFICANT = 5.0
+"""Number of standard deviations above which a deviation is not noise. A normal value exceeds it with probability 6e-7."""
 _ROBUST = 1.4826
 """Standard deviation of normal values divided by their median absolute value."""
 _FAR = 4.0

@@ -15,7 +15,7 @@ import numpy as np
 from matcam.calibration.edge.edge_result import EdgeStack
 from matcam.core.errors import FitError
 from matcam.core.remark import Remark
-from matcam.numerics.normal import robust_std
+from matcam.numerics.normal import SIGNIFICANT, robust_std
 
 FEWEST_EDGES = 8
 """Smallest number of edges for a camera. Fewer edges are not sufficient to verify that they agree."""
@@ -23,8 +23,8 @@ _APART = np.radians(20.0)
 """Smallest angle between the directions of two edges of a camera, rad."""
 _PROCESSED = 0.3
 """Share of sharpened, crushed or saturated edges above which the others are assumed to be processed as well."""
-_FAR, _LEAST = 5.0, 0.5
-"""Deviation of ln sigma above which an edge is excluded: standard deviations, and absolute variation over the field."""
+_LEAST = 0.5
+"""Smallest deviation of ln sigma for which an edge is excluded: variation over the field."""
 _IMPOSSIBLE = 0.5
 """Negative dark level, relative to the step, beyond which an edge is excluded."""
 
@@ -40,7 +40,7 @@ def in_consensus(stacks: Sequence[EdgeStack]) -> list[EdgeStack]:
     std = np.sqrt(variance) / np.exp(value)
     middle = np.median(value)
     scatter = robust_std(value - middle)
-    far = np.abs(value - middle) > np.maximum(_FAR * np.hypot(std, scatter), _LEAST)
+    far = np.abs(value - middle) > np.maximum(SIGNIFICANT * np.hypot(std, scatter), _LEAST)
     result = []
     for stack, which, off in zip(stacks, good, np.split(far, np.cumsum(counts)[:-1]), strict=True):
         impossible = stack.dark[which] < -_IMPOSSIBLE * (stack.bright[which] - stack.dark[which])

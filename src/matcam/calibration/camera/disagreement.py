@@ -14,9 +14,10 @@ from matcam.calibration.camera.evidence import MeanCurve
 from matcam.calibration.camera.joint_fit import JointFit, Measurements
 from matcam.core.errors import FitError
 from matcam.core.remark import Remark
+from matcam.numerics.normal import SIGNIFICANT
 
-_STRANGE, _LARGE, _CLEAR = 0.03, 0.1, 5.0
-"""Largest relative differences of the blur of targets, and number of standard deviations that both must exceed.
+_STRANGE, _LARGE = 0.03, 0.1
+"""Largest relative differences of the blur of targets, which must also be significant.
 
 Targets of a chart that differ from its edges by more than the first value are excluded. Other measurements that differ by
 more than the second value are contradictory.
@@ -36,11 +37,11 @@ def without_disagreeing(
         fitted = fit(measurements.without(disagreeing))
         candidates = replaceable - disagreeing.keys()
         off = fitted.differences(groups, set(groups) - candidates)
-        more = {k: d for k, (d, std) in off.items() if k in candidates and abs(d) > max(_STRANGE, _CLEAR * std)}
+        more = {k: d for k, (d, std) in off.items() if k in candidates and abs(d) > max(_STRANGE, SIGNIFICANT * std)}
         if not more:
             off = fitted.differences(groups, groups)
             name, (difference, std) = max(off.items(), key=lambda one: abs(one[1][0]), default=("", (0.0, 0.0)))
-            if abs(difference) < max(_LARGE, _CLEAR * std):
+            if abs(difference) < max(_LARGE, SIGNIFICANT * std):
                 return fitted, disagreeing
             if name not in candidates:
                 others = [other for other in off if other != name]

@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 
 from matcam.calibration.camera.evidence import EdgeTable
 from matcam.core.remark import Remark
-from matcam.numerics.normal import robust_fit
+from matcam.numerics.normal import SIGNIFICANT, robust_fit
 
 _SAME = 2.0
 """Largest distance between the centres of one edge in two colours, px."""
@@ -21,8 +21,8 @@ _SAME_DIRECTION = np.radians(3.0)
 """Largest angle between the normals of one edge in two colours, rad."""
 _FEWEST, _MANY = 12, 24
 """Smallest number of edges for a constant magnification, and for one that changes over the field."""
-_REMARKABLE, _SURE = 0.1, 5.0
-"""Displacement in the corners, px, and number of standard deviations, above which a remark is given."""
+_REMARKABLE = 0.1
+"""Displacement in the corners above which a remark is given, px."""
 
 
 class LateralColour(NamedTuple):
@@ -86,7 +86,7 @@ def lateral_colour(of: EdgeTable, reference: EdgeTable, shape: tuple[int, int]) 
 
 def lateral_remark(found: LateralColour, channel: str, reference: str) -> Remark | None:
     """Create a remark if two colours differ by more than 0.1 px and 5 standard deviations in the corners, else None."""
-    if abs(found.corner) < max(_REMARKABLE, _SURE * found.corner_std):
+    if abs(found.corner) < max(_REMARKABLE, SIGNIFICANT * found.corner_std):
         return None
     where = "further out" if found.corner > 0 else "further in"
     text = f"{channel} lies {abs(found.corner):.2f} ± {found.corner_std:.2f} px {where} than {reference} in the corners"

@@ -37,18 +37,18 @@ from matcam.calibration.edge.free_curve import (
 )
 from matcam.calibration.edge.geometry import TERMS, EdgeCells
 from matcam.calibration.edge.maximum_likelihood import ADDED, SHIFT, EdgeModel, Noise, lit_edge
+from matcam.calibration.photograph.uneven_light import GLARE_STD
 from matcam.core.arrays import changed, first_axis_map, last_of, linalg, repeated, slope_along, special, xp
 from matcam.numerics.linalg import lifted_inverse
+from matcam.numerics.normal import SIGNIFICANT
 
 if TYPE_CHECKING:
     from matcam.core.jax import jax
 
-FOUND = 25.0
-"""Increase of 2 ln likelihood above which glare is accepted: 5 sigma for one parameter."""
+FOUND = SIGNIFICANT**2
+"""Increase of 2 ln likelihood above which glare is accepted: that of one significant parameter."""
 GHOST_FOUND = 24.0
 """Increase of 2 ln likelihood above which a ghost is accepted. At one position, noise exceeds it with probability 1/2,000."""
-_PRIOR_GLARE = 0.1
-"""Prior standard deviation of the share of glare."""
 _PRIOR_GHOST = 0.3
 """Prior standard deviation of the coefficients of a ghost, relative to the step."""
 VEIL = 0.25
@@ -307,7 +307,7 @@ def _per_step(fit: LinearFit, strength: jax.Array, covariance: jax.Array, radius
 
 def _glare_rises(fit: LinearFit, log_radii: jax.Array) -> jax.Array:
     """Compute the increase of 2 ln likelihood by glare of each radius. Negative shares are excluded."""
-    return _rises(fit, _column(fit, log_radii[:, None])[:, None], _PRIOR_GLARE, 0.0)
+    return _rises(fit, _column(fit, log_radii[:, None])[:, None], GLARE_STD, 0.0)
 
 
 def _rises(fit: LinearFit, columns: jax.Array, std: float, least: float = -np.inf) -> jax.Array:
@@ -356,7 +356,7 @@ def _precisions() -> np.ndarray:
     # decreases as a Gaussian with a standard deviation of 1.6 s.
     core, ghosts = 0.1 * np.exp(-((CENTRES / 1.6) ** 2) / 2), np.full(GHOSTS.size, _PRIOR_GHOST)
     odd = np.minimum(core, 0.03)
-    even = np.concatenate([core, ghosts, [0.3, _PRIOR_GLARE]])
+    even = np.concatenate([core, ghosts, [0.3, GLARE_STD]])
     return np.concatenate([np.zeros(SHIFT), even**-2, odd**-2, ghosts**-2, [0.0]])
 
 

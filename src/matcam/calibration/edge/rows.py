@@ -24,7 +24,7 @@ from matcam.calibration.photograph.unnamed_mosaic import refuse_unnamed_mosaic
 from matcam.core.errors import FitError
 from matcam.core.remark import Remark
 from matcam.files.photographs import Photograph
-from matcam.numerics.normal import robust_std
+from matcam.numerics.normal import SIGNIFICANT, robust_std
 
 if TYPE_CHECKING:
     from matcam.core.jax import AnyArray
@@ -45,8 +45,6 @@ SHARPENED = 0.02
 """Overshoot, relative to the step, above which an edge is assumed to be sharpened."""
 MISFIT = 0.002
 """Misfit near the edge, relative to the step, above which a remark is given. A lens does not cause such a misfit."""
-_SIGNIFICANT = 5.0
-"""Number of standard deviations that a significant overshoot exceeds."""
 _ANYTHING = "the region may contain a ghost, a second edge, the border of a shadow or dirt"
 """Possible causes of a misfit, for a message about an edge whose content is unknown."""
 _STEEP, _ABOVE = 0.3, 4.0
@@ -54,9 +52,8 @@ _STEEP, _ABOVE = 0.3, 4.0
 _UNLIKE, _ENDS = 1.5, 0.05
 """Standard deviation of the number of steps per row above which the rows show text or a pattern; share of rows without an
 edge above which the edge ends at a corner."""
-_REPEATED, _SURE = 1.5, 5.0
-"""Thresholds for a halftone pattern: ratio of the noise variances from pixels 1 px and 2 px apart, which sharpening does not
-reach; significance of the ratio in standard deviations."""
+_REPEATED = 1.5
+"""Ratio of the noise variances of pixels 1 px and 2 px apart in a halftone. Sharpening does not reach it."""
 _SECOND = 0.3
 """Height of a second edge, relative to the step, above which it is not a ghost of the lens."""
 _UNEXPLAINED = 0.015
@@ -223,7 +220,7 @@ def refusals(
     dark, bright = found.state.linear[:, 0], found.state.linear[:, 1]
     contrast = (bright - dark) / np.maximum(found.residual, 1e-300)
     blur = np.asarray(line_width(found.free.shape))
-    over, least = found.overshoot.value, np.maximum(SHARPENED, _SIGNIFICANT * found.overshoot.std)
+    over, least = found.overshoot.value, np.maximum(SHARPENED, SIGNIFICANT * found.overshoot.std)
     width = region.step * (region.value.shape[2] - 1)
     lost = ~np.isfinite(contrast + blur + over + least) | (found.crossing < _LEAST_ROWS)
     gap = _largest_gap(region, crossings, np.nan_to_num(np.asarray(found.slope)))
@@ -292,7 +289,7 @@ def describe_content(value: np.ndarray) -> str:
     known = np.isfinite(value)
     middle = float(np.median(value[known]))
     noise = flat_noise(value, known & (value < middle), known & (value >= middle))
-    if noise.neighbour_ratio > _REPEATED and noise.apart > _SURE:
+    if noise.neighbour_ratio > _REPEATED and noise.apart > SIGNIFICANT:
         return "the region contains a pattern with a period of a few px, such as a screen or a halftone"
     slope = np.gradient(ndimage.gaussian_filter(np.where(known, value, middle), 1.0), axis=1)[:, 2:-2]
     slope = np.where(known[:, 2:-2], slope, 0.0)

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from matcam.core.arrays import FloatArray, xp
+from matcam.numerics.normal import SIGNIFICANT
 
 if TYPE_CHECKING:
     from matcam.core.jax import jax
@@ -25,10 +26,8 @@ _LOSS = 4.0
 """Relative variance of a noise variance, times the number of differences. It exceeds 2, because differences share pixels."""
 _FEWEST = 100
 """Smallest number of differences for an estimate of the noise."""
-_CORRELATED, _SURE = 0.75, 5.0
-"""Ratio of the variances of pixels 1 px and 2 px apart below which the noise is correlated; significance, standard
-deviations.
-"""
+_CORRELATED = 0.75
+"""Ratio of the variances of pixels 1 px and 2 px apart below which the noise is correlated."""
 _WIDE, _WIDE_IN_BLOCKS = 0.8, 0.65
 """Ratio of the variances of pixels 2 px and 3 px apart below which an image was denoised, without and with JPEG blocks.
 
@@ -103,7 +102,7 @@ class FlatNoise(NamedTuple):
     @property
     def smoothed(self) -> bool:
         """Check whether the noise of neighbours is correlated."""
-        return self.neighbour_ratio < _CORRELATED and 1 - self.neighbour_ratio > _SURE * self.neighbour_ratio_std
+        return self.neighbour_ratio < _CORRELATED and 1 - self.neighbour_ratio > SIGNIFICANT * self.neighbour_ratio_std
 
     @property
     def denoised(self) -> bool:

@@ -28,7 +28,7 @@ CHANNELS = ("R", "G", "B", "Y", "grey")
 """Names of colour planes; "Y" is the luminance of a colour image."""
 SMALLEST = 16
 """Smallest side of a region that is measured, px."""
-_SATURATED = 0.02
+SATURATED = 0.02
 """Share of saturated pixels above which a region is rejected."""
 _FLAT_TOP = 0.05
 """Share of pixels with the largest value above which saturation is tested."""
@@ -249,7 +249,7 @@ def region_of(
         raise ArgumentError(f"roi must be at least {SMALLEST} x {SMALLEST} px, got {width} x {height}")
     if region.saturated is not None:
         share = region.saturated.sum() / max(np.isfinite(region.values).sum(), 1)
-        if share > _SATURATED:
+        if share > SATURATED:
             raise FitError(
                 f"region is saturated: {share:.0%} of its samples are at {region.saturation:g}, the end of their range; "
                 "reduce the exposure"

@@ -25,7 +25,7 @@ _LENGTHS = (8.0, 20.0, 50.0)
 """Correlation lengths of the light that are tested, px."""
 _AMPLITUDES = np.append(0.0, 1e-3 * 2.0 ** np.arange(9))
 """Relative standard deviations of the light that are tested: 0 (even light), and 0.1 to 25 %."""
-_GLARE = 0.1
+GLARE_STD = 0.1
 """Prior standard deviation of the share of light in glare."""
 _GLARE_PROBABILITY = 0.1
 """Prior probability of glare."""
@@ -107,14 +107,14 @@ class _Family(NamedTuple):
     def by_glare(self, precision: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Compute score and information of the share of glare for every radius, (..., radii)."""
         score = np.maximum((precision * self.data) @ self.glares.T, 0.0)
-        return score, precision @ (self.glares**2).T + _GLARE**-2
+        return score, precision @ (self.glares**2).T + GLARE_STD**-2
 
     def log_evidence(self) -> FloatArray:
         """Compute the logarithm of the probability without and with glare, (2, amplitudes, noises)."""
         precision = self.precision(_AMPLITUDES[:, None, None], _NOISES[:, None])
         without = (np.log(precision) - self.data**2 * precision).sum(-1) / 2
         score, alone = self.by_glare(precision)
-        gain = logsumexp((score**2 / alone - np.log(alone * _GLARE**2)) / 2, axis=-1) - np.log(len(_RADII))
+        gain = logsumexp((score**2 / alone - np.log(alone * GLARE_STD**2)) / 2, axis=-1) - np.log(len(_RADII))
         prior = np.log([1 - _GLARE_PROBABILITY, _GLARE_PROBABILITY])[:, None, None]
         # Even light has half of the prior probability.
         uneven = np.log(np.where(_AMPLITUDES > 0, _AMPLITUDES.size - 1, 1))[:, None]

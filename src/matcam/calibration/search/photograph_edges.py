@@ -21,29 +21,27 @@ from matcam.calibration.edge.edge import AT_ONCE, EdgeSettings, edge_stack
 from matcam.calibration.edge.edge_result import EdgeStack
 from matcam.calibration.edge.rows import EdgeRegions, RegionFrame, turns_for
 from matcam.calibration.photograph.flat_noise import crushed_share
-from matcam.calibration.photograph.linear_image import LinearImage, flaw
+from matcam.calibration.photograph.linear_image import SATURATED, SMALLEST, LinearImage, flaw
 from matcam.calibration.search.edge_search import EdgePositions
 from matcam.core.errors import FitError
 from matcam.core.remark import Remark
-from matcam.numerics.normal import robust_fit
+from matcam.numerics.normal import SIGNIFICANT, robust_fit
 from matcam.numerics.polynomials import plane_powers
 
 _ROWS = (48, 64, 96, 128, 192)
 """Possible lengths of a strip across its rows, px. A small set of shapes limits the number of compiled programs."""
 _COLUMNS = (32, 48)
 """Possible lengths of the rows of a strip, px."""
-_LEAST_ROWS, _LEAST_WIDTH = 20, 16
-"""Smallest number of rows and smallest width of a strip, px."""
+_LEAST_ROWS = 20
+"""Smallest number of rows of a strip, px."""
 _FEWEST = 12
 """Smallest number of edges for the estimate of the light, which has six parameters."""
 _RANGE = 20.0
 """Ratio of brightest and darkest light above which the estimate of the light is discarded as implausible."""
-_SATURATED = 0.02
-"""Share of saturated samples above which a strip is rejected."""
 _CONTRAST = 0.2
 """Contrast (bright - dark) / (bright + dark) below which a remark is given."""
-_DIRECTIONAL, _SIGNIFICANT = 0.15, 5.0
-"""Smallest directional blur that is reported: amplitude relative to the mean variance of the blur; significance, sigma."""
+_DIRECTIONAL = 0.15
+"""Smallest directional blur that is reported: amplitude relative to the mean variance of the blur."""
 _FEW = 6
 """Smallest number of edges for the test of directional blur."""
 
@@ -94,7 +92,7 @@ def plane_edge_stack(
     known = [
         [
             Remark("saturated", f"{share:.0%} of the samples are saturated: expose less")
-            if share > _SATURATED
+            if share > SATURATED
             else flaw(value) or _crushed(value)
             for share, value in zip(shares, rows.value, strict=True)
         ]
@@ -167,7 +165,7 @@ def strips_along(edges: EdgePositions, shape: tuple[int, int]) -> Strips:
         transposed[which], (across < 0)[which], u[which] + tilt[which] * offset, v[which] + offset, tilt[which],
         size.astype(int), 2 * half[which].astype(int),
     )  # fmt: skip
-    return strips.subset(_inside(strips, shape) & (strips.rows >= _LEAST_ROWS) & (strips.width >= _LEAST_WIDTH))
+    return strips.subset(_inside(strips, shape) & (strips.rows >= _LEAST_ROWS) & (strips.width >= SMALLEST))
 
 
 def strip_regions(strips: Strips, plane: LinearImage, at_once: int) -> Iterator[tuple[EdgeRegions, np.ndarray]]:
@@ -284,7 +282,7 @@ def _directional_blur(result: EdgeStack) -> str:
     found = fit.parameters
     size = float(np.hypot(found[1], found[2]))
     std = float(np.sqrt(found[1:] @ fit.covariance[1:, 1:] @ found[1:] * max(1.0, fit.chi2)) / max(size, 1e-30))
-    if size < _DIRECTIONAL * found[0] or size < _SIGNIFICANT * std:
+    if size < _DIRECTIONAL * found[0] or size < SIGNIFICANT * std:
         return ""
     most, least = np.sqrt(found[0] + size), np.sqrt(max(found[0] - size, 0.0))
     along = np.degrees(np.arctan2(found[2], found[1]) / 2) % 180

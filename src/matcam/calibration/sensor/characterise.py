@@ -22,6 +22,7 @@ from matcam.core.remark import Remark
 from matcam.files.capture_settings import Stated
 from matcam.files.exposure_series import read_exposure_series
 from matcam.numerics.frame_noise import fixed_pattern_variance, fixed_pattern_variance_error
+from matcam.numerics.normal import SIGNIFICANT
 
 _HIDDEN = 0.24
 """Temporal variance of dark codes below which rounding hides the noise, DN^2 (EMVA 1288, 6.6)."""
@@ -239,7 +240,7 @@ def _dark_nonuniformity(reader: FrameReader, dark: Sequence[ExposureStatistics],
     """
     short, long = (pick(dark, key=lambda one: one.exposure.time) for pick in (min, max))
     current = _growth(dark, gain, lambda one: one.mean, 1)
-    if not current.value > 5 * current.std:
+    if not current.value > SIGNIFICANT * current.std:
         return _UNKNOWN
     frames = [list(reader.read(one.exposure))[:2] for one in (short, long)]
     first, second = (frames[1][k].astype(np.float64) - frames[0][k] for k in (0, 1))

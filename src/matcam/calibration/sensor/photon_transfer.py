@@ -19,6 +19,7 @@ from matcam.core.errors import FitError
 from matcam.core.remark import Remark, some_of
 from matcam.files.capture_settings import Stated
 from matcam.numerics.frame_noise import line_of_least_relative_error, not_linear
+from matcam.numerics.normal import SIGNIFICANT
 
 _FITTED = 0.7
 """Share of saturation up to which gain and responsivity are fitted (EMVA 1288, 6.6)."""
@@ -33,8 +34,6 @@ _NOT_LINEAR = 0.03
 
 The nonlinearity of sensors is below 1 %.
 """
-_SIGNIFICANT = 5.0
-"""Number of standard deviations by which the variance must decrease beyond saturation, so that noise is not mistaken for it."""
 _HALF = 0.5
 """Smallest share of the largest signal at which a sensor saturates.
 
@@ -132,7 +131,7 @@ def measure_transfer(
     variance_std = variance * np.array([one.variance_error for one in lit])
     clipped = np.array([is_clipped(one, lit) for one in lit])
     saturation = _saturation(variance)
-    falls = variance[saturation] - variance[-1] > _SIGNIFICANT * math.hypot(variance_std[saturation], variance_std[-1])
+    falls = variance[saturation] - variance[-1] > SIGNIFICANT * math.hypot(variance_std[saturation], variance_std[-1])
     saturation = saturation if falls or clipped.any() else len(lit) - 1
     beyond = np.arange(len(lit)) > saturation
     top = signal[saturation]

@@ -24,7 +24,7 @@ from matcam.calibration.targets.wave_fit import noise_from_residuals
 from matcam.core.arrays import FloatArray
 from matcam.core.errors import FitError
 from matcam.numerics.linalg import scaled_inverse
-from matcam.numerics.normal import normal_density, robust_std
+from matcam.numerics.normal import SIGNIFICANT, normal_density, robust_std
 from matcam.numerics.polynomials import plane_fit
 
 FEWEST = 9
@@ -46,11 +46,8 @@ _SETTLED = 0.01
 """Change of the variance below which the fit of a dot has converged, standard deviations."""
 _CLOSEST = 6.0
 """Smallest distance of neighbouring dots, px. The blur of closer dots overlaps."""
-_OUTLIER, _SAME = (
-    5.0,
-    0.02,
-)
-"""Outliers: deviation of sigma^2 in standard deviations; relative difference of sigma^2 that is always accepted."""
+_SAME = 0.02
+"""Relative deviation of sigma^2 up to which a dot is always accepted."""
 _AT_ONCE = 512
 """Number of dots that are processed together. It limits the memory for the tables of derivatives."""
 
@@ -350,9 +347,11 @@ def _without_outliers(fit: DotFit) -> DotFit:
     spread = np.sqrt(std**2 + robust_std(square - centre) ** 2 + (_SAME * centre) ** 2)
     moved = np.hypot(fit.parameters[:, 4] - fit.lattice.x, fit.parameters[:, 5] - fit.lattice.y)
     good = (
-        (np.abs(square - centre) < _OUTLIER * spread) & (np.abs(content / np.median(content) - 1) < 0.5) & (moved < 2)
+        (np.abs(square - centre) < SIGNIFICANT * spread)
+        & (np.abs(content / np.median(content) - 1) < 0.5)
+        & (moved < 2)
     )
-    good &= np.isfinite(std) & (square > 1.01 * _RANGE[0] ** 2) & (np.abs(content) > _OUTLIER * fit.std[:, 3])
+    good &= np.isfinite(std) & (square > 1.01 * _RANGE[0] ** 2) & (np.abs(content) > SIGNIFICANT * fit.std[:, 3])
     if good.sum() < FEWEST:
         raise FitError(
             f"only {good.sum()} of {len(good)} dots can be measured, but {FEWEST} are needed: give a sharper or larger image"

@@ -140,22 +140,24 @@ def grating_mtf(
     if grating is not None and projection is not None:
         whole = LinearImage.of(image, channel, cfa, tone)
         found, box = _expected_grating(grating, projection, whole.shape)
-        picture = region_of(whole, box)
-        fit, orders, *wave = _fit_grating(picture.values, found, grating)
-        return _grating_result(picture, fit, grating, orders, np.ones(len(orders)), *wave)
-    if contrast is None:
-        raise ArgumentError("contrast of the print must be given: (bright - dark) / (bright + dark) of linear values")
-    checks.within("contrast", contrast, 0, 1, open_low=True)
-    checks.within("duty", duty, 0, 1, open_low=True, open_high=True)
-    checks.choice("profile", profile, PROFILES)
-    # The sum of bright and dark level is arbitrary, because only ratios are used.
-    printed = Grating(
-        profile, (0, 0), (1, 1), 0.0, 1.0, 0.0, 1 - contrast, 1 + contrast, duty if profile == "lines" else 0.5
-    )
-    picture = measurable_region(image, roi, channel=channel, cfa=cfa, tone=tone)
-    fit, orders, *wave = _fit_grating(picture.values, find_grating(picture.values, near), printed)
-    # The positions of the bright lines are unknown. The MTF is assumed to be positive at the first harmonic.
-    signs = np.ones(len(orders)) if fit.coefficients[0] >= 0 else (-1.0) ** np.array(orders)
+        picture, printed = region_of(whole, box), grating
+    else:
+        if contrast is None:
+            raise ArgumentError(
+                "contrast of the print must be given: (bright - dark) / (bright + dark) of linear values"
+            )
+        checks.within("contrast", contrast, 0, 1, open_low=True)
+        checks.within("duty", duty, 0, 1, open_low=True, open_high=True)
+        checks.choice("profile", profile, PROFILES)
+        # The sum of bright and dark level is arbitrary, because only ratios are used.
+        duty = duty if profile == "lines" else 0.5
+        printed = Grating(profile, (0, 0), (1, 1), 0.0, 1.0, 0.0, 1 - contrast, 1 + contrast, duty)
+        picture = measurable_region(image, roi, channel=channel, cfa=cfa, tone=tone)
+        found = find_grating(picture.values, near)
+    fit, orders, *wave = _fit_grating(picture.values, found, printed)
+    # The positions of the bright lines may be unknown. The MTF is then assumed to be positive at the first harmonic.
+    inverted = grating is None and fit.coefficients[0] < 0
+    signs = (-1.0) ** np.array(orders) if inverted else np.ones(len(orders))
     return _grating_result(picture, fit, printed, orders, signs, *wave)
 
 

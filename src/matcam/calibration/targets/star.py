@@ -27,6 +27,7 @@ from matcam.core import checks
 from matcam.core.arrays import FloatArray
 from matcam.core.errors import FitError
 from matcam.files.photographs import Photograph
+from matcam.numerics.normal import SIGNIFICANT
 
 _HIGHEST = 0.75
 """Highest frequency of the fit, cycles/px. Above it, the MTF of cameras is too small to be measured."""
@@ -292,7 +293,7 @@ def _extrapolated_contrast(frequency: FloatArray, amplitude: FloatArray, covaria
 
     Its logarithm is modelled as an even polynomial of order 4 in the frequency.
     """
-    low = (frequency < _EXTRAPOLATED) & (amplitude > 5 * np.sqrt(np.diag(covariance)))
+    low = (frequency < _EXTRAPOLATED) & (amplitude > SIGNIFICANT * np.sqrt(np.diag(covariance)))
     if low.sum() < 3 * len(_DIRECTIONS) or frequency.min() > 0.15:
         raise FitError(
             f"the lowest frequency of the star is {frequency.min():.2f} cycles/px, too high to extrapolate its contrast to 0; "

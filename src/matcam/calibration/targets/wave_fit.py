@@ -137,21 +137,15 @@ def fit_wave(
             coefficients = np.zeros(columns.shape[1])
         level, wave = powers @ light, columns @ coefficients
         # In the first two steps the phase is fixed, and only illumination and modulation are fitted.
-        moving = step > 1
-        design = [powers * (1 + wave)[:, None], level[:, None] * columns]
-        if moving:
-            tilt = level * (slopes @ coefficients)
-            at = phase.at(parameters, x, y)
-            for i, size in enumerate(scale * 1e-4):
-                moved = parameters.copy()
-                moved[i] += size
-                design.append((tilt * wrapped(phase.at(moved, x, y) - at) / size)[:, None])
-        matrix = np.concatenate(design, axis=1)
+        tilt, at = (step > 1) * level * (slopes @ coefficients), phase.at(parameters, x, y)
+        moved = [phase.at(parameters + one, x, y) for one in np.diag(scale * 1e-4)]
+        by_phase = [tilt * wrapped(there - at) / size for there, size in zip(moved, scale * 1e-4, strict=True)]
+        matrix = np.column_stack([powers * (1 + wave)[:, None], level[:, None] * columns, *by_phase])
         # A fit requires at least 3 pixels for each parameter.
         if value.size < 3.0 * matrix.shape[1]:
             return None
         residual = value - level * (1 + wave)
-        if moving and step > 2:
+        if step > 2:
             gain, read = noise_from_residuals(residual, level * (1 + wave))
             weight = 1 / (gain * np.maximum(level * (1 + wave), 0) + read)
         normal = (matrix.T * weight) @ matrix
@@ -159,20 +153,16 @@ def fit_wave(
             return None
         inverse = scaled_inverse(normal)
         change = inverse @ (matrix.T @ (weight * residual))
-        light = light + change[: light.size]
-        coefficients = coefficients + change[light.size : light.size + coefficients.size]
-        if moving:
-            shift = change[light.size + coefficients.size :]
-            # The change of the phase is limited to the range in which the model is approximately linear.
-            shift *= min(1.0, 1.0 / max(float(np.abs(shift / scale).max()), 1e-300))
-            parameters = parameters + shift
-        else:
-            shift = np.zeros_like(scale)
+        of_light, of_wave, shift = np.split(change, [light.size, light.size + coefficients.size])
+        light, coefficients = light + of_light, coefficients + of_wave
+        # The change of the phase is limited to the range in which the model is approximately linear.
+        shift *= min(1.0, 1.0 / max(float(np.abs(shift / scale).max()), 1e-300))
+        parameters = parameters + shift
         if not (np.isfinite(change).all() and np.isfinite(parameters).all()):
             return None
         # The fit has converged if the phase changes by less than 1e-4 rad, or 0.01 rad in a preliminary fit. At least 4
         # steps are made, so that the weights follow from the noise.
-        if np.abs(shift / scale).max() < (1e-2 if rough else 1e-4) and (rough or step > 4) and moving:
+        if np.abs(shift / scale).max() < (1e-2 if rough else 1e-4) and step > (1 if rough else 4):
             break
     last = inverse[light.size + coefficients.size :, light.size + coefficients.size :]
     std = np.sqrt(np.maximum(np.diag(last), 0))

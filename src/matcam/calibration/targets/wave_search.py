@@ -125,10 +125,8 @@ def find_star(values: FloatArray, cycles: int | None = None) -> FoundStar:
     rings = _rings(filled, centre)
     if not rings:
         raise FitError("region contains no Siemens star: no ring shows a regular wave; give a region of one star")
-    votes: dict[int, float] = {}
-    for ring in rings:
-        votes[ring.cycles] = votes.get(ring.cycles, 0.0) + ring.share
-    winner = max(votes, key=lambda m: votes[m]) if cycles is None else cycles
+    votes = np.bincount([max(ring.cycles, 0) for ring in rings], [ring.share for ring in rings])
+    winner = int(votes.argmax()) if cycles is None else cycles
     agreeing = [ring for ring in rings if ring.cycles == winner]
     if len(agreeing) < 4 or winner < 8:
         raise FitError(
