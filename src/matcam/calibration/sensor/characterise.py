@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -105,9 +106,8 @@ def characterise_sensor(
         )
     bright = _chosen(stacks, planes) or _chosen(lit, planes) or lit[0]
     shade = max(dark, key=lambda one: (-abs(one.exposure.time - bright.exposure.time), len(one.exposure.files)))
-    patterns = _Patterns(reader, bright, shade)
-    dsnu = patterns.dark(gain)
-    if dsnu.value == 0:
+    patterns = _fixed_patterns(reader, bright, shade, gain)
+    if patterns["dsnu"].value == 0:
         remarks.append(Remark("dsnu-not-seen", "the dark signals of the pixels do not differ significantly"))
     judged = np.concatenate([plane.departure[plane.judged] for plane in planes])
     full_well = saturation
@@ -124,21 +124,16 @@ def characterise_sensor(
         saturation=saturation,
         saturated=saturated,
         full_well=full_well,
-        prnu=patterns.response(),
-        prnu_pixel=patterns.response(own=True),
-        dsnu=dsnu,
-        dsnu_time=float(shade.exposure.time),
         linearity_error=(float(judged.min()), float(judged.max())) if judged.size else (math.nan, math.nan),
         quantum_efficiency=_per_gain(max(plane.responsivity for plane in planes), gain)
         if series.light_unit == "photons"
         else _UNKNOWN,
         bits=bits,
         cfa=reader.cfa,
-        prnu_map=patterns.response_map(),
-        dsnu_map=patterns.dark_map(gain),
         transfers=tuple(planes),
         light_unit=series.light_unit,
         remarks=tuple(remarks),
+        **patterns,
     )
 
 
@@ -253,56 +248,53 @@ def _dark_nonuniformity(reader: FrameReader, dark: Sequence[ExposureStatistics],
     return Stated(value, value * error / (2 * covariance))
 
 
-class _Patterns:
-    """Fixed patterns of a lit and a dark exposure."""
+def _fixed_patterns(
+    reader: FrameReader, bright: ExposureStatistics, dark: ExposureStatistics, gain: Stated
+) -> dict[str, Any]:
+    """Measure the fixed patterns of a lit and of a dark exposure, by the names of `SensorCharacteristics`."""
+    exposures = bright, dark
+    means = [reader.mean(one.exposure) for one in exposures]
+    planes = [reader.planes(mean) for mean in means]
 
-    def __init__(self, reader: FrameReader, bright: ExposureStatistics, dark: ExposureStatistics):
-        self._reader, self._of = reader, (bright, dark)
-        self._mean = tuple(reader.mean(one.exposure) for one in self._of)
+    def variances(own: bool) -> np.ndarray:
+        """Compute the variances of the pixels and their errors, (exposures, planes, 2) DN^2."""
+        parts = [
+            [_variance(p, of, k, own) for k, p in enumerate(some)] for some, of in zip(planes, exposures, strict=True)
+        ]
+        return np.array(parts)
 
-    def _variance(self, which: int, plane: int, own: bool) -> Stated:
-        """Compute the variance of the pixels of a plane, DN^2; with `own`, without the part common to rows and columns."""
-        of = self._of[which]
-        mean, frames = self._reader.planes(self._mean[which])[plane], len(of.exposure.files)
-        temporal = float(of.variance[plane])
-        value = fixed_pattern_variance(float(mean.var(ddof=1)), temporal, frames)
-        if own:
-            # The means of the rows and columns reduce the degrees of freedom (EMVA 1288, 8.2.3).
-            for axis, count in enumerate(mean.shape):
-                value -= fixed_pattern_variance(float(mean.mean(axis).var()), temporal, frames * count)
-            value *= mean.size / (mean.size - sum(mean.shape))
-        return Stated(value, fixed_pattern_variance_error(value, temporal, frames, mean.size))
+    def root(square: np.ndarray, error: np.ndarray) -> Stated:
+        return _root(float(square.mean()), float(np.hypot.reduce(error)) / error.size)
 
-    def _planes(self, of: np.ndarray) -> list[float]:
-        return [float(plane.mean()) for plane in self._reader.planes(of)]
+    level = np.array([[plane.mean() for plane in some] for some in planes])
+    signal = (level[0] - level[1]) ** 2
 
-    def response(self, own: bool = False) -> Stated:
+    def response(own: bool) -> Stated:
         """Compute the relative standard deviation of the sensitivities, root mean square over the planes."""
-        level = np.subtract(self._planes(self._mean[0]), self._planes(self._mean[1]))
-        parts = [[self._variance(which, plane, own) for plane in range(len(level))] for which in (0, 1)]
-        square = [(b.value - d.value) / one**2 for b, d, one in zip(*parts, level, strict=True)]
-        error = [math.hypot(b.std, d.std) / one**2 for b, d, one in zip(*parts, level, strict=True)]
-        return _root(float(np.mean(square)), math.hypot(*error) / len(error))
+        value, error = np.moveaxis(variances(own), -1, 0)
+        return root((value[0] - value[1]) / signal, np.hypot(*error) / signal)
 
-    def dark(self, gain: Stated) -> Stated:
-        """Compute the standard deviation of the dark signals of pixels, e-."""
-        parts = [self._variance(1, plane, False) for plane in range(len(self._of[1].mean))]
-        found = _root(float(np.mean([p.value for p in parts])), math.hypot(*(p.std for p in parts)) / len(parts))
-        return _per_gain(found, gain)
+    prnu, prnu_pixel, dsnu = response(False), response(True), _per_gain(root(*variances(False)[1].T), gain)
+    light = means[0] - means[1]
+    for plane, shade in zip(reader.planes(light), planes[1], strict=True):
+        plane /= plane.mean()
+        shade -= shade.mean()
+    return {
+        "prnu": prnu, "prnu_pixel": prnu_pixel, "dsnu": dsnu, "dsnu_time": float(dark.exposure.time), "prnu_map": light,
+        "dsnu_map": means[1] / gain.value,
+    }  # fmt: skip
 
-    def response_map(self) -> np.ndarray:
-        """Compute the sensitivity of each pixel relative to the mean of its plane."""
-        light = self._mean[0] - self._mean[1]
-        for plane in self._reader.planes(light):
-            plane /= plane.mean()
-        return light
 
-    def dark_map(self, gain: Stated) -> np.ndarray:
-        """Compute the dark signal of each pixel minus the mean of its plane, e-."""
-        level = self._mean[1].copy()
-        for plane in self._reader.planes(level):
-            plane -= plane.mean()
-        return level / gain.value
+def _variance(pixels: np.ndarray, of: ExposureStatistics, plane: int, own: bool) -> Stated:
+    """Compute the variance of the mean pixels of a plane, DN^2; with `own`, without the part common to rows and columns."""
+    temporal, frames = float(of.variance[plane]), len(of.exposure.files)
+    value = fixed_pattern_variance(float(pixels.var(ddof=1)), temporal, frames)
+    if own:
+        # The means of the rows and columns reduce the degrees of freedom (EMVA 1288, 8.2.3).
+        for axis, count in enumerate(pixels.shape):
+            value -= fixed_pattern_variance(float(pixels.mean(axis).var()), temporal, frames * count)
+        value *= pixels.size / (pixels.size - sum(pixels.shape))
+    return Stated(value, fixed_pattern_variance_error(value, temporal, frames, pixels.size))
 
 
 def _root(square: float, error: float) -> Stated:
