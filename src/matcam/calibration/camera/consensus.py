@@ -31,24 +31,23 @@ _IMPOSSIBLE = 0.5
 
 def in_consensus(stacks: Sequence[EdgeStack]) -> list[EdgeStack]:
     """Mark the edges that do not agree with the others as problems."""
-    good = [stack.good for stack in stacks]
-    counts = [which.size for which in good]
-    if not sum(counts):
+    known = np.log(np.concatenate([stack.parametric.values[stack.good, 0] for stack in stacks] or [np.zeros(0)]))
+    if not known.size:
         return list(stacks)
-    value = np.concatenate([np.log(s.parametric.values[g, 0]) for s, g in zip(stacks, good, strict=True)])
-    variance = np.concatenate([s.parametric.covariance[g, 0, 0] for s, g in zip(stacks, good, strict=True)])
-    std = np.sqrt(variance) / np.exp(value)
-    middle = np.median(value)
-    scatter = robust_std(value - middle)
-    far = np.abs(value - middle) > np.maximum(SIGNIFICANT * np.hypot(std, scatter), _LEAST)
+    middle = np.median(known)
+    scatter = robust_std(known - middle)
     result = []
-    for stack, which, off in zip(stacks, good, np.split(far, np.cumsum(counts)[:-1]), strict=True):
-        impossible = stack.dark[which] < -_IMPOSSIBLE * (stack.bright[which] - stack.dark[which])
-        problems = list(stack.problems)
-        for i, blurred, wrong in zip(which, off, impossible, strict=True):
-            if blurred or wrong:
-                text = "its dark level is negative" if wrong else "its blur differs from that of the other edges"
-                problems[i] = Remark("no-consensus", text)
+    for stack in stacks:
+        sigma = stack.parametric.values[:, 0]
+        std = np.sqrt(stack.parametric.covariance[:, 0, 0]) / sigma
+        far = np.abs(np.log(sigma) - middle) > np.maximum(SIGNIFICANT * np.hypot(std, scatter), _LEAST)
+        impossible = stack.dark < -_IMPOSSIBLE * (stack.bright - stack.dark)
+        reasons = np.where(far, "its blur differs from that of the other edges", "")
+        reasons = np.where(impossible, "its dark level is negative", reasons).tolist()
+        problems = [
+            problem or (Remark("no-consensus", reason) if reason else None)
+            for problem, reason in zip(stack.problems, reasons, strict=True)
+        ]
         result.append(replace(stack, problems=tuple(problems)))
     return result
 

@@ -222,22 +222,17 @@ def _registration_through(
     # The height of pages on a table is typically 2 % of the camera distance.
     prior = np.concatenate([[0.1, 0.1], np.full(3, 0.02), [1.0, 1.0]])
     size = np.append(np.maximum(np.abs(start[:8]), 1e-6), prior)
-    along = None
-    if sides is not None and sides.found.any():
-        known = sides.found
-        # Sides have a standard deviation of 0.3 px; their total weight is at most that of 100 positions, so that they
-        # do not outweigh the fiducials.
-        std = 0.3 * np.sqrt(max(known.sum() / 100, 1.0))
-        along = sides.page[known], sides.seen[known], sides.normal[known], std
+    none = (np.zeros((0, 2)),) * 3
+    at, there, normal = none if sides is None else (a[sides.found] for a in (sides.page, sides.seen, sides.normal))
+    # Sides have a standard deviation of 0.3 px; their total weight is at most that of 100 positions, so that they do not
+    # outweigh the fiducials.
+    std = 0.3 * np.sqrt(max(len(at) / 100, 1.0))
 
     def residual(p: FloatArray) -> FloatArray:
         whole = p * size
+        off = ((_project(whole, at, shape, page) - there) * normal).sum(1)
         # Marks have a standard deviation of 0.2 px about the model of a curved page.
-        parts = [((_project(whole, positions, shape, page) - seen) / 0.2).ravel(), p[8:]]
-        if along is not None:
-            off = ((_project(whole, along[0], shape, page) - along[1]) * along[2]).sum(1)
-            parts.append(off / along[3])
-        return np.concatenate(parts)
+        return np.concatenate([((_project(whole, positions, shape, page) - seen) / 0.2).ravel(), p[8:], off / std])
 
     # The robust loss reduces the weight of wrong positions on sides that are partly covered.
     fit = least_squares(residual, start / size, x_scale="jac", loss="soft_l1", f_scale=3.0)

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -40,7 +40,6 @@ from matcam.core.registry import PARAMETRIC_LENSES
 from matcam.core.remark import Remark
 from matcam.files.photographs import Photograph
 
-T = TypeVar("T")
 AT_ONCE = 10
 """Number of edges that are processed together. Their data fit into the cache of the processor."""
 _WIDEST = 0.1
@@ -212,12 +211,10 @@ def edge_stack(
     """
     # For fewer than 500 edges, compiling takes longer than it saves.
     fit = _compiled_fits if len(regions) * AT_ONCE >= 500 else _fits
-    chunks: list[EdgeFits] = []
-    frames: list[RegionFrame] = []
+    chunks: list[tuple[EdgeFits, RegionFrame, np.ndarray]] = []
     problems: list[Remark | None] = []
     even: list[EdgeRegions] = []
     lights: list[LightField | None] = []
-    clearances: list[np.ndarray] = []
     for given, known in regions:
         rows, fits = given, fit(given, settings)
         if even_light:
@@ -232,25 +229,20 @@ def edge_stack(
         if settings.lens.name != "gaussian":
             of_lens = lambda edge: lens_fit(edge, np.float64(settings.half_width), settings.lens)  # noqa: E731
             fits = fits._replace(parametric=_of_each(len(fits.outliers), of_lens, fits))
-        chunks.append(fits)
         crossings = given.crossings(fits)
-        clearances.append(clearance(fits, given, crossings))
-        refused = refusals(fits, given, crossings, clearances[-1], accept_sharpened=settings.accept_sharpened)
+        clear = clearance(fits, given, crossings)
+        refused = refusals(fits, given, crossings, clear, accept_sharpened=settings.accept_sharpened)
         problems += [before or refusal for before, refusal in zip(known, refused, strict=True)]
-        frames.append(RegionFrame(*(np.broadcast_to(column, len(rows.value)) for column in rows.frame)))
-    fits, frame = _joined(chunks), _joined(frames)
+        frame = RegionFrame(*(np.broadcast_to(column, len(rows.value)) for column in rows.frame))
+        chunks.append((fits, frame, clear))
+    fits, frame, clear = tuple_map(lambda *a: np.concatenate(a), *chunks)
     stack = stack_result(fits, frame, settings.lens, settings.half_width, tuple(problems))
-    return with_traces(stack, even, lights, np.concatenate(clearances)) if even_light else stack
+    return with_traces(stack, even, lights, clear) if even_light else stack
 
 
 def _placed(rows: EdgeRegions, x: ArrayLike, y: ArrayLike) -> EdgeRegions:
     """Shift the frames of regions by the positions of their first pixels in the photograph, px."""
     return rows._replace(frame=rows.frame._replace(x=rows.frame.x + np.asarray(x), y=rows.frame.y + np.asarray(y)))
-
-
-def _joined(parts: list[T]) -> T:
-    """Concatenate the arrays of tuples."""
-    return parts[0] if len(parts) == 1 else tuple_map(lambda *a: np.concatenate(a), *parts)
 
 
 def _of_each(count: int, function: Callable[..., Any], *edges: Any) -> Any:

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import logsumexp, ndtr
 
-from matcam.core.arrays import FloatArray
+from matcam.core.arrays import FloatArray, first_axis_map
 from matcam.numerics.polynomials import plane_powers
 
 _SMALLEST_BIN = 4.0
@@ -182,11 +182,9 @@ def light_field(
         return LightField(factor, addend, 0.0, possible) if glare else None
     weights = best.weights(power, unexplained, glaring)
     light = power**2 * (best.seen @ weights)
-    # a correlation with all bins takes a few kB for each pixel, so a large region is evaluated in parts
-    parts = [slice(first, first + _AT_ONCE) for first in range(0, value.size, _AT_ONCE)]
-    flat = x.ravel(), y.ravel()
-    at_pixels = [_correlation(flat[0][part], flat[1][part], bins, best.length) @ light for part in parts]
-    field = np.concatenate(at_pixels).reshape(value.shape)
+    # A correlation with all bins requires a few kB for each pixel.
+    at_pixels = lambda x, y: _correlation(x, y, bins, best.length) @ light  # noqa: E731
+    field = first_axis_map(at_pixels, (x.ravel(), y.ravel()), _AT_ONCE).reshape(value.shape)
     # The polynomials are fitted to the bins after subtracting the light.
     by_light = _correlation(bins.x, bins.y, bins, best.length) @ light * (step if best.adds else bins.level)
     left = (bins.value - by_light) / bins.std - unexplained * (basis @ weights)

@@ -122,13 +122,15 @@ def measure_transfer(
     own_dark = [
         min(dark, key=lambda d: (abs(d.exposure.time - one.exposure.time), -len(d.exposure.files))) for one in lit
     ]
-    dark_level = np.array([d.mean[plane] for d in own_dark])
-    dark_variance = np.array([d.variance[plane] for d in own_dark])
-    dark_variance_std = dark_variance * np.array([d.variance_error for d in own_dark])
-    light = np.array([one.light for one in lit])
-    signal = np.array([one.mean[plane] for one in lit]) - dark_level
-    variance = np.array([one.variance[plane] for one in lit])
-    variance_std = variance * np.array([one.variance_error for one in lit])
+
+    def columns(some: Sequence[ExposureStatistics]) -> np.ndarray:
+        rows = [(of.light, of.exposure.time, of.mean[plane], of.variance[plane], of.variance_error) for of in some]
+        return np.array(rows).T
+
+    light, times, mean, variance, variance_error = columns(lit)
+    _, _, dark_level, dark_variance, dark_error = columns(own_dark)
+    variance_std, dark_variance_std = variance * variance_error, dark_variance * dark_error
+    signal = mean - dark_level
     clipped = np.array([is_clipped(one, lit) for one in lit])
     saturation = _saturation(variance)
     falls = variance[saturation] - variance[-1] > SIGNIFICANT * math.hypot(variance_std[saturation], variance_std[-1])
@@ -141,7 +143,7 @@ def measure_transfer(
             f"increases to {signal.max():.0f} DN: a tone curve was applied to the frames; give raw frames"
         )
     inside = (signal >= _LINEAR[0] * top) & (signal <= _LINEAR[1] * top) & ~beyond & ~clipped
-    mean_std = np.sqrt(variance) / np.array([one.pixels for one in lit]) ** 0.5
+    mean_std = np.sqrt(variance / [one.pixels for one in lit])
     departure, outside = _departures(light, signal, mean_std, inside)
     used = (signal <= _FITTED * top) & ~beyond & ~clipped & ~outside
     remarks = _remarks(lit, beyond | clipped, outside, departure)
@@ -152,7 +154,6 @@ def measure_transfer(
             f"least {_FEWEST} are needed: {left}"
         )
     responsivity = _through_origin(light[used], signal[used])
-    times = np.array([one.exposure.time for one in lit])
     transfer = Transfer(
         light=light,
         time=times,
