@@ -38,7 +38,7 @@ from matcam.calibration.edge.free_curve import (
 from matcam.calibration.edge.geometry import TERMS, EdgeCells
 from matcam.calibration.edge.maximum_likelihood import ADDED, SHIFT, EdgeModel, Noise, lit_edge
 from matcam.calibration.photograph.uneven_light import GLARE_STD
-from matcam.core.arrays import changed, first_axis_map, last_of, linalg, repeated, slope_along, special, xp
+from matcam.core.arrays import changed, first_axis_map, last_of, linalg, slope_along, special, xp
 from matcam.numerics.linalg import lifted_inverse
 from matcam.numerics.normal import SIGNIFICANT
 
@@ -262,21 +262,16 @@ def glare_candidate(fit: LinearFit) -> tuple[jax.Array, jax.Array]:
 
 def curve_with_glare(fit: LinearFit, log_radius: jax.Array) -> FreeCurve:
     """Fit the curve with glare, whose radius is a further parameter. `log_radius`: ln of the initial radius in px."""
-
-    def refine(at: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-        middle, width = at
-        nearby = middle + width / 2 * xp.array([-1.0, 0.0, 1.0])
-        three = _glare_rises(fit, nearby)
-        curvature = three[0] - 2 * three[1] + three[2]
-        vertex = middle + width / 2 * xp.clip(
-            (three[0] - three[2]) / xp.where(curvature < 0, 2 * curvature, -1.0), -1, 1
-        )
-        better = xp.where(curvature < 0, vertex, nearby[xp.argmax(three)])
-        return xp.clip(better, radii[0], radii[-1]), width / 2
-
     radii = _radii(fit.shape)
-    # Each refinement halves the interval about the best radius.
-    log_radius, _ = repeated(3, refine, (log_radius, radii[1] - radii[0]))
+    # Of 17 radii about the best one, three determine a parabola.
+    step = (radii[1] - radii[0]) / 8
+    nearby = log_radius + step * np.arange(-8, 9)
+    rises = _glare_rises(fit, nearby)
+    best = xp.clip(xp.argmax(rises), 1, 15)
+    before, at, after = (xp.take(rises, best + k) for k in (-1, 0, 1))
+    bend = before - 2 * at + after
+    vertex = xp.clip((before - after) / xp.where(bend < 0, 2 * bend, -xp.inf), -1, 1)
+    log_radius = xp.clip(xp.take(nearby, best) + step * vertex, radii[0], radii[-1])
     glaring = fit.solved(changed(fit.columns, _COLUMN, _column(fit, log_radius)))
     slope = slope_along(lambda r: _column(fit, r), log_radius, 1.0)
     # The radius is already optimal: the additional column only provides its covariance.

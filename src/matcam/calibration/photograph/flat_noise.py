@@ -235,9 +235,9 @@ def _grid(value: FloatArray, sides: list[np.ndarray]) -> float:
         mean = squared.sum() / max(both.sum(), 1)
         if mean > 0:
             relative = np.minimum(squared / mean, _LARGEST)
-            for phase in range(BLOCK):
-                total[phase] += relative[:, phase::BLOCK].sum()
-                count[phase] += both[:, phase::BLOCK].sum()
+            phase = np.arange(both.shape[1]) % BLOCK
+            total += np.bincount(phase, relative.sum(0), BLOCK)
+            count += np.bincount(phase, both.sum(0), BLOCK)
     if count.min() < _FEWEST / BLOCK:
         return 1.0
     mean = total / count

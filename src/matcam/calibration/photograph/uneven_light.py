@@ -12,6 +12,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from scipy import ndimage
 from scipy.special import logsumexp, ndtr
 
 from matcam.core.arrays import FloatArray, first_axis_map
@@ -263,11 +264,8 @@ def _bins(
     count = np.bincount(name)
     mean = np.bincount(name, some) / np.maximum(count, 1)
     std = np.sqrt(np.maximum(noise[0] * np.maximum(mean, 0) + noise[1] ** 2, 1e-300))
-    # The first estimate of each bin is its median, which is robust to dust and hot pixels. The integer part of a key is
-    # the bin, and its fraction the value, so that one sort serves all bins.
-    least, extent = some.min(), 2 * max(float(np.ptp(some)), 1e-300)
-    keys = np.sort(name + (some - least) / extent)
-    middle = least + extent * (keys[np.minimum(np.cumsum(count) - (count + 1) // 2, some.size - 1)] % 1.0)
+    # The first estimate of each bin is its median, which is robust to dust and hot pixels.
+    middle = ndimage.median(some, name, np.arange(count.size))
     used = np.abs(some - middle[name]) < _CLIPPED * std[name] * (1 + 1 / np.sqrt(count[name]))
     good = np.bincount(name, used) >= np.maximum(0.5 * count, 6)
     if good.sum() < _FEWEST_BINS:

@@ -135,11 +135,7 @@ class SensorCharacteristics(Summarised):
     @property
     def _offset_nonuniformity(self) -> float:
         """Standard deviation of the offsets of pixels, e-: `dsnu` without the contribution of the dark currents."""
-        current, relative = (
-            max(np.nan_to_num(self.dark_current.value), 0.0),
-            np.nan_to_num(self.dark_nonuniformity.value),
-        )
-        grown = relative * current * self.dsnu_time
+        grown = np.nan_to_num(self.dark_nonuniformity.value * max(self.dark_current.value, 0.0)) * self.dsnu_time
         return math.sqrt(max(self.dsnu.value**2 - grown**2, 0.0))
 
     def snr(self, signal: np.ndarray) -> np.ndarray:
