@@ -28,10 +28,12 @@ from matcam.core.arrays import FloatArray
 from matcam.numerics.crossing import first_fall
 from matcam.numerics.polynomials import plane_orders
 
-LAGS = ((0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (2, 0), (1, 2), (2, 1), (1, -2), (2, -1), (2, 2), (2, -2))
-"""Offsets (rows, columns) of the pixels whose correlation is compared with that of filters, px."""
-_FAR_LAGS = ((0, 5), (5, 0), (4, 4), (4, -4), (0, 6), (6, 0))
-"""Offsets of pixels that no filter correlates, px. Uneven light causes their correlation."""
+LAGS = (
+    *((0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (2, 0), (1, 2), (2, 1), (1, -2), (2, -1), (2, 2), (2, -2)),
+    *((0, 5), (5, 0), (4, 4), (4, -4), (0, 6), (6, 0)),
+)
+"""Offsets (rows, columns) of the pixels whose correlation is compared with that of filters, px. Uneven light, but hardly any
+filter, correlates the distant ones."""
 _NO_FILTER = 0.95
 """Prior probability that no filter was applied to an image."""
 _LARGEST = 4.0
@@ -57,7 +59,7 @@ AMOUNT, RADIUS = 0.1, 1.0
 
 
 class Correlations(NamedTuple):
-    """Correlations of the noise of pixels at the offsets of `LAGS` and `_FAR_LAGS`, and numbers of pairs: (lags,) each."""
+    """Correlations of the noise of pixels at the offsets of `LAGS`, and numbers of pairs: (lags,) each."""
 
     value: FloatArray
     pairs: FloatArray
@@ -115,7 +117,7 @@ def correlations(value: FloatArray, sides: tuple[np.ndarray, np.ndarray]) -> Cor
         sides: masks of its dark and its bright flat side (height, width).
 
     Returns:
-        Correlations of pixels at all offsets of `LAGS` and `_FAR_LAGS`.
+        Correlations of pixels at all offsets of `LAGS`.
     """
     noise, there = np.zeros(value.shape), np.zeros(value.shape)
     for side in sides:
@@ -151,10 +153,10 @@ def _smooth_light(value: FloatArray, side: np.ndarray) -> FloatArray:
 
 
 def _sums_of_products(values: FloatArray) -> FloatArray:
-    """Compute the sums of the products of all pixels at the offsets of `LAGS` and `_FAR_LAGS`."""
+    """Compute the sums of the products of all pixels at the offsets of `LAGS`."""
     height, width = values.shape
-    first = (values[: height - dy, max(-dx, 0) : width - max(dx, 0)] for dy, dx in LAGS + _FAR_LAGS)
-    second = (values[dy:, max(dx, 0) : width + min(dx, 0)] for dy, dx in LAGS + _FAR_LAGS)
+    first = (values[: height - dy, max(-dx, 0) : width - max(dx, 0)] for dy, dx in LAGS)
+    second = (values[dy:, max(dx, 0) : width + min(dx, 0)] for dy, dx in LAGS)
     return np.array([np.einsum("ij,ij", a, b) for a, b in zip(first, second, strict=True)])
 
 
@@ -163,7 +165,7 @@ def _log_likelihoods(seen: Correlations) -> FloatArray:
     expected = _filters().correlation
     # Variance of a correlation after a filter (Bartlett 1946), and by uneven light. One basis serves all filters.
     spread = 1 + 2 * (expected**2).sum(1, keepdims=True)
-    apart = np.hypot(*np.array(LAGS + _FAR_LAGS).T)
+    apart = np.hypot(*np.array(LAGS).T)
     unit = np.sqrt(np.maximum(seen.pairs, 1.0))
     # Uneven light causes correlations with a standard deviation of 0.03, which decrease over 8, 20 or 1000 px.
     light = 0.03 * np.exp(-apart / np.array((8.0, 20.0, 1e3))[:, None]) * unit
@@ -287,7 +289,7 @@ def _filters() -> _Filters:
     near = covariance[:, *np.transpose(LAGS)] / covariance[:, :1, 0]
     priors = [(1 - _NO_FILTER) / len(families) / len(family) for family in families for _ in family]
     return _Filters(
-        np.pad(near, ((1, 0), (0, len(_FAR_LAGS)))),
+        np.pad(near, ((1, 0), (0, 0))),
         np.array([np.ones(_GRID // 2 + 1), *transfer]),
         np.array([_NO_FILTER, *priors]),
     )

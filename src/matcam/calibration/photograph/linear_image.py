@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import ndimage
 
-from matcam.calibration.photograph.tone import Tone, assumed_tone, is_linear, linear_values
+from matcam.calibration.photograph.tone import Tone, assumed_tone, is_named, linear_values
 from matcam.core import checks
 from matcam.core.arrays import FloatArray
 from matcam.core.errors import ArgumentError, FitError
@@ -156,8 +156,7 @@ class LinearImage:
         if cfa is not None:
             checks.choice("cfa", cfa, CFAS)
         if isinstance(image, LinearImage):
-            own = is_linear(tone) or (isinstance(tone, str) and tone == "auto")
-            if channel is not None or cfa is not None or not own:
+            if channel is not None or cfa is not None or not is_named(tone, "linear", "auto"):
                 raise ArgumentError("channel, cfa and tone are already specified by the LinearImage: omit them")
             return image.cut(roi)
         photograph = image if isinstance(image, Photograph) else as_photograph(image, "image must be numbers", (3, 4))
@@ -165,9 +164,9 @@ class LinearImage:
         codes = photograph.values[y : y + height, x : x + width]
         mosaic = cfa or photograph.cfa
         remarks: tuple[Remark, ...] = ()
-        if isinstance(tone, str) and tone == "auto":
+        if is_named(tone, "auto"):
             tone, remarks = assumed_tone(photograph, mosaic=mosaic is not None)
-        if photograph.cfa is not None and not is_linear(tone):
+        if photograph.cfa is not None and not is_named(tone, "linear"):
             raise ArgumentError("camera raw is linear and has no tone curve: omit tone")
         if codes.ndim == 3:
             if mosaic is not None:
@@ -323,7 +322,7 @@ def planes_of(
     for channel in channels or ():
         if channel not in there and not (channel == "Y" and photograph.values.ndim == 3):
             raise ArgumentError(f"channel {channel!r} is not in this image; it has {', '.join(there)}")
-    if photograph.cfa is not None and not is_linear(tone) and not (isinstance(tone, str) and tone == "auto"):
+    if photograph.cfa is not None and not is_named(tone, "linear", "auto"):
         raise ArgumentError("camera raw is linear and has no tone curve: omit tone")
     names = there if channels is None else channels
     return (LinearImage.of(photograph, name, cfa, tone, f_number=f_number, source=source) for name in names)

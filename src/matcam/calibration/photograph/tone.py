@@ -23,9 +23,9 @@ _GAMMAS = (0.2, 5.0)
 """Smallest and largest gamma that is accepted. Values outside this range are assumed to be mistakes."""
 
 
-def is_linear(tone: Tone) -> bool:
-    """Check whether a tone curve does not change codes."""
-    return isinstance(tone, str) and tone == "linear"
+def is_named(tone: Tone, *names: str) -> bool:
+    """Check whether a tone curve is one of several named ones."""
+    return isinstance(tone, str) and tone in names
 
 
 def assumed_tone(photograph: Photograph, *, mosaic: bool = False) -> tuple[str, tuple[Remark, ...]]:
@@ -46,14 +46,14 @@ def linear_values(codes: np.ndarray, tone: Tone, channel: int | None = None) -> 
     Full scale is the largest value of an integer data type, or 1 for floats. `channel`: column of a table with three
     columns that applies to this plane. An ArgumentError is raised if the tone curve does not match the image.
     """
-    if is_linear(tone):
+    if is_named(tone, "linear"):
         return codes.astype(np.float64)
-    if isinstance(tone, str) or tone is None:
-        if tone != "srgb":
-            raise ArgumentError(
-                f"tone must be 'auto', 'linear', 'srgb', a gamma or a table of linear values by code, got {tone!r}"
-            )
+    if is_named(tone, "srgb"):
         return _by_code(codes, srgb.decoded)
+    if isinstance(tone, str) or tone is None:
+        raise ArgumentError(
+            f"tone must be 'auto', 'linear', 'srgb', a gamma or a table of linear values by code, got {tone!r}"
+        )
     if np.ndim(tone) == 0:
         gamma = float(np.asarray(tone, dtype=np.float64))
         if not _GAMMAS[0] <= gamma <= _GAMMAS[1]:

@@ -28,8 +28,6 @@ from matcam.files.photographs import Photograph
 from matcam.numerics.normal import robust_fit
 from matcam.numerics.polynomials import plane_powers
 
-_FIELD = 6
-"""Number of terms of the variance over the field, a polynomial of second order."""
 _FREQUENCY = np.array([0.2, 0.2, 0.4, 0.4, 0.4])
 """Frequencies of the reported MTF, cycles/px. There is one for each derivative in `SHARED`."""
 _DIRECTION = np.radians([0.0, 90.0, 0.0, 90.0, 45.0])
@@ -76,10 +74,10 @@ class BlurField:
         middle = (float((x.min() + x.max()) / 2), float((y.min() + y.max()) / 2))
         half = float(max(np.ptp(x), np.ptp(y)) / 2)
         terms = plane_powers((x - middle[0]) / half, (y - middle[1]) / half, 2)
-        terms = terms[:, : _FIELD if len(x) >= 4 * _FIELD else 1]
+        terms = terms[:, : 6 if len(x) >= 24 else 1]
         # All dots get the same standard deviation. Individual ones would favour dots that are sharp by chance.
         fit = robust_fit(terms, variance, float(np.median(std)))
-        more = (0, _FIELD - terms.shape[1])
+        more = (0, 6 - terms.shape[1])
         found, covariance = np.pad(fit.parameters, more), np.pad(fit.covariance, (more, more))
         return cls(found, covariance, middle, half)
 
