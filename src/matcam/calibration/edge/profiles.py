@@ -12,7 +12,7 @@ the core may have an excess kurtosis, with a prior centred on 0. Its uncertainty
 from __future__ import annotations
 
 from abc import abstractmethod
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import TYPE_CHECKING, ClassVar
 
 from matcam.calibration.edge.geometry import EdgeCells
@@ -68,7 +68,41 @@ class LensModel(Module):
 
         `angle`: angle between the edge normal and the grid, rad. `half_width`: half width of the pixel, px.
         """
-        return lambda cells, parameters: _tabulated(self, angle, half_width, cells, parameters)
+        return partial(self.response, angle=angle, half_width=half_width)
+
+    def response(
+        self, cells: EdgeCells, parameters: jax.Array, angle: jax.Array, half_width: jax.Array
+    ) -> tuple[jax.Array, jax.Array, jax.Array]:
+        """Evaluate E, dE/dd and dE/dparameters by interpolation in a table over one period."""
+        count = _PERIOD * _PER_PX
+        f = xp.arange(count // 2 + 1) / _PERIOD
+
+        def table(parameters: jax.Array) -> tuple[jax.Array, jax.Array]:
+            """Tabulate E minus its linear ramp, and dE/dd, at steps of 1/16 px."""
+            total = self.mtf(parameters, f, angle, half_width)
+            line = fft.irfft(total, count) * _PER_PX
+            wave = xp.where(f > 0, total / (2j * xp.pi * xp.where(f > 0, f, 1.0)), 0.0)
+            return fft.irfft(wave, count) * _PER_PX, line
+
+        half = xp.sqrt(cells.spread)
+        position = xp.stack([cells.distance - half, cells.distance + half]) * _PER_PX
+        left = xp.floor(position).astype(int)
+        t = position - left
+        left, right = left % count, (left + 1) % count
+
+        def over_cells(values: jax.Array, slopes: jax.Array) -> jax.Array:
+            """Interpolate at the two points of each bin by cubic Hermite polynomials, and average."""
+            slopes = slopes / _PER_PX
+            a, b = values[left], values[right]
+            cubic = a + (b - a) * t**2 * (3 - 2 * t) + t * (1 - t) * (slopes[left] * (1 - t) - slopes[right] * t)
+            return cubic.mean(0)
+
+        (edge, line), (edge_by, line_by) = table(parameters), jacobian(table, parameters)
+        ramp = 0.5 + cells.distance / _PERIOD
+        level = line - 1 / _PERIOD
+        slope = (line[left] * (1 - t) + line[right] * t).mean(0)
+        by = xp.stack([over_cells(edge_by[..., k], line_by[..., k]) for k in range(parameters.size)])
+        return ramp + over_cells(edge, level), slope, by
 
     def mtf(self, parameters: jax.Array, f: jax.Array, angle: jax.Array, half_width: jax.Array) -> jax.Array:
         """Compute the signed total MTF at f cycles/px."""
@@ -94,17 +128,15 @@ class Gaussian(LensModel):
         """Return `GaussianOptics`."""
         return GaussianOptics(xp.exp(parameters[0]))
 
-    def profile(self, angle: jax.Array, half_width: jax.Array) -> Profile:
-        """Return the edge profile in closed form.
+    def response(
+        self, cells: EdgeCells, parameters: jax.Array, angle: jax.Array, half_width: jax.Array
+    ) -> tuple[jax.Array, jax.Array, jax.Array]:
+        """Evaluate E, dE/dd and dE/dparameters in closed form.
 
         The variance of the distances in a bin acts as an additional Gaussian blur.
         """
-
-        def profile(cells: EdgeCells, parameters: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-            edge, line, by_log = _gaussian_edge(cells, angle, half_width, parameters[0])
-            return edge, line, by_log[None]
-
-        return profile
+        edge, line, by_log = _gaussian_edge(cells, angle, half_width, parameters[0])
+        return edge, line, by_log[None]
 
 
 class GaussianWithHalo(LensModel):
@@ -130,17 +162,14 @@ class GaussianWithHalo(LensModel):
         sigma, fraction, radius = self.numbers(parameters)
         return HaloOptics(GaussianOptics(sigma), fraction, radius)
 
-    def profile(self, angle: jax.Array, half_width: jax.Array) -> Profile:
-        """Return the edge profile in closed form."""
-
-        def profile(cells: EdgeCells, parameters: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-            core = _gaussian_edge(cells, angle, half_width, parameters[0])
-            halo = _gaussian_edge(cells, angle, half_width, parameters[2])
-            fraction = parameters[1]
-            edge, line = ((1 - fraction) * c + fraction * h for c, h in zip(core[:2], halo[:2], strict=True))
-            return edge, line, xp.stack([(1 - fraction) * core[2], halo[0] - core[0], fraction * halo[2]])
-
-        return profile
+    def response(
+        self, cells: EdgeCells, parameters: jax.Array, angle: jax.Array, half_width: jax.Array
+    ) -> tuple[jax.Array, jax.Array, jax.Array]:
+        """Evaluate E, dE/dd and dE/dparameters in closed form."""
+        core, halo = (_gaussian_edge(cells, angle, half_width, parameters[k]) for k in (0, 2))
+        fraction = parameters[1]
+        edge, line = ((1 - fraction) * c + fraction * h for c, h in zip(core[:2], halo[:2], strict=True))
+        return edge, line, xp.stack([(1 - fraction) * core[2], halo[0] - core[0], fraction * halo[2]])
 
 
 class Diffraction(LensModel):
@@ -269,41 +298,6 @@ def _gaussian_edge(
     wide = xp.sqrt(sigma**2 + cells.spread)
     edge, line, by_wide = edge_and_slopes(cells.distance, angle, half_width, wide)
     return edge, line, by_wide * sigma**2 / wide
-
-
-def _tabulated(
-    lens: LensModel, angle: jax.Array, half_width: jax.Array, cells: EdgeCells, parameters: jax.Array
-) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Evaluate E, dE/dd and dE/dparameters of any lens by interpolation in a table over one period."""
-    count = _PERIOD * _PER_PX
-    f = xp.arange(count // 2 + 1) / _PERIOD
-
-    def table(parameters: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Tabulate E minus its linear ramp, and dE/dd, at steps of 1/16 px."""
-        total = lens.mtf(parameters, f, angle, half_width)
-        line = fft.irfft(total, count) * _PER_PX
-        wave = xp.where(f > 0, total / (2j * xp.pi * xp.where(f > 0, f, 1.0)), 0.0)
-        return fft.irfft(wave, count) * _PER_PX, line
-
-    half = xp.sqrt(cells.spread)
-    position = xp.stack([cells.distance - half, cells.distance + half]) * _PER_PX
-    left = xp.floor(position).astype(int)
-    t = position - left
-    left, right = left % count, (left + 1) % count
-
-    def over_cells(values: jax.Array, slopes: jax.Array) -> jax.Array:
-        """Interpolate at the two points of each bin by cubic Hermite polynomials, and average."""
-        slopes = slopes / _PER_PX
-        a, b = values[left], values[right]
-        cubic = a + (b - a) * t**2 * (3 - 2 * t) + t * (1 - t) * (slopes[left] * (1 - t) - slopes[right] * t)
-        return cubic.mean(0)
-
-    (edge, line), (edge_by, line_by) = table(parameters), jacobian(table, parameters)
-    ramp = 0.5 + cells.distance / _PERIOD
-    level = line - 1 / _PERIOD
-    slope = (line[left] * (1 - t) + line[right] * t).mean(0)
-    by = xp.stack([over_cells(edge_by[..., k], line_by[..., k]) for k in range(parameters.size)])
-    return ramp + over_cells(edge, level), slope, by
 
 
 def _variance(parameters: jax.Array) -> jax.Array:
