@@ -179,7 +179,7 @@ def radial_distortion(positions: FloatArray, seen: FloatArray, shape: tuple[int,
     size = np.append(np.maximum(np.abs(start[:8]), 1e-6), 0.01)
 
     def off(p: FloatArray) -> FloatArray:
-        return np.asarray((_project(np.append(p * size, 0.0), at, (shape[0], shape[1])) - seen).ravel())
+        return (_project(np.append(p * size, 0.0), at, (shape[0], shape[1])) - seen).ravel()
 
     plain = least_squares(off, start / size, x_scale="jac")
     # Wrong positions have little weight.

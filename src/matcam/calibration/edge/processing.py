@@ -383,7 +383,7 @@ def _shoulder_undone(response: FloatArray, lowest: float, curvature: float) -> F
     ends, middle = np.tanh(shoulders * lowest), np.tanh(shoulders * (1 + lowest) / 2)
     curvatures = 4 * ((middle - ends) / (np.tanh(shoulders) - ends) - 0.5)
     b = float(np.interp(curvature, curvatures, shoulders))
-    return np.asarray(np.arctanh(np.tanh(b * lowest) + (np.tanh(b) - np.tanh(b * lowest)) * response) / b)
+    return np.arctanh(np.tanh(b * lowest) + (np.tanh(b) - np.tanh(b * lowest)) * response) / b
 
 
 def _effect_of_tone(edge: EdgeMTF, undone: Callable[[FloatArray], FloatArray]) -> float:
@@ -409,7 +409,7 @@ def _effect_of_crushing(region: _EdgeRegion) -> float:
     d, value, weight = cells.distance[used], cells.value[used], 1 / np.maximum(cells.std[used], 1e-3)
 
     def cut(p: np.ndarray) -> np.ndarray:
-        return np.asarray((np.maximum(ndtr((d - p[0]) / p[1]) - p[2], 0) / (1 - p[2]) - value) * weight)
+        return (np.maximum(ndtr((d - p[0]) / p[1]) - p[2], 0) / (1 - p[2]) - value) * weight
 
     plain = least_squares(lambda p: cut(np.append(p, 0.0)), [0.0, blur], bounds=([-5, 0.05], [5, 50]))
     starts = ([0.0, max(blur, 0.06), share] for share in (0.02, 0.1, 0.3))

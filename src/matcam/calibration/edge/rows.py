@@ -133,7 +133,7 @@ class EdgeRegions(NamedTuple):
     def crossings(self, fits: EdgeFits) -> np.ndarray:
         """Compute the positions at which the edges of all regions cross the rows (n, rows), px."""
         powers = legendre(self.y / np.asarray(fits.length)[:, None], CURVE)
-        return np.asarray(np.einsum("nk,knr->nr", np.nan_to_num(np.asarray(fits.curve)), powers))
+        return np.einsum("nk,knr->nr", np.nan_to_num(np.asarray(fits.curve)), powers)
 
 
 def edge_region(
@@ -321,7 +321,7 @@ def clearance(found: EdgeFits, region: EdgeRegions, position: np.ndarray) -> np.
     nearest = np.array(
         [np.quantile(off[:, k, some], 0.1, axis=1).min() if some.any() else np.nan for k, some in enumerate(known)]
     )
-    return np.asarray(nearest / np.hypot(1.0, np.nan_to_num(np.asarray(found.slope))) / line_width(found.free.shape))
+    return nearest / np.hypot(1.0, np.nan_to_num(np.asarray(found.slope))) / line_width(found.free.shape)
 
 
 def _largest_gap(region: EdgeRegions, position: np.ndarray, slopes: np.ndarray) -> np.ndarray:

@@ -55,7 +55,7 @@ def widened(stack: EdgeStack, by_part: Mapping[str, np.ndarray], ghosts: np.ndar
 
 def _by_scale(frequency: np.ndarray, mtf: np.ndarray) -> np.ndarray:
     """Compute the absolute derivative of an MTF with respect to the logarithm of the frequency."""
-    return np.asarray(frequency * np.abs(np.gradient(mtf, frequency, axis=-1)))
+    return frequency * np.abs(np.gradient(mtf, frequency, axis=-1))
 
 
 def _errors(stack: EdgeStack, name: str, share: np.ndarray, ghosts: np.ndarray) -> dict[str, Any]:

@@ -149,7 +149,7 @@ def _smooth_light(value: FloatArray, side: np.ndarray) -> FloatArray:
     found = np.zeros((_ORDER + 1, _ORDER + 1))
     score = (y @ (side * value) @ x.T)[i, j]
     found[i, j] = np.linalg.lstsq(moments[i[:, None] + i, j[:, None] + j], score, rcond=None)[0]
-    return np.asarray(y.T @ found @ x)
+    return y.T @ found @ x
 
 
 def _sums_of_products(values: FloatArray) -> FloatArray:
@@ -172,7 +172,7 @@ def _log_likelihoods(seen: Correlations) -> FloatArray:
     power, axes = np.linalg.eigh(light.T @ light)
     variance = spread + np.maximum(power, 0.0)
     left = ((seen.value - expected) * unit) @ axes
-    return np.asarray(-(left**2 / variance + np.log(variance)).sum(1) / 2)
+    return -(left**2 / variance + np.log(variance)).sum(1) / 2
 
 
 def mask_gain(seen: Correlations) -> float:
@@ -196,7 +196,7 @@ def edge_gain(edge: BareEdge) -> float:
     positions, widths = _line_bumps(edge.blur, 0.8 * min(float(distance.max()), -float(distance.min())))
 
     def edges(more: float) -> FloatArray:
-        return np.asarray(ndtr((distance - positions[:, None]) / np.sqrt(widths[:, None] ** 2 + edge.spread + more**2)))
+        return ndtr((distance - positions[:, None]) / np.sqrt(widths[:, None] ** 2 + edge.spread + more**2))
 
     lens, wider = edges(0.0), edges(RADIUS)
     wanted = beyond((edge.value * weight)[None])[0]

@@ -293,10 +293,10 @@ def local_mean(values: FloatArray, width: float) -> FloatArray:
     """Compute local means of an image (height, width), weighted by a Gaussian of `width` px. NaN are ignored."""
     known = np.isfinite(values)
     if known.all():
-        return np.asarray(ndimage.gaussian_filter(values, width))
+        return ndimage.gaussian_filter(values, width)
     total = ndimage.gaussian_filter(np.where(known, values, 0.0), width)
     # With less weight of known pixels than 1e-6, the mean tends to 0.
-    return np.asarray(total / np.maximum(ndimage.gaussian_filter(known.astype(float), width), 1e-6))
+    return total / np.maximum(ndimage.gaussian_filter(known.astype(float), width), 1e-6)
 
 
 def smoothed(values: FloatArray) -> FloatArray:

@@ -103,7 +103,7 @@ class _Family(NamedTuple):
 
     def precision(self, amplitude: FloatArray | float, noise: FloatArray | float) -> FloatArray:
         """Compute the inverse variances of the data."""
-        return np.asarray(1 / (noise + amplitude**2 * self.power))
+        return 1 / (noise + amplitude**2 * self.power)
 
     def by_glare(self, precision: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Compute score and information of the share of glare for every radius, (..., radii)."""
@@ -119,7 +119,7 @@ class _Family(NamedTuple):
         prior = np.log([1 - _GLARE_PROBABILITY, _GLARE_PROBABILITY])[:, None, None]
         # Even light has half of the prior probability.
         uneven = np.log(np.where(_AMPLITUDES > 0, _AMPLITUDES.size - 1, 1))[:, None]
-        return np.asarray(prior - uneven + np.stack([without, without + gain]))
+        return prior - uneven + np.stack([without, without + gain])
 
     def weights(self, amplitude: float, noise: float, glaring: bool) -> FloatArray:
         """Compute the weights of the data (p,) in the posterior mean of the light."""
@@ -302,4 +302,4 @@ def _families(bins: _Bins, basis: FloatArray, data: FloatArray, glares: FloatArr
 def _correlation(x: FloatArray, y: FloatArray, bins: _Bins, length: float) -> FloatArray:
     """Compute the correlation of the light between points and bins (points, n): Matern function of order 3/2."""
     apart = np.sqrt(3 * ((x[:, None] - bins.x) ** 2 + (y[:, None] - bins.y) ** 2)) / length
-    return np.asarray((1 + apart) * np.exp(-apart))
+    return (1 + apart) * np.exp(-apart)

@@ -193,13 +193,13 @@ def _edge_positions(value: FloatArray, start: FloatArray, number: FloatArray, or
             raise FitError("no edge was found: choose a region that an edge crosses from one side to the other")
         middle = np.polynomial.Polynomial.fit(number, (weight * at).sum(1) / total, order)(number)
         window = (1 - _FLOOR) * _hann(at - middle[:, None], columns) + _FLOOR
-    return np.asarray(middle)
+    return middle
 
 
 def _hann(distance: FloatArray, width: float) -> FloatArray:
     """Compute a Tukey window with parameter 1 that extends to the more distant border."""
     half = np.maximum(np.abs(distance).max(axis=-1, keepdims=True), width / 2)
-    return np.asarray((1 + np.cos(np.pi * np.clip(distance / half, -1, 1))) / 2)
+    return (1 + np.cos(np.pi * np.clip(distance / half, -1, 1))) / 2
 
 
 def _edge_spread(value: FloatArray, distance: FloatArray) -> FloatArray:
@@ -215,7 +215,7 @@ def _edge_spread(value: FloatArray, distance: FloatArray) -> FloatArray:
     if known.sum() < 2 * _BINS:
         raise FitError("the edge leaves the region: choose a region whose middle the edge crosses")
     positions = np.arange(count.size)
-    return np.asarray(np.interp(positions, positions[known], total[known] / count[known]))
+    return np.interp(positions, positions[known], total[known] / count[known])
 
 
 def _response(esf: FloatArray, spacing: float) -> tuple[FloatArray, FloatArray]:

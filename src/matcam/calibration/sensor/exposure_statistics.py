@@ -89,7 +89,7 @@ class FrameReader:
         total, count = np.zeros(()), 0
         for frame in self.read(exposure):
             total, count = total + frame.astype(np.float64), count + 1
-        return np.asarray(total / count)
+        return total / count
 
 
 def measure_exposures(

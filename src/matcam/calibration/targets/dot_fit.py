@@ -97,7 +97,7 @@ class DotLattice(NamedTuple):
         degree = 4 if len(u) >= 60 else 3 if len(u) >= 30 else 2 if len(u) >= 15 else 1
         maps = plane_fit(u, v, np.stack([self.x, self.y], axis=-1), degree)
         slopes = [polyval2d(u, v, polyder(maps, axis=axis)) / size for axis in (0, 1)]
-        return np.asarray(np.stack(slopes).transpose(2, 1, 0))
+        return np.stack(slopes).transpose(2, 1, 0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -336,7 +336,7 @@ def _bow(lattice: DotLattice, ground: FloatArray, du: FloatArray, dv: FloatArray
     light = plane_fit(x, y, ground, 4 if len(x) >= 60 else 2 if len(x) >= 15 else 0)
     by_x, by_y = (polyval2d(x, y, polyder(light, axis=axis)) for axis in (0, 1))
     tangent = polyval2d(x, y, light)[:, None] + by_x[:, None] * du + by_y[:, None] * dv
-    return np.asarray(polyval2d(x[:, None] + du, y[:, None] + dv, light) - tangent)
+    return polyval2d(x[:, None] + du, y[:, None] + dv, light) - tangent
 
 
 def _without_outliers(fit: DotFit) -> DotFit:

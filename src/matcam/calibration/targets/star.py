@@ -285,7 +285,7 @@ def _as_plane_waves(mtf: FloatArray, cycles: int) -> FloatArray:
     K [1 - (2 x^2 - (4/3) x^3) / m^2].
     """
     x = -np.log(np.clip(mtf, 1e-3, 1.0))
-    return np.asarray(mtf * (1 + (2 * x**2 - 4 / 3 * x**3) / cycles**2))
+    return mtf * (1 + (2 * x**2 - 4 / 3 * x**3) / cycles**2)
 
 
 def _extrapolated_contrast(frequency: FloatArray, amplitude: FloatArray, covariance: FloatArray) -> tuple[float, float]:

@@ -97,7 +97,7 @@ class StarPhase(NamedTuple):
         start[:2] = np.array(centre) / size[:2]
         start[3:5] = np.array(shape) / size[3:5]
         start[2] = np.angle(np.exp(1j * (phase - self.at(start * size, x, y))).mean())
-        return np.asarray(least_squares(residual, start, x_scale=1.0).x * size)
+        return least_squares(residual, start, x_scale=1.0).x * size
 
 
 class FoundStar(NamedTuple):
@@ -243,7 +243,7 @@ class GratingPhase(NamedTuple):
 
     def at(self, parameters: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
         """Evaluate the phase at pixel positions, rad."""
-        return np.asarray(self._powers(x, y) @ parameters)
+        return self._powers(x, y) @ parameters
 
     def parameters_through(self, x: FloatArray, y: FloatArray, phase: FloatArray) -> FloatArray:
         """Fit the parameters to known, unwrapped phases at pixel positions."""
@@ -313,7 +313,7 @@ def find_grating(values: FloatArray, near: tuple[float, float] | None = None) ->
 
 def _alias(frequency: FloatArray) -> FloatArray:
     """Compute the frequency below Nyquist that gives the same samples on the grid."""
-    return np.asarray(frequency - np.round(frequency))
+    return frequency - np.round(frequency)
 
 
 def _strongest(filled: FloatArray, near: tuple[float, float] | None) -> FloatArray:
