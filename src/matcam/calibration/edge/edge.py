@@ -223,7 +223,7 @@ def edge_stack(
             if again.size:
                 some = {name: getattr(rows, name)[again] for name in ("value", "y", "start")}
                 anew = fit(rows._replace(**some), settings)
-                fits = tuple_map(lambda a, new: np.asarray(changed(a, again, new)), fits, anew)  # noqa: B023
+                fits = tuple_map(lambda a, new: changed(a, again, new), fits, anew)  # noqa: B023
             even.append(rows)
             lights += found
         if settings.lens.name != "gaussian":
@@ -281,7 +281,7 @@ def _in_even_light(rows: EdgeRegions, fits: EdgeFits) -> tuple[EdgeRegions, list
         The regions in even light, and the light of each region; None if light of third order explains the region.
     """
     value, fields = np.array(rows.value), list[LightField | None]()
-    widths = np.asarray(line_width(fits.free.shape))
+    widths = line_width(fits.free.shape)
     for i, (region, x, y) in enumerate(zip(rows.value, *rows.coordinates(), strict=True)):
         shape, curve = fits.free.shape, fits.curve[i]
         blur = float(widths[i])

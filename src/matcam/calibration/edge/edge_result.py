@@ -375,10 +375,10 @@ def stack_result(
     """Convert the fits of a stack to results in the coordinates of the image. All arrays of `fits` are NumPy arrays."""
     free = fits.free
     glare = free.coefficients[..., GLARE]
-    slope, end = np.asarray(fits.slope), np.asarray(frame.length) / 2 / np.asarray(fits.length)
+    slope, end = np.asarray(fits.slope), frame.length / 2 / fits.length
     # The orders that are even in y determine the curve at its middle, and the mean of its ends.
     even = legendre(np.stack([0 * end, end]), CURVE)[::2]
-    middle, ends = np.einsum("nk,kin->in", np.asarray(fits.curve)[:, ::2], even)
+    middle, ends = np.einsum("nk,kin->in", fits.curve[:, ::2], even)
     levels = np.moveaxis(np.asarray(free.levels), -1, 0)
     bad = np.array([problem is not None for problem in problems])
 
@@ -389,7 +389,7 @@ def stack_result(
         "glare_fraction_std": np.sqrt(np.maximum(free.covariance[..., GLARE, GLARE], 0.0)),
         "glare_radius": np.where(glare != 0, free.shape.radius, np.nan),
         "angle": np.arctan2(ny, nx),
-        "angle_std": np.asarray(fits.slope_std) / (1 + slope**2),
+        "angle_std": fits.slope_std / (1 + slope**2),
         "bow": (middle - ends) / np.hypot(1, slope),
         "dark": levels[0],
         "bright": levels[1],

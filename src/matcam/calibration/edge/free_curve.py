@@ -218,10 +218,10 @@ def ghost_of(curve: FreeCurve) -> Ghost:
     """
     at = EVEN + GHOSTS
     odd = -np.asarray(curve.coefficients)[..., at]
-    share, covariance = odd.sum(-1), np.asarray(curve.covariance)[..., at[:, None], at]
-    step = GHOST_STEP * np.asarray(line_width(curve.shape))[..., None] * np.arange(GHOSTS.size)
+    share, covariance = odd.sum(-1), curve.covariance[..., at[:, None], at]
+    step = GHOST_STEP * line_width(curve.shape)[..., None] * np.arange(GHOSTS.size)
     weight = np.maximum(odd * np.sign(share)[..., None], 0.0)
-    position = np.asarray(curve.shape.apart) + (weight * step).sum(-1) / np.maximum(weight.sum(-1), 1e-300)
+    position = curve.shape.apart + (weight * step).sum(-1) / np.maximum(weight.sum(-1), 1e-300)
     return Ghost(np.abs(share), np.sqrt(np.maximum(covariance.sum((-1, -2)), 0.0)), position, share > 0)
 
 

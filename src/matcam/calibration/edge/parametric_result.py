@@ -208,11 +208,11 @@ def parametric_stack(
     its results and `free` are added in quadrature to its standard deviations. `bad`: mask (n,) of edges whose values become
     NaN.
     """
-    probability = np.asarray(fit.misfit_probability)
+    probability = fit.misfit_probability
     wrong = ~(probability > _WRONG)
 
     def std(own: SampledCurve, other: SampledCurve) -> np.ndarray:
-        off = np.asarray(own.value) - np.asarray(other.value)
+        off = own.value - other.value
         return np.hypot(own.std, np.where(wrong.reshape(-1, *[1] * (off.ndim - 1)), off, 0.0))
 
     numbers: dict[str, Any] = {

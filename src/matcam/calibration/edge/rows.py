@@ -132,8 +132,8 @@ class EdgeRegions(NamedTuple):
 
     def crossings(self, fits: EdgeFits) -> np.ndarray:
         """Compute the positions at which the edges of all regions cross the rows (n, rows), px."""
-        powers = legendre(self.y / np.asarray(fits.length)[:, None], CURVE)
-        return np.einsum("nk,knr->nr", np.nan_to_num(np.asarray(fits.curve)), powers)
+        powers = legendre(self.y / fits.length[:, None], CURVE)
+        return np.einsum("nk,knr->nr", np.nan_to_num(fits.curve), powers)
 
 
 def edge_region(
@@ -219,11 +219,11 @@ def refusals(
     """
     dark, bright = found.state.linear[:, 0], found.state.linear[:, 1]
     contrast = (bright - dark) / np.maximum(found.residual, 1e-300)
-    blur = np.asarray(line_width(found.free.shape))
+    blur = line_width(found.free.shape)
     over, least = found.overshoot.value, np.maximum(SHARPENED, SIGNIFICANT * found.overshoot.std)
     width = region.step * (region.value.shape[2] - 1)
     lost = ~np.isfinite(contrast + blur + over + least) | (found.crossing < _LEAST_ROWS)
-    gap = _largest_gap(region, crossings, np.nan_to_num(np.asarray(found.slope)))
+    gap = _largest_gap(region, crossings, np.nan_to_num(found.slope))
 
     glare = found.free.coefficients[:, GLARE]
     veiled = (glare > _VEILED) & (found.free.shape.radius > VEIL * width) & (found.misfit > MISFIT)
@@ -321,7 +321,7 @@ def clearance(found: EdgeFits, region: EdgeRegions, position: np.ndarray) -> np.
     nearest = np.array(
         [np.quantile(off[:, k, some], 0.1, axis=1).min() if some.any() else np.nan for k, some in enumerate(known)]
     )
-    return nearest / np.hypot(1.0, np.nan_to_num(np.asarray(found.slope))) / line_width(found.free.shape)
+    return nearest / np.hypot(1.0, np.nan_to_num(found.slope)) / line_width(found.free.shape)
 
 
 def _largest_gap(region: EdgeRegions, position: np.ndarray, slopes: np.ndarray) -> np.ndarray:

@@ -365,7 +365,7 @@ def _plane(codes: np.ndarray, channel: str, tone: Tone, saturation: float) -> tu
     column = "RGB".index(channel) if channel in "RGB" else None
     if codes.ndim == 3:
         codes = codes[..., column]
-    return linear_values(codes, tone, column), np.asarray(codes >= saturation) if known else None
+    return linear_values(codes, tone, column), (codes >= saturation) if known else None
 
 
 def _repeated(sites: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:

@@ -123,7 +123,7 @@ def _passage(position: FloatArray, response: SampledCurve, level: float, side: i
     The result is NaN if the response does not cross the level. The search starts at the middle of the edge. `position`:
     (n,) ascending. `response`: 0 to 1, (n,). `side`: -1 for the dark side, 1 for the bright side.
     """
-    value = np.asarray(response.value)
+    value = response.value
     outwards = np.arange(int(np.argmin(np.abs(value - 0.5))), value.size if side > 0 else -1, side)
     k = int(np.argmax(side * (value[outwards] - level) >= 0))
     if not k:
@@ -131,7 +131,7 @@ def _passage(position: FloatArray, response: SampledCurve, level: float, side: i
     before, after = outwards[k - 1], outwards[k]
     slope = (value[after] - value[before]) / (position[after] - position[before])
     place = position[before] + (level - value[before]) / slope
-    return EdgeNumber(float(place), float(np.asarray(response.std)[after] / slope))
+    return EdgeNumber(float(place), float(response.std[after] / slope))
 
 
 def rise(position: FloatArray, response: SampledCurve) -> EdgeNumber:
