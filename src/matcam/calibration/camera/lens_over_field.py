@@ -12,13 +12,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from matcam.calibration.chart.registration import radial_distortion
+from matcam.calibration.chart.registration import FEWEST_POSITIONS, radial_distortion
 from matcam.camera.lens_field import Coefficient, LensField
 from matcam.core.errors import FitError
 from matcam.numerics.normal import robust_fit
-
-_FEWEST = 12
-"""Smallest number of edges or dots of a group for the change of the blur over the field."""
 
 
 class BlurSamples(NamedTuple):
@@ -60,7 +57,7 @@ def lens_over_field(positions: Sequence[BlurSamples], shape: tuple[int, int]) ->
         chi2 = float(weight @ (values - mean) ** 2) / max(len(values) - 1, 1)
         # One coefficient about the image centre only approximates the distortion, to 2 %.
         k1 = Coefficient(mean, float(np.hypot(np.sqrt(max(chi2, 1.0) / weight.sum()), 0.02 * mean)))
-    growth, holds_at = _growth([one for one in positions if len(one.seen) >= _FEWEST], np.array(middle), unit)
+    growth, holds_at = _growth([one for one in positions if len(one.seen) >= FEWEST_POSITIONS], np.array(middle), unit)
     if not found and growth is None:
         return None
     return LensField(middle, unit, k1, growth=growth or Coefficient(), holds_at=holds_at)

@@ -11,8 +11,6 @@ from matcam.calibration.chart.chart import Chart, Dots, Element, Fiducial, Grati
 from matcam.core import checks
 from matcam.core.errors import ArgumentError
 
-KINDS = ("squares", "bars", "sines", "lines", "star", "dots")
-"""Kinds of panels."""
 PAGES = {"a4": (297.0, 210.0), "a3": (420.0, 297.0), "letter": (279.4, 215.9)}
 """Width and height of the named pages in landscape orientation, mm."""
 
@@ -217,3 +215,5 @@ _PANELS: dict[str, Callable[[Point, Point, float], Iterator[Element]]] = {
     "star": _star, "dots": _dots,
 }  # fmt: skip
 """Functions by kind that fill a panel: (upper left corner, size, size of a camera pixel, all mm) -> elements."""
+KINDS = tuple(_PANELS)
+"""Kinds of panels."""

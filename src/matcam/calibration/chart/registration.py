@@ -26,8 +26,8 @@ from matcam.numerics.normal import robust_std
 Projection = Callable[[FloatArray], FloatArray]
 """Map from positions on the page (n, 2), mm, to positions in the image (n, 2), px: a `Registration` or any function."""
 
-_FEWEST_POSITIONS = 12
-"""Smallest number of positions for an estimate of the distortion, which has nine parameters."""
+FEWEST_POSITIONS = 12
+"""Smallest number of positions for an estimate over the field. That of the distortion has nine parameters."""
 _WORST = 3.0
 """Largest root mean square residual in an image of up to 1000 px, px. It increases with larger images."""
 _FEWEST_SIDES = 0.3
@@ -167,9 +167,9 @@ def radial_distortion(positions: FloatArray, seen: FloatArray, shape: tuple[int,
     Raises:
         FitError: there are fewer than 12 positions, or they do not determine the pose of the page.
     """
-    if len(positions) < _FEWEST_POSITIONS:
+    if len(positions) < FEWEST_POSITIONS:
         raise FitError(
-            f"{len(positions)} positions do not determine the distortion; at least {_FEWEST_POSITIONS} are needed"
+            f"{len(positions)} positions do not determine the distortion; at least {FEWEST_POSITIONS} are needed"
         )
     at = (positions - positions.mean(0)) / max(float(np.ptp(positions, axis=0).max()), 1e-300)
     try:

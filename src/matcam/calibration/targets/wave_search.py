@@ -32,8 +32,6 @@ _LOW = (0.03, 0.3)
 """Smallest and largest frequency of the rings on which the phase is computed, cycles/px."""
 _WIDE = 50.0
 """Extent of a grating above which perspective and distortion require a phase of third order, px."""
-_UNIT = 100.0
-"""Unit of length of the polynomial of the phase, px."""
 _CLEAR_IN_SPECTRUM = 30.0
 """Smallest power of the wave relative to the median of the spectrum."""
 _ENVELOPE = 0.75
@@ -228,7 +226,7 @@ class GratingPhase(NamedTuple):
 
     Attributes:
         middle: (x, y) about which the phase is expanded, px.
-        half_extent: half the extent of the grating, px.
+        half_extent: half the extent of the grating, px; unit of length of the polynomial.
         order: order of the polynomial, 2 or 3.
     """
 
@@ -239,7 +237,7 @@ class GratingPhase(NamedTuple):
     @property
     def scale(self) -> FloatArray:
         """Changes of the parameters that change phases by 1 rad."""
-        return np.array([(_UNIT / self.half_extent) ** (i + j) for i, j in plane_orders(self.order)])
+        return np.ones(len(plane_orders(self.order)))
 
     def at(self, parameters: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
         """Evaluate the phase at pixel positions, rad."""
@@ -250,7 +248,9 @@ class GratingPhase(NamedTuple):
         return np.asarray(np.linalg.lstsq(self._powers(x, y), phase, rcond=None)[0], dtype=np.float64)
 
     def _powers(self, x: FloatArray, y: FloatArray) -> FloatArray:
-        return plane_powers((x - self.middle[0]) / _UNIT, (y - self.middle[1]) / _UNIT, self.order)
+        return plane_powers(
+            (x - self.middle[0]) / self.half_extent, (y - self.middle[1]) / self.half_extent, self.order
+        )
 
 
 class FoundGrating(NamedTuple):
