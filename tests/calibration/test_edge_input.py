@@ -226,3 +226,12 @@ def test_a_stack_says_which_edges_cannot_be_measured(clean):
     for bad in (clean, np.ones((2, 10, 40)), np.ones((0, 80, 80)), np.array([[["a"]]])):
         with pytest.raises(ArgumentError, match="images must be"):
             edge_mtf_stack(bad)
+
+
+def test_a_lens_model_fits_a_wide_region_as_a_narrow_one():
+    light = {"model": "diffraction", "wavelength": 550e-9, "pixel_pitch": 5e-6}
+    narrow, wide = (
+        edge_mtf(100 + 900 * oracle.gaussian(0.5, height=120, width=width), **light).parametric.mtf50
+        for width in (500, 1400)
+    )
+    assert wide == pytest.approx(narrow, rel=0.02)

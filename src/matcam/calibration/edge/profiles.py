@@ -85,7 +85,9 @@ class LensModel(Module):
             return fft.irfft(wave, count) * _PER_PX, line
 
         half = xp.sqrt(cells.spread)
-        position = xp.stack([cells.distance - half, cells.distance + half]) * _PER_PX
+        # Beyond half a period, the response is constant; the table continues with the next edge.
+        distance = xp.clip(cells.distance, -_PERIOD / 2, _PERIOD / 2)
+        position = xp.stack([distance - half, distance + half]) * _PER_PX
         left = xp.floor(position).astype(int)
         t = position - left
         left, right = left % count, (left + 1) % count
@@ -98,7 +100,7 @@ class LensModel(Module):
             return cubic.mean(0)
 
         (edge, line), (edge_by, line_by) = table(parameters), jacobian(table, parameters)
-        ramp = 0.5 + cells.distance / _PERIOD
+        ramp = 0.5 + distance / _PERIOD
         level = line - 1 / _PERIOD
         slope = (line[left] * (1 - t) + line[right] * t).mean(0)
         by = xp.stack([over_cells(edge_by[..., k], line_by[..., k]) for k in range(parameters.size)])
