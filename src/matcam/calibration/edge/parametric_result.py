@@ -61,7 +61,7 @@ class EdgeValues(Generic[Number]):
 
     @property
     def glare_found(self) -> Any:
-        """Whether glare was found; of a stack, a mask (n,)."""
+        """Check for glare; a mask (n,) for a stack."""
         return self.glare_fraction != 0
 
 
@@ -86,7 +86,10 @@ class _LensNumbers(Generic[Number]):
 
     @property
     def consistent(self) -> Any:
-        """Whether the model explains the edge at a significance level of 0.1 %; of a stack, a mask (n,)."""
+        """Check whether the model explains the edge.
+
+        The significance level is 0.1 %. For a stack, the result is a mask (n,).
+        """
         return self.misfit_probability > _WRONG
 
 
