@@ -132,6 +132,7 @@ def test_closed_forms_of_lambda_are_the_integral(ndf):
     "ndf",
     [
         EPD(0.3, 4.0),
+        EPD(1e-4, 1.8),
         *(pytest.param(ndf, marks=pytest.mark.slow) for ndf in (EPD(1e-4, 0.3), EPD(1.0, 0.25), SGD(1e-4, 2.0))),
         SGD(0.5, 0.7),
     ],

@@ -13,7 +13,6 @@ import numpy as np
 
 from matcam.core.arrays import constant, xp
 from matcam.core.registry import MASKING_MODELS
-from matcam.numerics.approximation import between_entries
 
 if TYPE_CHECKING:
     from matcam.core.jax import jax
@@ -31,11 +30,6 @@ SlopeDensity = Callable[["jax.Array"], "jax.Array"]
 _STEPS = np.linspace(-3.7, 3.7, 201)
 _FARTHEST = 1e9  # largest cot theta; Lambda is 0 to rounding at smaller angles
 _NEAREST = 1e-30  # smallest cosine; keeps Lambda finite at the horizon, where 1 / Lambda is effectively 0
-
-# grid of the table: even in asinh(cot / (scale _KNEE)), that is in cot near the horizon and in its logarithm elsewhere
-_NODES, _KNEE, _REACH = 2048, 1e-2, 1e4
-_SPACING = float(np.arcsinh(_REACH / _KNEE) / (_NODES - 1))
-_NUS = np.maximum(_KNEE * np.sinh(_SPACING * np.arange(_NODES)), 1e-11)
 
 
 def smith_lambda(slope_density: SlopeDensity, scale: jax.Array, cot: jax.Array) -> jax.Array:
@@ -76,22 +70,6 @@ def smith_rule(scale: jax.Array, cot: jax.Array) -> tuple[jax.Array, jax.Array]:
         ratio < 1e-2, mu * ratio**3 * (1 / 3 - ratio**2 * (1 / 5 - ratio**2 / 7)), y - mu * xp.arctan(ratio)
     )
     return mu**2 + y**2, 2 / mu * excess * y**2 * step
-
-
-def tabulated_lambda(slope_density: SlopeDensity, scale: jax.Array, cos: jax.Array) -> jax.Array:
-    """Compute Smith's Lambda in many directions.
-
-    cos: cosines of the angles of the directions to the normal, > 0. If there are more directions than nodes of a table,
-    Lambda is interpolated in a table by cubics, with an error of 1e-9 of 1 / (1 + Lambda) for scales from 1e-4 to 1.
-    """
-    cot = cot_of(cos)
-    if cot.size <= _NODES:
-        return smith_lambda(slope_density, scale, cot)
-    scale = constant(scale)  # the nodes of the table do not affect the function
-    nu = xp.minimum(cot / scale, _REACH)
-    # nu (1 + Lambda) has a finite limit at the horizon; far from the horizon it is nu
-    table = xp.log(_NUS * (1 + smith_lambda(slope_density, scale, scale * _NUS)))
-    return xp.maximum(xp.exp(between_entries(table, xp.arcsinh(nu / _KNEE) / _SPACING)) / nu - 1, 0.0)
 
 
 def cot_of(cos: jax.Array) -> jax.Array:

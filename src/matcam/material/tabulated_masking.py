@@ -1,4 +1,4 @@
-"""Materials whose Lambda is interpolated in a table, for evaluation in many directions.
+"""Lobes and materials whose Lambda is interpolated in a table, for evaluation in many directions.
 
 The quadrature of Lambda takes 200 evaluations of the lobe in each direction. The table is accurate to 3e-6 of 1 / (1 + Lambda)
 (`lambda_table.py`).
@@ -7,13 +7,69 @@ The quadrature of Lambda takes 200 evaluations of the lobe in each direction. Th
 from __future__ import annotations
 
 import equinox as eqx
+import numpy as np
 
-from matcam.core.jax import jax
+from matcam.core.jax import jax, jnp
+from matcam.core.programs import kept_program
 from matcam.core.shading import Shading
-from matcam.material.lambda_table import compiled_table, has_closed_lambda, lambda_at, position_of
+from matcam.material.lambda_table import cots_of_table, lambda_at, position_of, table_of
 from matcam.material.material import Material
 from matcam.material.microfacet import Microfacet
+from matcam.material.ndf.beckmann import Beckmann
 from matcam.material.ndf.distribution import NDF, SlopeDistribution
+from matcam.material.ndf.free_lobe import ShadowedNDF
+from matcam.material.ndf.ggx import GGX
+from matcam.numerics.approximation import four_about
+
+COTS = cots_of_table(187)
+"""Cotangents of the directions of the tables of lobes. The number of entries gives an error of 3e-6 of 1 / (1 + Lambda)."""
+
+
+def has_closed_lambda(ndf: NDF) -> bool:
+    """Check whether Lambda of a lobe has a closed form."""
+    return isinstance(ndf, GGX | Beckmann | ShadowedNDF)
+
+
+def quick_table(ndf: NDF) -> jax.Array | None:
+    """Compute the table of Lambda of a lobe (`table_of`).
+
+    The result is None for lobes whose Lambda has a closed form.
+    """
+    if has_closed_lambda(ndf):
+        return None
+    return table_of(jnp.asarray(ndf.smith_lambda(COTS / np.sqrt(1 + COTS**2))))
+
+
+@kept_program
+def compiled_table(ndf: NDF) -> jax.Array:
+    """Compute `quick_table` of a lobe without a closed form of Lambda."""
+    table = quick_table(ndf)
+    assert table is not None
+    return table
+
+
+def quick_lambda(ndf: NDF, cos: jax.Array, table: jax.Array | None = None) -> jax.Array:
+    """Compute Smith's Lambda in closed form or from a table.
+
+    cos: cosines of the angles of the directions to the normal, > 0. table: result of `quick_table`. Default: None, it
+    is computed.
+    """
+    table = quick_table(ndf) if table is None else table
+    return ndf.smith_lambda(cos) if table is None else lambda_at(table, position_of(cos))
+
+
+def by_entries(position: jax.Array, by_log: jax.Array) -> jax.Array:
+    """Differentiate a sum with respect to table entries, (cells, entries).
+
+    Each cell has its own sum. position: positions in the table, (cells, ...). by_log: derivatives of the sum with
+    respect to ln(1 + Lambda) at each position, same shape.
+    """
+    first, shares = four_about(position * (COTS.size - 1), COTS.size)
+    cell = jnp.arange(position.shape[0]).reshape(-1, *[1] * (position.ndim - 1))
+    total = jnp.zeros((position.shape[0], COTS.size))
+    for k, share in enumerate(shares):
+        total = total.at[cell, first + k].add(by_log * share, mode="promise_in_bounds")
+    return total
 
 
 class TabulatedMasking(SlopeDistribution):

@@ -11,10 +11,10 @@ from matcam.core.grid import azimuth_difference
 from matcam.core.jax import jax, jnp
 from matcam.core.shading import Shading, Vector, shading
 from matcam.material.diffuse_shape import departure
-from matcam.material.lambda_table import quick_lambda
 from matcam.material.masking import Masking, g2
 from matcam.material.material import theta_h_of
 from matcam.material.ndf.distribution import NDF, SlopeDistribution
+from matcam.material.tabulated_masking import quick_lambda
 
 _LEAST = 1e-9  # smallest cosine of the angles of incidence and view: on the outline itself there is no surface
 

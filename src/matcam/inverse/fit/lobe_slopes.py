@@ -26,10 +26,11 @@ from matcam.core.programs import kept_program
 from matcam.inverse.fit.fit_parameters import LobeKind
 from matcam.inverse.operator.lobe_operator import LobeOperator
 from matcam.inverse.operator.operator_nodes import OperatorNodes
-from matcam.material.lambda_table import COTS, by_entries, has_closed_lambda, lambda_at, quick_table
+from matcam.material.lambda_table import lambda_at, table_of
 from matcam.material.masking import smith_rule
 from matcam.material.ndf.distribution import NDF
 from matcam.material.ndf.free_lobe import SplineNDF, spline_at, spline_sums
+from matcam.material.tabulated_masking import COTS, by_entries, has_closed_lambda, quick_table
 from matcam.numerics.approximation import lagrange_basis, lagrange_slopes
 
 _FEW = 2
@@ -150,7 +151,7 @@ def _spline_table(kind: LobeKind, q: jax.Array) -> tuple[jax.Array, jax.Array]:
     value = jnp.sum(weight * light, axis=-1)
     by_family = jnp.stack([jnp.sum(weight * slope, axis=-1) for slope in by_own])
     slopes = jnp.concatenate([by_family, spline_sums(slope2, weight * light)]) - _by_norm(kind, q)[:, None] * value
-    return jnp.log1p(value), slopes / (1 + value)
+    return table_of(value), slopes / (1 + value)
 
 
 @kept_program

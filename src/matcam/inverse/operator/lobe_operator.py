@@ -50,12 +50,15 @@ from matcam.inverse.operator.operator_nodes import (
 from matcam.inverse.operator.rig_axes import APERTURE, LAMP, Axis
 from matcam.inverse.operator.sample_view import FAR_AWAY, SampleView, sample_view
 from matcam.inverse.operator.theta_nodes import NODE_RULE, RISE, SAMPLED, THROUGH_SAMPLES
-from matcam.material.lambda_table import STEEPEST, position_of
+from matcam.material.lambda_table import position_of
 from matcam.material.masking import Masking
 from matcam.material.ndf.distribution import NDF
 from matcam.numerics.disc_chords import CHORD_RULE
 from matcam.rigs import ON_REAL_PIXELS, Rig
 from matcam.sample.curved import Cylinder, Sphere
+
+_LEAST_COSINE = 1e-4
+"""Smallest cosine of incidence and view at which masking is evaluated. Lambda is therefore also finite below the horizon."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -179,7 +182,7 @@ class _Rules(NamedTuple):
         mean = np.cos(theta) * np.cos(theta_d)
         half = np.sin(theta) * np.sin(theta_d) * self.sample_cos_psi
         azimuth = azimuth_difference(theta, theta_d, np.pi - np.arccos(self.sample_cos_psi))
-        cos_i, cos_o = (np.maximum(c, STEEPEST) for c in (mean + half, mean - half))
+        cos_i, cos_o = (np.maximum(c, _LEAST_COSINE) for c in (mean + half, mean - half))
         at = NodeArrays(
             slope2=np.tan(self.theta) ** 2,
             weight=self.weight,

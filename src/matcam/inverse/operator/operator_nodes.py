@@ -14,10 +14,11 @@ import numpy.typing as npt
 from matcam.core.jax import computes_on_gpu, jax, jnp, placed
 from matcam.core.programs import kept_program
 from matcam.inverse.operator.chosen_cells import SLICE_CELLS
-from matcam.material.lambda_table import compiled_table, has_closed_lambda, lambda_at
+from matcam.material.lambda_table import lambda_at
 from matcam.material.masking import Masking, g2
 from matcam.material.ndf.distribution import NDF
 from matcam.material.ndf.free_lobe import spline_sums
+from matcam.material.tabulated_masking import compiled_table, has_closed_lambda
 from matcam.numerics.approximation import lagrange_basis
 
 CELLS = 5 * SLICE_CELLS
@@ -37,8 +38,8 @@ class NodeArrays(NamedTuple):
         along: for each axis, differences of the weights at the points of the axis, (cells, points, directions, nodes).
         cos_i: cosine of the angle of incidence, (cells, directions, groups of nodes, samples, 2).
         cos_o: cosine of the viewing angle, in the shape of `cos_i`.
-        position_i: fractional index of the angle of incidence in a table of Lambda (`lambda_table`), in the shape of `cos_i`.
-        position_o: fractional index of the viewing angle in this table, in the shape of `cos_i`.
+        position_i: position of the angle of incidence in a table of Lambda (`position_of`), in the shape of `cos_i`.
+        position_o: position of the viewing angle in this table, in the shape of `cos_i`.
         azimuth: azimuth between the directions of incidence and view, rad, in the shape of `cos_i`.
         share: shares of the two azimuths at which masking is evaluated, in the shape of `cos_i`; None: one half each.
     """

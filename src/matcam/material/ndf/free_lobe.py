@@ -12,7 +12,7 @@ from jax.typing import ArrayLike
 
 from matcam.core.jax import jax, jnp
 from matcam.core.programs import kept_program
-from matcam.material.masking import tabulated_lambda
+from matcam.material.lambda_table import integrated_lambda
 from matcam.material.ndf.distribution import NDF, SlopeNDF
 from matcam.numerics.approximation import combined, cubic_basis, cubic_spline, cubic_sums, smoothness
 
@@ -60,7 +60,7 @@ class SplineNDF(SlopeNDF):
 
     def smith_lambda(self, cos: jax.Array) -> jax.Array:
         """Return Smith's Lambda by its integral over slopes."""
-        return tabulated_lambda(self.slope_density, self.base.roughness, cos)
+        return integrated_lambda(self.slope_density, self.base.roughness, cos)
 
     @property
     def roughness(self) -> jax.Array:

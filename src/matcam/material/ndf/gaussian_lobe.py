@@ -8,7 +8,7 @@ import numpy as np
 
 from matcam.core import checks
 from matcam.core.arrays import xp
-from matcam.material.masking import tabulated_lambda
+from matcam.material.lambda_table import integrated_lambda
 from matcam.material.ndf.distribution import MixtureNDF, checked_roughness
 
 if TYPE_CHECKING:
@@ -87,7 +87,7 @@ class GaussianNDF(MixtureNDF):
 
     def smith_lambda(self, cos: jax.Array) -> jax.Array:
         """Return Smith's Lambda by its integral over slopes."""
-        return tabulated_lambda(self.slope_density, self.width, cos)
+        return integrated_lambda(self.slope_density, self.width, cos)
 
     @property
     def roughness(self) -> jax.Array:

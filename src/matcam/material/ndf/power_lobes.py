@@ -8,7 +8,7 @@ import numpy as np
 
 from matcam.core import checks
 from matcam.core.arrays import special, with_derivatives, xp
-from matcam.material.masking import tabulated_lambda
+from matcam.material.lambda_table import integrated_lambda
 from matcam.material.ndf.distribution import MixtureNDF, SlopeNDF, checked_roughness
 
 if TYPE_CHECKING:
@@ -63,7 +63,7 @@ class EPD(SlopeNDF):
 
     def smith_lambda(self, cos: jax.Array) -> jax.Array:
         """Return Smith's Lambda by its integral over slopes."""
-        return tabulated_lambda(self.slope_density, self.beta, cos)
+        return integrated_lambda(self.slope_density, self.beta, cos)
 
     @property
     def roughness(self) -> jax.Array:
@@ -148,7 +148,7 @@ class SGD(SlopeNDF, MixtureNDF):
 
     def smith_lambda(self, cos: jax.Array) -> jax.Array:
         """Return Smith's Lambda by its integral over slopes."""
-        return tabulated_lambda(self.slope_density, self.alpha, cos)
+        return integrated_lambda(self.slope_density, self.alpha, cos)
 
     @property
     def roughness(self) -> jax.Array:

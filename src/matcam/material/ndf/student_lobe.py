@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from matcam.core.arrays import xp
-from matcam.material.masking import tabulated_lambda
+from matcam.material.lambda_table import integrated_lambda
 from matcam.material.ndf.distribution import SlopeNDF
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ class StudentLobe(SlopeNDF):
 
     def smith_lambda(self, cos: jax.Array) -> jax.Array:
         """Return Smith's Lambda by its integral over slopes."""
-        return tabulated_lambda(self.slope_density, self.beta, cos)
+        return integrated_lambda(self.slope_density, self.beta, cos)
 
     @property
     def roughness(self) -> jax.Array:
