@@ -21,7 +21,7 @@ from matcam.core.jax import jax, jit_plainly, jnp
 from matcam.forward.integral.blur import Blur, Spread
 from matcam.forward.sampler.cylinder_ridge import PlacedLamps, ends_of_light, ridge_of, seen_at, towards
 from matcam.inverse.operator.sphere_rule import Directions
-from matcam.inverse.operator.theta_nodes import NODES, CircleSums, Scale, onto_nodes, rise_of, stretched
+from matcam.inverse.operator.theta_nodes import NODES, CircleSums, Scale, Spacing, onto_nodes, rise_of
 from matcam.sample.curved import Cylinder
 
 _PANEL = np.polynomial.legendre.leggauss(16)
@@ -185,7 +185,7 @@ def cylinder_rule(
         half = blur.pixel.half_width
         own = [turns(x + arm * at) for at in (-wide, -half, half, wide)]
         farthest = jnp.maximum(own[3], own[0] + _LEAST)
-        scale, first, last = stretched(own[0], farthest, scale_of.limit(farthest))
+        scale = Spacing.of(own[0], farthest, scale_of.limit(farthest)).scale
         cuts = jnp.stack([jnp.arcsinh(turn / scale) for turn in own], axis=-1)
         middle = cuts[..., :1] + _HALVES * (cuts[..., 3:] - cuts[..., :1])
         cuts = jnp.sort(jnp.concatenate([cuts, middle], axis=-1), axis=-1)
@@ -204,15 +204,11 @@ def cylinder_rule(
         if square is not None:
             share = share / square
         share = jnp.where((at.cos_i > 0) & (at.cos_o > 0), share, 0.0)
-        scale, first, last = stretched(from_theta, to_theta, scale_of.limit(to_theta))
-        position = jnp.clip(
-            2 * (jnp.arcsinh(at.theta_h / scale[..., None]) - first[..., None]) / (last - first)[..., None] - 1,
-            -1.1,
-            1.1,
-        )
+        spacing = Spacing.of(from_theta, to_theta, scale_of.limit(to_theta))
+        position = spacing.by_pixel().position(at.theta_h)
         weight = onto_nodes(position, share)
         moment = None if cell is None else onto_nodes(position, share * rise_of(at.theta_d, cell[:, None, None]))
-        nodes = scale * jnp.sinh(first + (last - first) * (NODES[0] + 1) / 2)
+        nodes = spacing.angle(NODES[0])
         # nodes of all samples at about the same angle from the closest normal form a circle
         cos_psi = (at.cos_i - at.cos_o) / jnp.maximum(2 * jnp.sin(at.theta_h) * jnp.sin(at.theta_d), 1e-300)
         cos_psi = jnp.clip(cos_psi, -1, 1)
@@ -235,12 +231,12 @@ def _samples(
     variance: jax.Array,
     light: PlacedLamps,
     reach: jax.Array,
-    finest: jax.Array,
+    flat: jax.Array,
     disc: jax.Array | None,
 ) -> _Samples:
     """Build the samples of each pixel.
 
-    finest: angle from the half vector below which samples have a constant density, rad, (pixels, 1). disc: angular radius
+    flat: angle from the half vector below which samples have a constant density, rad, (pixels, 1). disc: angular radius
     of the source disc, rad; None: a point source.
     """
     ends = ends_of_light(cylinder, light)
@@ -249,7 +245,7 @@ def _samples(
     if light.nearness is not None or not cylinder.distant:
         if disc is None:
             middle, slope = _meeting(*(_miss(cylinder, light, at, ends) for at in (-reach, zero, reach)))
-            row, share = _crowded(middle * reach, (-reach, -half + zero, half + zero, reach), finest * reach / slope)
+            row, share = _crowded(middle * reach, (-reach, -half + zero, half + zero, reach), flat * reach / slope)
         else:
             offset, weight = blur.rule(terms[0], variance[:, 0])
             row, share = zero + offset, jnp.broadcast_to(weight, (reach.shape[0], offset.shape[-1]))
@@ -262,8 +258,8 @@ def _samples(
     )
     # the variable is the angle whose sine is the position of a chord, so that the share of a chord is smooth in it
     quarter = jnp.full_like(middle, jnp.pi / 2)
-    flat = [a.reshape(-1, 1) for a in (jnp.arcsin(middle), quarter, finest / slope)]
-    at, step = _crowded(flat[0], (-flat[1], flat[1]), flat[2])
+    middle, quarter, core = (a.reshape(-1, 1) for a in (jnp.arcsin(middle), quarter, flat / slope))
+    at, step = _crowded(middle, (-quarter, quarter), core)
     at, step = (a.reshape(row.shape[0], -1) for a in (at, step))
     each = at.shape[1] // row.shape[1]
     row, share = (jnp.repeat(a, each, axis=1) for a in (row, share))

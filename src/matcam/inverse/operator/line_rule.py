@@ -16,7 +16,7 @@ import numpy as np
 
 from matcam.core.jax import jax, jit_plainly, jnp
 from matcam.forward.integral.blur import Blur, Spread
-from matcam.inverse.operator.theta_nodes import NODES, Scale, onto_nodes, stretched
+from matcam.inverse.operator.theta_nodes import NODES, Scale, Spacing, onto_nodes
 
 _PANEL = np.polynomial.legendre.leggauss(24)
 """Gauss-Legendre nodes and weights of the panel between two neighbouring cuts of an arm."""
@@ -112,21 +112,20 @@ def line_rule(
 
         nearest = turns(column - arm * onto)
         farthest = jnp.maximum(turns(column + arm * onto), nearest + _LEAST)
-        scale, first, last = stretched(nearest, farthest, scale_of.limit(farthest))
+        spacing = Spacing.of(nearest, farthest, scale_of.limit(farthest))
         own = [turns(column + arm * at) for at in (-reach, -blur.pixel.half_width, blur.pixel.half_width, reach)]
-        cuts = jnp.concatenate([jnp.arcsinh(turn / scale) for turn in own], axis=1)
+        cuts = jnp.concatenate([jnp.arcsinh(turn / spacing.scale) for turn in own], axis=1)
         cuts = jnp.sort(jnp.concatenate([cuts, cuts[:, :1] + _HALVES * (cuts[:, 3:] - cuts[:, :1])], axis=1), axis=1)
         low, high = cuts[:, :-1, None], cuts[:, 1:, None]
         t = ((low + high) / 2 + (high - low) / 2 * _PANEL[0]).reshape(x.shape[0], -1)
-        step = ((high - low) / 2 * _PANEL[1]).reshape(t.shape) * scale * jnp.cosh(t)
-        at = closest + arm * scale * jnp.sinh(t)
+        step = ((high - low) / 2 * _PANEL[1]).reshape(t.shape) * spacing.scale * jnp.cosh(t)
+        at = closest + arm * spacing.scale * jnp.sinh(t)
         offset = column - radius * jnp.sin(at)
         spread = Spread(variance, variance, jnp.abs(blur.defocus(radius, jnp.cos(at))))
         # the radiance is uniform along the axis, so the kernel depends on the column of each chord only
         kernel = sum(blur.weights[j] * blur.through_disc(j, spread, lambda along, _: along(offset)) for j in terms)
-        position = 2 * (t - first) / (last - first) - 1
-        weight = onto_nodes(position, factor * radius / 4 * kernel * step)
-        turn = scale * jnp.sinh(first + (last - first) * (NODES[0] + 1) / 2)
+        weight = onto_nodes(spacing.share(t), factor * radius / 4 * kernel * step)
+        turn = spacing.angle(NODES[0])
         u = closest + arm * turn
         theta = jnp.arctan2(jnp.hypot(half[1], along * jnp.sin(turn)), along * jnp.cos(turn))
         cos_i, cos_o = light[0] * jnp.sin(u) + light[2] * jnp.cos(u), jnp.cos(u)

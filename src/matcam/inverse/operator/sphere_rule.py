@@ -33,10 +33,10 @@ from matcam.inverse.operator.theta_nodes import (
     FROM_MOMENTS,
     NODES,
     CircleSums,
+    Spacing,
     ThetaRange,
     legendre_sums,
     rise_of,
-    stretched,
 )
 from matcam.numerics.blocks import in_blocks, repeated_sum
 from matcam.numerics.elementary import sine
@@ -62,10 +62,6 @@ to 1e6 times brighter than their surroundings.
 """
 _SLACK = 0.02
 """Share by which the range of angles is widened, because the border of a window is sampled at single points."""
-_OUTSIDE = 1.1
-"""Largest magnitude of the position of a weight. The nodes lie in [-1, 1], and more distant weights are moved to this
-position.
-"""
 
 
 class Kernel(NamedTuple):
@@ -198,12 +194,11 @@ def sphere_rule(
     """
     angle, step = circles.nodes()
     arcs = _circle_arcs(view, windows, angle)
-    scale, first, last = stretched(onto.low, onto.high, onto.finest)
+    spacing = onto.spacing()
     through = factor[:, None] * view.stretch**2 / 4 * np.sin(angle) * step
     pixel = arcs.circle // NODES[0].size
-    position = 2 * (np.arcsinh(angle / scale[:, None]) - first[:, None]) / (last - first)[:, None] - 1
     per_pixel = (
-        windows.x, windows.y, windows.cosine, windows.sine, windows.lamp, windows.peak, theta_d, scale, first, last,
+        windows.x, windows.y, windows.cosine, windows.sine, windows.lamp, windows.peak, theta_d, *spacing,
     )  # fmt: skip
     near, rings = not view.distant, _OF_RINGS if kernel.blur.residual is not None else 1
     length = 2 * arcs.half * np.sin(angle.ravel()[arcs.circle]) * view.radius
@@ -233,10 +228,10 @@ def sphere_rule(
         return _nothing(angle, near)
     back = np.argsort(order)
     found = np.concatenate(sums, axis=1)[:, back]
-    powers, moments = np.split(found, [7 if near else 4])
+    powers, moments = np.split(found, [len(found) - 2 * NODES[0].size * near])
     total, *others = (np.bincount(arcs.circle, power, angle.size).reshape(angle.shape) for power in powers)
     if not near:
-        others += [total * position, total * theta_d[:, None], others[0] * theta_d[:, None]]
+        others += [total * spacing.by_pixel().position(angle), total * theta_d[:, None], others[0] * theta_d[:, None]]
     seen = CircleSums(total, np.stack(others[:3]), *others[3:])
     if not near:
         return SphereRule(onto.carry(angle, through * total), seen)
@@ -310,7 +305,7 @@ def _arc_sums(
 
     def sums(pixel, arc, disc, node, node_weight):  # type: ignore[no-untyped-def]
         """Compute the contribution of some nodes of each arc."""
-        x, y, cosine, sine_, lamp, _, cell, scale, first, last, var_x, var_y = pixel
+        x, y, cosine, sine_, lamp, _, cell, *spacing, var_x, var_y = pixel
         half, sin_m, cos_m, s, c, sin_p, cos_p = arc
         off = half * node
         sin_off, haversine = sine(off), sine(off / 2) ** 2
@@ -344,8 +339,7 @@ def _arc_sums(
         at = directions(normal, jnp.sin(lamp), jnp.cos(lamp), view.camera, view.lamp)
         # area in the image divided by the cosine of the viewing angle, times the irradiance of a surface that faces the lamp
         share = share * at.view / depth**3 / at.light**2
-        position = 2 * (jnp.arcsinh(at.theta_h / scale) - first) / (last - first) - 1
-        position = jnp.clip(position, -_OUTSIDE, _OUTSIDE)
+        position = Spacing(*spacing).position(at.theta_h)
         cos_psi = (at.cos_i - at.cos_o) / jnp.maximum(2 * jnp.sin(at.theta_h) * jnp.sin(at.theta_d), 1e-300)
         cos_psi = jnp.clip(cos_psi, -1, 1)
         factors = 1, cos_psi, cos_psi**2, cos_psi**3, position, at.theta_d, at.theta_d * cos_psi

@@ -12,13 +12,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from matcam.core.arrays import xp
 from matcam.core.jax import jax, jit_plainly, jnp
 from matcam.numerics.approximation import lagrange_basis
 
 NODES = np.polynomial.legendre.leggauss(40)
 _LOCAL = 10
 """Number of neighbouring nodes to which a weight is distributed. At more distant nodes the masking may differ."""
-COARSEST = 5e-4
+_LARGEST_SCALE = 5e-4
 """Largest scale of the nodes about a highlight at normal view, rad. On a sphere of 20 px the bound of the width of a GGX lobe
 of 3e-4 (`limits`) is then that of 160 nodes within 2 %. With the scale of the whole window it is a hundredth of it.
 """
@@ -26,12 +27,14 @@ NARROWEST = 0.5
 """Smallest roughness of a lobe that the nodes resolve, divided by their scale at normal view, no unit. Compared with 160 nodes,
 records of such lobes differ by at most 1e-7 of the peak, and by 1e-4 at a fifth of this roughness.
 """
-NODE_RULE = f"weights on {_LOCAL} nodes from the nearest point of a window, scale {COARSEST:g}"
+NODE_RULE = f"weights on {_LOCAL} nodes from the nearest point of a window, scale {_LARGEST_SCALE:g}"
 """Name of the transfer of weights to nodes, in the description of a stored rule."""
 _RING_WINDOWS = 4
 """Number of parts into which a window is divided, so that the nodes of each part resolve the diffraction rings of a lens."""
-_FINEST = 25.0
+_RANGE_PER_SCALE = 25.0
 """Ratio of the largest angle to the scale of the nodes. Below the scale the nodes are linear in the angle."""
+_OUTSIDE = 1.1
+"""Largest magnitude of a position among the nodes, which lie in [-1, 1]. More distant weights are moved to this position."""
 _MOST_SKEW = 1e3
 """Largest skewness of the azimuths on a circle. Larger values are clipped."""
 _BLOCK = 128
@@ -95,12 +98,58 @@ class Scale(NamedTuple):
         radius: radius of the limb, px. reach: half side of the window of the narrowest kernel, px. single: True if there are no
         wider kernels with the same nodes, so that `shrink` alone limits the scale.
         """
-        own = float(np.sqrt(2) * reach / radius / _FINEST)
-        return cls(np.inf if single else min(own, COARSEST), min(1.0, COARSEST / own))
+        own = float(np.sqrt(2) * reach / radius / _RANGE_PER_SCALE)
+        return cls(np.inf if single else min(own, _LARGEST_SCALE), min(1.0, _LARGEST_SCALE / own))
 
     def limit(self, high: Any) -> Any:
         """Compute the largest scale of ranges of angles, rad. high: largest angle of each, rad."""
-        return self.shrink * high / _FINEST
+        return self.shrink * high / _RANGE_PER_SCALE
+
+
+class Spacing(NamedTuple):
+    """Spacing of the nodes in a range of angles: even in asinh(theta / scale).
+
+    It is linear in theta below the scale, and logarithmic above it. The arrays have one shape, of NumPy or JAX.
+
+    Attributes:
+        scale: the scale, rad.
+        first: asinh(theta / scale) at the smallest angle.
+        last: asinh(theta / scale) at the largest angle.
+    """
+
+    scale: Any
+    first: Any
+    last: Any
+
+    @classmethod
+    def of(cls, low: Any, high: Any, largest_scale: Any = np.inf) -> Spacing:
+        """Compute the spacing of a range of angles.
+
+        low, high: ends of the range, rad. largest_scale: see `ThetaRange`. If `low` exceeds it, `low` is the limit.
+        """
+        scale = xp.maximum(high / _RANGE_PER_SCALE, xp.minimum(0.15 * (high - low), low))
+        scale = xp.minimum(scale, xp.maximum(low, largest_scale))
+        return cls(scale, xp.arcsinh(low / scale), xp.arcsinh(high / scale))
+
+    def by_pixel(self) -> Spacing:
+        """Append an axis for the nodes of each pixel."""
+        return Spacing(*(a[..., None] for a in self))
+
+    def position(self, theta: Any) -> Any:
+        """Compute the positions of angles among the nodes, in [-1.1, 1.1]."""
+        return self.share(xp.arcsinh(theta / self.scale))
+
+    def share(self, stretched: Any) -> Any:
+        """Compute the positions of angles from asinh(theta / scale)."""
+        return xp.clip(2 * (stretched - self.first) / (self.last - self.first) - 1, -_OUTSIDE, _OUTSIDE)
+
+    def stretched(self, position: Any) -> Any:
+        """Compute asinh(theta / scale) at positions among the nodes."""
+        return self.first + (self.last - self.first) * (position + 1) / 2
+
+    def angle(self, position: Any) -> Any:
+        """Compute the angles at positions among the nodes, rad."""
+        return self.scale * xp.sinh(self.stretched(position))
 
 
 class ThetaRange(NamedTuple):
@@ -109,16 +158,16 @@ class ThetaRange(NamedTuple):
     Attributes:
         low: smallest angle, rad.
         high: largest angle, rad.
-        finest: upper limit of the scale of the nodes about a highlight, rad; infinite: the range determines the scale.
+        largest_scale: upper limit of the scale of the nodes about a highlight, rad; infinite: the range determines the scale.
     """
 
     low: np.ndarray
     high: np.ndarray
-    finest: np.ndarray | float = np.inf
+    largest_scale: np.ndarray | float = np.inf
 
     def scaled(self, scale: Scale) -> ThetaRange:
         """Limit the scale of the nodes."""
-        return self._replace(finest=np.minimum(scale.largest, scale.limit(self.high)))
+        return self._replace(largest_scale=np.minimum(scale.largest, scale.limit(self.high)))
 
     def parts(self) -> list[ThetaRange]:
         """Divide the range into parts whose nodes resolve diffraction rings."""
@@ -130,9 +179,13 @@ class ThetaRange(NamedTuple):
 
         Both arrays have shape (pixels, nodes).
         """
-        scale, first, last = (np.asarray(a)[:, None] for a in stretched(self.low, self.high, self.finest))
-        t = first + (last - first) * (NODES[0] + 1) / 2
-        return scale * np.sinh(t), scale * np.cosh(t) * (last - first) / 2 * NODES[1]
+        spacing = self.spacing().by_pixel()
+        weight = spacing.scale * np.cosh(spacing.stretched(NODES[0])) * (spacing.last - spacing.first) / 2 * NODES[1]
+        return spacing.angle(NODES[0]), weight
+
+    def spacing(self) -> Spacing:
+        """Compute the spacing of the nodes."""
+        return Spacing.of(self.low, self.high, self.largest_scale)
 
     def carry(self, theta: np.ndarray, weight: np.ndarray) -> np.ndarray:
         """Transfer weights at angles to the nodes.
@@ -140,15 +193,14 @@ class ThetaRange(NamedTuple):
         The new weights have shape (pixels, nodes). Weighted sums of polynomials through neighbouring nodes are preserved.
         The lobe must be smooth on the scale of the nodes; the kernel need not be. theta: angles of the weights, rad.
         """
-        return np.asarray(_carry(theta, weight, self.low, self.high, np.broadcast_to(self.finest, self.low.shape)))
+        return np.asarray(_carry(theta, weight, self.spacing()))
 
 
 @jit_plainly
-def _carry(theta: Any, weight: Any, low: Any, high: Any, finest: Any) -> jax.Array:
+def _carry(theta: Any, weight: Any, spacing: Spacing) -> jax.Array:
     def block(arguments):  # type: ignore[no-untyped-def]
-        theta, weight, low, high, finest = arguments
-        scale, first, last = (a[:, None] for a in stretched(low, high, finest))
-        t = 2 * (jnp.arcsinh(theta / scale) - first) / (last - first) - 1
+        theta, weight, spacing = arguments
+        t = spacing.by_pixel().position(theta)
         begin = jnp.clip(jnp.searchsorted(NODES[0], t) - _LOCAL // 2, 0, NODES[0].size - _LOCAL)
         about = begin[..., None] + np.arange(_LOCAL)
         gap = t[..., None] - jnp.asarray(NODES[0])[about]
@@ -158,24 +210,8 @@ def _carry(theta: Any, weight: Any, low: Any, high: Any, finest: Any) -> jax.Arr
         pixel = jnp.arange(theta.shape[0])[:, None, None]
         return jnp.zeros_like(theta).at[pixel, about].add(share)
 
-    arguments = (theta, weight, low, high, finest)
-    blocks = tuple(a.reshape(-1, _BLOCK, *a.shape[1:]) for a in arguments)
+    blocks = jax.tree.map(lambda a: a.reshape(-1, _BLOCK, *a.shape[1:]), (theta, weight, spacing))
     return jax.lax.map(block, blocks).reshape(weight.shape)
-
-
-def stretched(low, high, finest=np.inf):  # type: ignore[no-untyped-def]
-    """Compute the scale of the nodes and the ends of their range.
-
-    The nodes are Gauss-Legendre nodes in asinh(theta / scale), from `first` to `last`. They are linear in theta below the
-    scale, and logarithmic above it. The result is (scale, first, last), arrays of NumPy or JAX as the arguments.
-
-    low, high: ends of the range of angles, rad. finest: see `ThetaRange`. If `low` exceeds `finest`, `low` is
-        the limit.
-    """
-    xp = np if isinstance(low, np.ndarray) else jnp
-    scale = xp.maximum(high / _FINEST, xp.minimum(0.15 * (high - low), low))
-    scale = xp.minimum(scale, xp.maximum(low, finest))
-    return scale, xp.arcsinh(low / scale), xp.arcsinh(high / scale)
 
 
 def onto_nodes(positions: jax.Array, share: jax.Array) -> jax.Array:
