@@ -11,13 +11,12 @@ from matcam.core.arrays import xp
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import GRID_SHAPE, Sampling, cosines, merl_grid, theta_h_edges
 from matcam.core.jax import AnyArray, computes_on_gpu, is_concrete, jax, jnp
-from matcam.core.programs import kept_program
 from matcam.forward.pixel_grid import phase_of_slices, slice_pixels, turned
 from matcam.forward.sampler.cell_rings import Rings, rings_of
 from matcam.forward.sampler.plan import RecordPositions
 from matcam.lamp.lamps import closeness
-from matcam.numerics.blocks import in_blocks, in_calls
 from matcam.rigs import ON_REAL_PIXELS, CellValue, PixelPhase
+from matcam.sample.positions import positions_of
 from matcam.sample.shape import Curved
 
 _POINTS: dict[CellValue, tuple[float, ...]] = {
@@ -154,31 +153,6 @@ def _table_cells(sample: Curved, choice: CellChoice, lamp_nearness: jax.Array | 
     weight = content * share[None, :, None, :, None] * np.sin(theta_h) if cell_value == "mean" else seen * 1.0
     irradiance = cos_i * np.asarray(closeness(lamp_nearness, jnp.asarray(cos_i))) ** 2
     return TableCells(positions, index, rings, irradiance, weight, pixels, mirrored)
-
-
-def positions_of(
-    sample: Curved,
-    theta_h: np.ndarray,
-    theta_d: np.ndarray,
-    phi_d: np.ndarray,
-    lamp_nearness: jax.Array | None = None,
-) -> tuple[np.ndarray, ...]:
-    """Compute x, y and lamp angle of `Curved.position` for many directions, in the shape to which the angles broadcast."""
-    angles = np.broadcast_arrays(theta_h, theta_d, phi_d)
-    rows, shape = tuple(angle.ravel() for angle in angles), angles[0].shape
-    found = in_calls(_position_blocks, rows, sample, lamp_nearness) if rows[0].size else rows
-    return tuple(a.reshape(shape) for a in found)
-
-
-@kept_program
-def _position_blocks(
-    used: jax.Array, rows: tuple[jax.Array, ...], sample: Curved, lamp_nearness: jax.Array | None
-) -> tuple[jax.Array, ...]:
-    def block(angles: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
-        theta_h, theta_d, phi_d = angles
-        return tuple(sample.position(theta_h, theta_d, phi_d, lamp_nearness))
-
-    return in_blocks(block, used, rows)
 
 
 def _per_radian(sample: Curved, finest: float | None) -> float:

@@ -16,7 +16,7 @@ from matcam.core.errors import ArgumentError
 from matcam.core.grid import cosines, merl_grid
 from matcam.core.jax import jax, jnp
 from matcam.core.workspace import Workspace
-from matcam.forward.cells_in_pictures import cell_sampling, positions_of
+from matcam.forward.cells_in_pictures import cell_sampling
 from matcam.forward.integral.blur import imaging_of
 from matcam.forward.sampler.plan import RecordPositions
 from matcam.forward.sampler.under_lamp import record_under_lamp
@@ -24,6 +24,7 @@ from matcam.lamp.lamps import closeness
 from matcam.material.material import Material
 from matcam.rigs import UNKNOWN, Rig
 from matcam.sample.curved import Cylinder, Sphere
+from matcam.sample.positions import positions_of
 
 _TURN = 1e-9
 """Largest |sin(azimuth / 2)| for which an azimuth counts as a multiple of a full turn, up to rounding errors."""

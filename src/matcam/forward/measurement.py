@@ -40,7 +40,6 @@ from matcam.forward.cells_in_pictures import (
     TableCells,
     cell_means,
     cell_sampling,
-    positions_of,
 )
 from matcam.forward.cylinder_cells import check_cylinder, cylinder_table
 from matcam.forward.frequencies.band_limited import EXACT
@@ -58,6 +57,7 @@ from matcam.material.optical_constants import metal
 from matcam.material.reflectance import Conductor
 from matcam.rigs import UNKNOWN, Rig, merl
 from matcam.sample.curved import Cylinder, Sphere
+from matcam.sample.positions import positions_of
 from matcam.sample.shape import Flat
 
 

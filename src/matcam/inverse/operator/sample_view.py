@@ -16,6 +16,7 @@ from matcam.forward.sampler.windows import SphereView
 from matcam.lamp.lamps import closeness
 from matcam.rigs import Rig
 from matcam.sample.curved import Cylinder, Sphere
+from matcam.sample.positions import positions_of
 from matcam.sample.shape import Position
 
 BOTH_DIRECTIONS = np.array([0.0, np.pi])
@@ -64,11 +65,8 @@ class SampleView(NamedTuple):
 
     def position(self, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> Position:
         """Compute image position and lamp angle of half and difference angles, rad."""
-        angles = np.broadcast_arrays(theta_h, theta_d, phi_d)
-        count = angles[0].size
-        size = 1 << max(count - 1, 1).bit_length()  # few sizes, because each is a program
-        position = _position(self.sphere, *(np.resize(a, size) for a in angles), self.lamp)
-        return Position(*(np.asarray(a)[:count].reshape(angles[0].shape) for a in position))  # type: ignore[arg-type]
+        nearness = np.array(self.lamp) if self.lamp else None
+        return Position(*positions_of(self.sphere, theta_h, theta_d, phi_d, nearness))  # type: ignore[arg-type]
 
     def lamp_angles(self, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> np.ndarray:
         """Compute the lamp angles for the two positions of each cell, rad.
@@ -172,11 +170,6 @@ def rig_behind(table: xr.DataArray, rig: Rig) -> Rig:
             f"lamp_azimuth must be that of the table, attrs['lamp_azimuth'] = {stated:g} rad, or None, got {own:g} rad"
         )
     return rig
-
-
-@jax.jit
-def _position(sphere: Sphere, theta_h: jax.Array, theta_d: jax.Array, phi_d: jax.Array, lamp: jax.Array) -> Position:
-    return sphere.position(theta_h, theta_d, phi_d, lamp)
 
 
 @jax.jit
