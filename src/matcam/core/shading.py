@@ -75,6 +75,20 @@ def local_shading(light: Vector, view: Vector) -> Shading:
     return shading((zero, zero, one), (one, zero, zero), light, view)
 
 
+def towards_source(source: Vector, point: Vector, nearness: ArrayLike) -> tuple[Vector, jax.Array]:
+    """Compute the directions from points to a source, and its squared distances relative to that from the centre.
+
+    Args:
+        source: direction from the centre to the source, of length 1.
+        point: points, relative to the centre, radii.
+        nearness: inverse of the source's distance from the centre, 1/radii.
+    """
+    x, y, z = (s - nearness * p for s, p in zip(source, point, strict=True))
+    square = x**2 + y**2 + z**2
+    length = xp.sqrt(square)
+    return (x / length, y / length, z / length), square
+
+
 def vector(x: ArrayLike, y: ArrayLike, z: ArrayLike) -> Vector:
     """Build a vector from its components."""
     return xp.asarray(x), xp.asarray(y), xp.asarray(z)

@@ -9,12 +9,13 @@ from __future__ import annotations
 
 from matcam.core.grid import azimuth_difference
 from matcam.core.jax import jax, jnp
-from matcam.core.shading import Shading, Vector, shading
+from matcam.core.shading import Shading, Vector, shading, towards_source
 from matcam.material.diffuse_shape import departure
 from matcam.material.masking import Masking, g2
 from matcam.material.material import theta_h_of
 from matcam.material.ndf.distribution import NDF, SlopeDistribution
 from matcam.material.tabulated_masking import quick_lambda
+from matcam.sample.shape import depth_from
 
 _LEAST = 1e-9  # smallest cosine of the angles of incidence and view: on the outline itself there is no surface
 
@@ -34,7 +35,7 @@ def normal_at(p_x: jax.Array, p_y: jax.Array, depth: jax.Array, camera_nearness:
     """
     w = camera_nearness
     slope2 = (p_x**2 + p_y**2) / (1 - w**2)
-    z = (slope2 * w + depth) / (1 + slope2 * w**2)
+    z = depth_from(slope2, depth, w)
     scale = (1 - w * z) / jnp.sqrt(1 - w**2)
     return scale * p_x, scale * p_y, z
 
@@ -52,10 +53,10 @@ def light_and_view(
         camera_nearness: inverse of the camera's distance, 1/radii.
         lamp_nearness: inverse of the lamp's distance, 1/radii.
     """
-    light, closeness = _towards(lamp, point, lamp_nearness)
+    light, square = towards_source(lamp, point, lamp_nearness)
     zero = jnp.zeros(())
-    view, _ = _towards((zero, zero, jnp.ones(())), point, camera_nearness)
-    return light, view, closeness
+    view, _ = towards_source((zero, zero, jnp.ones(())), point, camera_nearness)
+    return light, view, 1 / square
 
 
 def surface_shading(
@@ -115,11 +116,3 @@ def radiance(
         lobe *= g2(masking, *lambdas, azimuth)
     diffuse = jnp.maximum(at.cos_i, 0.0) / jnp.pi * departure(shape, at.cos_i, at.cos_o, at.theta_d)
     return jnp.where(seen, lobe * closeness, 0.0), jnp.where(at.cos_o > _LEAST, diffuse * closeness, 0.0)
-
-
-def _towards(source: Vector, point: Vector, nearness: jax.Array) -> tuple[Vector, jax.Array]:
-    """Compute the directions from points to a source, and the squared ratio of its distances from the centre and the points."""
-    x, y, z = (s - nearness * p for s, p in zip(source, point, strict=True))
-    square = x**2 + y**2 + z**2
-    length = jnp.sqrt(square)
-    return (x / length, y / length, z / length), 1 / square

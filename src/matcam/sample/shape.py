@@ -19,7 +19,8 @@ from matcam.core import checks
 from matcam.core.arrays import is_concrete, repeated, xp
 from matcam.core.arrays.module import Module
 from matcam.core.errors import ArgumentError
-from matcam.core.shading import Vector
+from matcam.core.shading import Vector, towards_source
+from matcam.numerics.approximation import AnyValues
 from matcam.numerics.elementary import arcsine
 
 if TYPE_CHECKING:
@@ -220,6 +221,10 @@ class Curved(Sample):
             element: the surface elements.
         """
 
+    def point(self, element: Element) -> Vector:
+        """Return the points of surface elements, relative to the centre, radii."""
+        return element.normal[0], self.height(element), element.normal[2]
+
     @property
     def nearness(self) -> jax.Array:
         """Inverse of the distance; 0 for a distant camera."""
@@ -368,9 +373,8 @@ class Curved(Sample):
         if self.distant:
             return (zero, zero, one), one, one
         q = self.nearness
-        depth = 1 - q * normal[2]
-        length = xp.sqrt((q * normal[0]) ** 2 + (q * y) ** 2 + depth**2)
-        return (-q * normal[0] / length, -q * y / length, depth / length), length, depth
+        view, square = towards_source((zero, zero, one), (normal[0], y, normal[2]), q)
+        return view, xp.sqrt(square), 1 - q * normal[2]
 
 
 def highlight_between(lamp_angle: jax.Array, camera: ArrayLike, lamp: ArrayLike) -> jax.Array:
@@ -423,12 +427,17 @@ def angle_on_circle(slope: jax.Array, tilt: jax.Array) -> jax.Array:
     return xp.where(inside, xp.arcsin(xp.where(inside, sine, 0.0)) - lean, xp.sign(slope) * xp.pi / 2)
 
 
-def depth_of(slope: jax.Array, q: jax.Array) -> tuple[jax.Array, jax.Array]:
+def depth_of(slope: AnyValues, q: ArrayLike) -> tuple[AnyValues, AnyValues]:
     """Compute cos t of the visible point with sin t = slope (1 - q cos t), and a mask of lines of sight that hit."""
     square = slope**2
     root = 1 + square * (q**2 - 1)
     hits = root > 0
-    return (square * q + xp.sqrt(xp.where(hits, root, 1.0))) / (1 + square * q**2), hits
+    return depth_from(square, xp.sqrt(xp.where(hits, root, 1.0)), q), hits
+
+
+def depth_from(square: AnyValues, root: AnyValues, q: ArrayLike) -> AnyValues:
+    """Compute `depth_of` from the squared slope and sqrt(1 - (1 - q^2) slope^2)."""
+    return (square * q + root) / (1 + square * q**2)
 
 
 def checked_distance(distance: ArrayLike) -> jax.Array:

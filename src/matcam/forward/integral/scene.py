@@ -7,7 +7,7 @@ from typing import NamedTuple
 import equinox as eqx
 
 from matcam.core.jax import jax, jnp
-from matcam.core.shading import Shading, Vector, shading
+from matcam.core.shading import Shading, Vector, shading, towards_source
 from matcam.material.material import Material
 from matcam.sample.curved import Cylinder
 from matcam.sample.shape import Curved, Element
@@ -96,11 +96,8 @@ class Scene(eqx.Module):
             light = sine * self.turn.cosine, sine * self.turn.sine, cosine
         if self.lamp_nearness is None:
             return light, None
-        w, normal = self.lamp_nearness, element.normal
-        x, y, z = light[0] - w * normal[0], light[1] - w * self.sample.height(element), light[2] - w * normal[2]
-        square = x**2 + y**2 + z**2
-        length = jnp.sqrt(square)
-        return (x / length, y / length, z / length), 1 / square
+        light, square = towards_source(light, self.sample.point(element), self.lamp_nearness)
+        return light, 1 / square
 
     def _tangent(self, element: Element) -> Vector:
         """Return the first tangent, in the plane of the x axis of the sensor and the optical axis."""

@@ -11,7 +11,7 @@ from typing import NamedTuple
 from jax.typing import ArrayLike
 
 from matcam.core.jax import AnyArray, jax, jnp
-from matcam.core.shading import Vector
+from matcam.core.shading import Vector, towards_source
 from matcam.sample.curved import Cylinder
 from matcam.sample.shape import Element, highlight_between
 
@@ -78,11 +78,7 @@ def seen_at(
     element = cylinder.surface(u, row / cylinder.stretch * (1 - cylinder.nearness * jnp.cos(u)))
     if light.nearness is None:
         return element, light.towards, None
-    w, (x, y, z) = light.nearness, light.towards
-    x, y, z = x - w * element.normal[0], y - w * cylinder.height(element), z - w * element.normal[2]
-    square = x**2 + y**2 + z**2
-    length = jnp.sqrt(square)
-    return element, (x / length, y / length, z / length), square
+    return element, *towards_source(light.towards, cylinder.point(element), light.nearness)
 
 
 def ridge_of(

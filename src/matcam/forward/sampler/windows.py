@@ -11,6 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from matcam.sample.shape import depth_of
+
 _PER_SIDE = 12
 """Number of points on each side of a window at which angles are compared."""
 _AROUND = np.linspace(-1, 1, 9)
@@ -49,8 +51,7 @@ class SphereView(NamedTuple):
         """Compute the normals at positions in the image, px; positions beyond the limb are moved to the limb."""
         beyond = np.maximum(np.hypot(x, y) / (self.radius * (1 - 1e-12)), 1.0)
         x, y, q = x / beyond / self.stretch, y / beyond / self.stretch, self.camera
-        square = x**2 + y**2
-        n_z = (square * q + np.sqrt(np.maximum(1 + square * (q**2 - 1), 0))) / (1 + square * q**2)
+        n_z, _ = depth_of(np.hypot(x, y), q)
         depth = 1 - q * n_z
         return x * depth, y * depth, n_z
 
