@@ -417,11 +417,8 @@ def _parallax(aside: jax.Array, nearness: ArrayLike) -> tuple[jax.Array, jax.Arr
 
 
 def angle_on_circle(slope: jax.Array, tilt: jax.Array) -> jax.Array:
-    """Solve sin u + tilt cos u = slope for the u nearest to 0; +-pi/2 without a solution.
-
-    The solution is the intersection of a line of sight with a circle.
-    """
-    lean = xp.arctan(tilt)
+    """Solve sin u + tilt cos u = slope for the u nearest to 0; +-pi/2 without a solution."""
+    lean = xp.arctan(tilt)  # the solution is the intersection of a line of sight with a circle
     sine = slope * xp.cos(lean)
     inside = xp.abs(sine) < 1
     return xp.where(inside, xp.arcsin(xp.where(inside, sine, 0.0)) - lean, xp.sign(slope) * xp.pi / 2)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from functools import lru_cache, partial
 from typing import Any, NamedTuple
@@ -74,14 +74,14 @@ def record(material: Material, imaging: Imaging, plan: RecordPlan, turning: jax.
         Radiance under unit irradiance, 1/sr, (positions, channels). Differentiable in material, sample, blur and turning.
     """
     subject = Subject(with_tabulated_masking(material), imaging, jnp.asarray(turning, dtype=float))
-    on_gpu, lengths = subject.known and computes_on_gpu(), _RULES[-1:] if subject.known else _RULES
-    tiles = _tiles_on_gpu(plan) if on_gpu else _tiles(plan, lengths)
-    workers = available_cores() if subject.known and not on_gpu else 1
     shape = plan.positions.x.size, subject.under(jnp.zeros(())).channels()
-    total: Any = jnp.zeros(shape) if on_gpu else np.zeros(shape, order="F")
-    for position, values in in_order(lambda tile: _recorded(subject, tile()), tiles, workers):
-        total = _added(total, position, values)
-    return jnp.asarray(total)
+    on_gpu = computes_on_gpu()
+    if subject.known and not on_gpu:  # NumPy adds in place, and the threads wait for their programs
+        tiles = _tiles(plan, False, _RULES[-1:])
+        found = in_order(lambda tile: jax.device_get(_recorded(subject, tile())), tiles, available_cores())
+        return jnp.asarray(_added_by_numpy(shape, found))
+    tiles = _tiles_on_gpu(plan) if subject.known else _tiles(plan, on_gpu, _RULES)
+    return _added_by_jax(shape, in_order(lambda tile: _recorded(subject, tile()), tiles, 1))
 
 
 class _Tile(NamedTuple):
@@ -104,12 +104,11 @@ class _Tile(NamedTuple):
     rules: Any
 
 
-def _tiles(plan: RecordPlan, lengths: tuple[int, ...]) -> list[Callable[[], _Tile]]:
+def _tiles(plan: RecordPlan, on_gpu: bool, lengths: tuple[int, ...]) -> list[Callable[[], _Tile]]:
     """List the tiles of a plan, as functions because the rows of all tiles would occupy several GB.
 
     lengths: largest numbers of nodes on an arc, with a program for each.
     """
-    on_gpu = computes_on_gpu()
     pixels, arcs = ((1, _ROWS_ON_GPU),) * 2 if on_gpu else ((_BLOCKS, _SMOOTH), (_BLOCKS, _ARCS))
     tiles: list[Callable[[], _Tile]] = []
     for part in plan.parts:
@@ -125,7 +124,7 @@ def _tiles(plan: RecordPlan, lengths: tuple[int, ...]) -> list[Callable[[], _Til
 @lru_cache(maxsize=1)
 def _tiles_on_gpu(plan: RecordPlan) -> list[Callable[[], _Tile]]:
     """Transfer all tiles of a plan to the GPU once, because the transfer takes longer than the computation."""
-    return [partial(lambda tile: tile, transferred(tile())) for tile in _tiles(plan, _RULES[-1:])]
+    return [partial(lambda tile: tile, transferred(tile())) for tile in _tiles(plan, True, _RULES[-1:])]
 
 
 def _pixel_tile(
@@ -161,21 +160,29 @@ def _recorded(subject: Subject, tile: _Tile) -> tuple[AnyArray, Any]:
         values = _smooth_blocks(subject, blur, tile.rules, used, tile.rows)
     else:
         values = _arc_blocks(subject, blur, used, tile.counts, tile.rules, tile.rows)
-    return tile.position, np.asarray(values) if subject.known and not computes_on_gpu() else values
+    return tile.position, values
 
 
-def _added(total: Any, position: AnyArray, values: Any) -> Any:
-    """Add the values of a tile to the records of its positions."""
-    if isinstance(values, jax.Array):
-        return _added_by_jax(total, position, values)
-    own = values.reshape(-1, total.shape[1])[: position.size]
-    for column, value in zip(total.T, own.T, strict=True):
-        np.add.at(column, position, value)
+def _added_by_numpy(shape: tuple[int, int], found: Iterable[tuple[AnyArray, Any]]) -> np.ndarray:
+    """Add the values of all tiles to the records of their positions. shape: (positions, channels)."""
+    total = np.zeros(shape, order="F")
+    for position, values in found:
+        own = values.reshape(-1, shape[1])[: position.size]
+        for column, value in zip(total.T, own.T, strict=True):
+            np.add.at(column, position, value)
+    return total
+
+
+def _added_by_jax(shape: tuple[int, int], found: Iterable[tuple[AnyArray, Any]]) -> jax.Array:
+    """Compute `_added_by_numpy` on a GPU, or for differentiation."""
+    total = jnp.zeros(shape)
+    for position, values in found:
+        total = _with_tile(total, position, values)
     return total
 
 
 @jax.jit
-def _added_by_jax(total: jax.Array, position: jax.Array, values: jax.Array) -> jax.Array:
+def _with_tile(total: jax.Array, position: jax.Array, values: jax.Array) -> jax.Array:
     return total.at[position].add(values.reshape(-1, total.shape[1])[: position.size])
 
 
