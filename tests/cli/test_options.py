@@ -101,6 +101,15 @@ def test_remarks_speak_of_options(capsys, monkeypatch):
     assert capsys.readouterr().out == f"{text}\n"
 
 
+def test_a_message_is_translated_once(capsys):
+    """A second translation may change the words of the first."""
+    with show.wording(lambda text: f"<{text}>"):
+        show.notes(["a", "b"])
+        show.say("c")
+        show.remark("d")
+    assert capsys.readouterr() == ("note: <a>\nnote: <b>\n<c>\n", "matcam: <d>\n")
+
+
 def test_python_keeps_its_own_words():
     with pytest.raises(ArgumentError, match=r"^half_width must lie in"):
         BoxPixel(0.7)

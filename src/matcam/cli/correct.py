@@ -210,9 +210,8 @@ def _print_table(document: dict[str, Any], name: str, json: bool) -> None:
     show.say(document["verdict"])
     if not document["withheld"]:
         show.say(f"the peak at 75° was raised by a factor of {document['peak_gain_75']:.2f}")
-    for remark in document["remarks"]:
-        if remark not in document["fit"]["remarks"]:  # printed with the fit
-            show.say(f"note: {remark['text']}")
+    of_fit = document["fit"]["remarks"]  # printed with the fit
+    show.notes(remark["text"] for remark in document["remarks"] if remark not in of_fit)
     show.written(document["files"])
 
 

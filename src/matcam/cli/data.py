@@ -65,7 +65,7 @@ def merl(
             show.say(fetched[-1], quiet=json)
         except (DownloadError, OutputError) as error:
             failed.append(show.worded(str(error)))
-            show.remark(failed[-1])
+            show.remark(str(error))
     if json:
         show.as_json({"files": fetched, "failed": failed})
     if not failed:

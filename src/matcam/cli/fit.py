@@ -113,7 +113,7 @@ def command(
     else:
         print_fit(found.to_dict(), ", ".join(file.name for file in files))
         if rival:
-            show.say(f"note: {document['rival']['verdict']}")
+            show.notes([document["rival"]["verdict"]])
         written = [str(path) for path in (output, budget) if path]
         if written:
             show.written(written)

@@ -131,14 +131,20 @@ def _width() -> int | None:
 
 def say(text: str, *, quiet: bool = False) -> None:
     """Print a line of the result, unless standard output is for JSON."""
-    if not (quiet or _manner[-1][0]):
-        _print("\n".join(map(printable, worded(text).split("\n"))))
+    if not quiet:
+        _say(worded(text))
 
 
 def notes(texts: Iterable[object]) -> None:
     """Print the remarks on a result."""
     for text in texts:
-        say(f"note: {worded(str(text))}")
+        _say(f"note: {worded(str(text))}")
+
+
+def _say(text: str) -> None:
+    """Print a translated line of the result, unless standard output is for JSON."""
+    if not _manner[-1][0]:
+        _print("\n".join(map(printable, text.split("\n"))))
 
 
 def written(paths: Iterable[object]) -> None:
