@@ -96,9 +96,9 @@ def on_black(plot: Any, picture: Any, *, shown: bool = True) -> None:
     plot.background_fill_color = "#000000" if shown else WAITING
 
 
-def hover(plot: Any, renderers: list[Any], tips: list[tuple[str, str]], mode: str = "mouse") -> None:
+def hover(plot: Any, renderers: list[Any], tips: list[tuple[str, str]]) -> None:
     """Show values under the pointer."""
-    plot.add_tools(HoverTool(renderers=renderers, tooltips=tips, mode=mode))
+    plot.add_tools(HoverTool(renderers=renderers, tooltips=tips))
 
 
 class PictureColours:

@@ -199,12 +199,12 @@ def _discard_unfinished() -> None:
 
 
 @contextlib.contextmanager
-def replacing(path: str | Path, *, force: bool = False, inputs: Iterable[str | Path] = ()) -> Iterator[Path]:
+def replacing(path: str | Path, *, force: bool = False) -> Iterator[Path]:
     """Yield a temporary file beside `path`, which replaces `path` on success.
 
     An exception removes the temporary file. Its name has the suffix of `path`, which determines the format.
     """
-    path = check_output(path, force=force, inputs=inputs)
+    path = check_output(path, force=force)
     try:
         with all_or_nothing() as outputs:
             if path in outputs.staged and not force:

@@ -60,14 +60,13 @@ def some_of(names: Iterable[str], most: int = 6) -> str:
     return ", ".join(every[:most]) + more
 
 
-def gathered(remarks: Iterable[tuple[str, Remark]], most: int = 3) -> list[Remark]:
+def gathered(remarks: Iterable[tuple[str, Remark]]) -> list[Remark]:
     """Combine remarks with the same code on many objects.
 
-    If there are more than `most`, the first remark represents all, and names the other objects.
+    If there are more than three, the first remark represents all, and names the other objects.
 
     Args:
         remarks: name of each object, and its remark.
-        most: largest number of separate remarks of one code, no unit. Default: 3.
 
     Returns:
         The remarks, by code, in the order in which the codes first occur.
@@ -82,7 +81,7 @@ def gathered(remarks: Iterable[tuple[str, Remark]], most: int = 3) -> list[Remar
         by_code.setdefault(remark.code, []).append((name, remark))
     found = []
     for code, pairs in by_code.items():
-        if len(pairs) <= most:
+        if len(pairs) <= 3:
             found += [remark for _, remark in pairs]
         else:
             found.append(Remark(code, f"{pairs[0][1]}; likewise {some_of(name for name, _ in pairs[1:])}"))

@@ -30,9 +30,7 @@ RAW_LABEL = "raw: from the recorded peak, camera ignored"
 """Label of `fresnel`'s raw curve."""
 
 
-def fresnel_figure(
-    result: xr.Dataset, tables: xr.Dataset | None = None, title: str = "", channel: int | None = None
-) -> Figure:
+def fresnel_figure(result: xr.Dataset, tables: xr.Dataset | None = None, channel: int | None = None) -> Figure:
     """Draw raw and corrected F, and the recorded share of the peak.
 
     The left panel shows F over theta_d with tabulated metals, the right panel the recorded share of the peak.
@@ -40,7 +38,6 @@ def fresnel_figure(
     Args:
         result: result of `fresnel`.
         tables: result of `tabulated_fresnel`; None: no tables. Default: None.
-        title: title. Default: source and channel.
         channel: index of the channel. Default: None, the middle one (green).
     """
     channel = result.sizes["channel"] // 2 if channel is None else channel
@@ -51,7 +48,7 @@ def fresnel_figure(
         rows = -(-len(labels) // 2)
         figure.subplots_adjust(left=0.065, right=0.988, top=0.91, bottom=0.135 + 0.037 * rows, wspace=0.2)
         name = str(result["channel"].values[channel])
-        left.set_title(title or f"{result.attrs['source']}: Fresnel term, channel {name}", loc="left")
+        left.set_title(f"{result.attrs['source']}: Fresnel term, channel {name}", loc="left")
         # legend under the axes, because measured curves may cover any part of them
         figure.legend(handles, labels, loc="lower left", bbox_to_anchor=(0.05, 0.0), ncols=2, fontsize=8.2)
         _draw_loss(right, result)

@@ -142,11 +142,11 @@ def _fit(title: Text, room: float) -> bool:
     return True
 
 
-def degrees_axis(axes: Axes, label: str, end: float = 90) -> None:
+def degrees_axis(axes: Axes, label: str) -> None:
     """Label the x axis with angles in degrees."""
     axes.set_xlabel(f"{label} [degrees]")
-    axes.set_xlim(0, end)
-    axes.set_xticks(range(0, int(end) + 1, 15))
+    axes.set_xlim(0, 90)
+    axes.set_xticks(range(0, 91, 15))
 
 
 def draw_with_std(axes: Axes, x: Any, value: Any, std: Any, colour: Any, **line: Any) -> None:

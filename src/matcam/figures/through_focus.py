@@ -21,17 +21,16 @@ series does not show it.
 """
 
 
-def through_focus_figure(series: Mapping[str, FocusSeries], title: str = "") -> Figure:
+def through_focus_figure(series: Mapping[str, FocusSeries]) -> Figure:
     """Draw MTF50 over the focus position, with the fitted curves.
 
     Args:
         series: measured series by label, such as region and channel.
-        title: title. Default: "Through-focus series".
     """
     with drawing(7.2, 4.6) as figure:
         axes = figure.subplots()
         draw_through_focus(axes, series)
-        axes.set_title(title or "Through-focus series", loc="left")
+        axes.set_title("Through-focus series", loc="left")
     return figure
 
 

@@ -391,19 +391,19 @@ def _pixel_number(x: np.ndarray, y: np.ndarray, azimuth: float) -> np.ndarray:
     return x * PICTURE_STRIDE + y
 
 
-def simulated_chromium(seed: int = 1) -> xr.DataArray:
+def simulated_chromium() -> xr.DataArray:
     """Simulate the table of an ideal chromium sphere on the MERL rig.
 
     The lobe is Gaussian, 0.002 rad wide; n and k are those of Rakic et al. (1998). Noise is 1 % per pixel, without a
     floor, because a MERL file cannot contain negative values. The truth is known, so the table is useful for
     demonstrations and tests of the installation. The tests of the method are in tests/oracle.
     """
-    return default_workspace().remember("simulated chromium", seed, lambda: _noisy_chromium(seed), most=1).copy()
+    return default_workspace().remember("simulated chromium", (), _noisy_chromium, most=1).copy()
 
 
-def _noisy_chromium(seed: int) -> xr.DataArray:
+def _noisy_chromium() -> xr.DataArray:
     n, k, _ = metal("Cr", CHANNEL_WAVELENGTHS, "rakic")
     # without masking, which is 1 to within 1e-6 up to 89 degrees for such a smooth surface
     chromium = Microfacet(GaussianNDF(CHROMIUM_WIDTH), Conductor(n, k), masking=None)
-    table = with_pixel_noise(measure(chromium, merl()), merl(), PixelNoise(0.01, 0.0), seed)
+    table = with_pixel_noise(measure(chromium, merl()), merl(), PixelNoise(0.01, 0.0), seed=1)
     return table.assign_attrs(source="simulated chromium")

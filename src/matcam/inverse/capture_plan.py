@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import numpy as np
 
-from matcam.camera.sensor import PixelNoise
 from matcam.core import checks
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import jnp
@@ -93,7 +92,6 @@ def plan_capture(
     *,
     n: float = 1.5,
     k: float = 0.0,
-    noise: PixelNoise | None = None,
     workspace: Workspace | None = None,
 ) -> CaptureNeeds:
     """Plan a capture for a wanted accuracy of F.
@@ -109,7 +107,6 @@ def plan_capture(
         last: largest theta_d at which F is wanted, rad, [0.2, 1.5]. Default: 75 degrees.
         n: refractive index of the material, no unit. Default: 1.5, for which F is steep at large angles.
         k: extinction coefficient of the material, no unit. Default: 0.
-        noise: noise of a pixel and of the image gain. Default: None, 1 % of the value, 1e-4 of the peak and 1 % of gain.
         workspace: store of results that depend only on the rig. Default: None, that of the process.
 
     Returns:
@@ -140,7 +137,6 @@ def plan_capture(
         found = limits(
             _enlarged(rig, size),
             roughness=[roughness],
-            noise=noise or PixelNoise(picture_gain=0.01),
             workspace=workspace,
         )
         bound = float(np.interp(last, found["theta_d"].values, found["fresnel_std"].values[0]))

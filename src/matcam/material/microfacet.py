@@ -88,22 +88,6 @@ class Microfacet(Material):
         """Return the ratio of the largest to the smallest roughness, no unit."""
         return self.ndf.elongation
 
-    def smooth_part(self, shading: Shading) -> jax.Array:
-        """Return the factor of D in the BRDF.
-
-        It is F G / (4 cos_i cos_o).
-
-        Args:
-            shading: directions of light and view; its arrays broadcast.
-
-        Returns:
-            The factor, 0 below the horizon, in the shape of `reflected`.
-        """
-        shading, above = above_horizon(shading)
-        factor = jnp.where(above, self._joint_masking(shading) / (4 * shading.cos_i * shading.cos_o), 0.0)
-        reflectance = self.fresnel.at(shading.theta_d)
-        return reflectance * (factor[..., None] if reflectance.ndim > shading.theta_d.ndim else factor)
-
     def _joint_masking(self, shading: Shading) -> jax.Array:
         if self.masking is None:
             return jnp.ones_like(shading.cos_i * shading.cos_o)

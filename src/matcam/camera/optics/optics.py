@@ -49,9 +49,9 @@ class Rule(NamedTuple):
     weight: AnyArray
 
 
-def piecewise_rule(edges: np.ndarray, order: int = ORDER) -> Rule:
-    """Build Gauss-Legendre nodes, `order` of them on each panel between consecutive edges."""
-    return Rule(*nodes_in_panels(edges, order))
+def piecewise_rule(edges: np.ndarray) -> Rule:
+    """Build Gauss-Legendre nodes, `ORDER` of them on each panel between consecutive edges."""
+    return Rule(*nodes_in_panels(edges, ORDER))
 
 
 def split_rule(borders: np.ndarray, knots: np.ndarray) -> Rule:
@@ -310,14 +310,13 @@ class Optics(Module):
         """
         return ((xp.ones(()), self),)
 
-    def frequency_rule(self, panels: int, grade: int = 1) -> Rule:
-        """Return a quadrature over [0, band] on evenly graded panels.
+    def frequency_rule(self, panels: int) -> Rule:
+        """Return a quadrature over [0, band] on panels of equal width.
 
         Args:
             panels: smallest number of panels.
-            grade: exponent of the panel limits; above 1 the panels are narrower towards 0. Default: 1, equal widths.
         """
-        return self.rule_on(np.linspace(0, 1, panels + 1) ** grade)
+        return self.rule_on(np.linspace(0, 1, panels + 1))
 
     def __repr__(self) -> str:
         """Format a call of the constructor, without arguments that are equal to their defaults."""
