@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from matcam.sample.shape import highlight_between
+from matcam.sample.sight import highlight_between
 
 _TURNS = 60  # largest number of iterations
 _SETTLED = 1e-15  # change of an angle at convergence, rad

@@ -178,13 +178,14 @@ def flag(name: str, value: Any) -> bool:
     return bool(value)
 
 
-def instance(name: str, value: Any, kind: type[T]) -> T:
+def instance(name: str, value: Any, kind: type[T], example: str = "") -> T:
     """Check that `value` is an instance of a class.
 
-    ArgumentError otherwise; the message contains the class.
+    ArgumentError otherwise; the message contains the class and an example of an instance. Default: no example.
     """
     if not isinstance(value, kind):
-        raise ArgumentError(f"{name} must be a {kind.__name__}, got {_shown(value)}")
+        such = f" such as {example}" if example else ""
+        raise ArgumentError(f"{name} must be a {kind.__name__}{such}, got {_shown(value)}")
     return value
 
 

@@ -23,7 +23,7 @@ from matcam.core.errors import ArgumentError
 from matcam.core.grid import CHANNELS
 from matcam.core.io import write_text
 from matcam.core.jax import jax, jnp
-from matcam.material.material import Material
+from matcam.material.material import Material, check_material
 from matcam.material.microfacet import Microfacet
 from matcam.material.ndf.ggx import GGX
 from matcam.material.reflectance import Dielectric, Schlick
@@ -77,8 +77,7 @@ def fit_openpbr(material: Material) -> OpenPBRSurface:
         >>> surface.metalness, round(surface.specular_ior, 2)
         (0.0, 1.5)
     """
-    if not isinstance(material, Material):
-        raise ArgumentError(f"material must be a Material such as Tabulated(table), got {type(material).__name__}")
+    check_material(material)
     # the half angles are dense about the peak, as in a MERL table
     theta_h, theta_d, phi_d = np.meshgrid(
         np.linspace(0.0, 1.0, 28) ** 2 * np.radians(85), np.radians(np.arange(5.0, 76, 10)), _AZIMUTHS, indexing="ij"

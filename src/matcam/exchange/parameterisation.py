@@ -25,7 +25,7 @@ from matcam.core import checks
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import CHANNELS
 from matcam.core.shading import local_shading, vector
-from matcam.material.material import Material
+from matcam.material.material import Material, check_material
 from matcam.material.measured import Adaptive, Warp
 from matcam.material.microfacet import Microfacet
 from matcam.material.ndf.distribution import NDF
@@ -111,8 +111,7 @@ def adaptive_grid(material: Material, *, description: str = "", square: int = SQ
         >>> fields["rgb"].dims, fields["rgb"].shape
         (('phi_i', 'theta_i', 'channel', 'row', 'column'), (1, 44, 3, 8, 8))
     """
-    if not isinstance(material, Material):
-        raise ArgumentError(f"material must be a Material such as Tabulated(table), got {type(material).__name__}")
+    check_material(material)
     if isinstance(material, Microfacet) and not isinstance(material.ndf, NDF):
         raise ArgumentError(
             f"only isotropic materials can be resampled, but {material.ndf!r} is anisotropic: give a material with an "

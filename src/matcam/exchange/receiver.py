@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from matcam.camera.camera import Camera
+from matcam.core import checks
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import jnp
 from matcam.rigs import Rig
@@ -52,8 +53,7 @@ def solid_angles(rig: Rig) -> dict[str, float | None]:
         >>> print(f"{angles['equivalent_receiver_sr']:.2g} sr, {angles['kernel_area_px2']:.3g} px^2")
         0.00026 sr, 4.23 px^2
     """
-    if not isinstance(rig, Rig):
-        raise ArgumentError(f"rig must be a Rig such as rigs.merl(), got {type(rig).__name__}")
+    checks.instance("rig", rig, Rig, "rigs.merl()")
     area = effective_area(rig.camera)
     along, across = (float(px) for px in rig.px_per_rad(jnp.zeros(())))
     turns = np.isfinite(along) and np.isfinite(across)

@@ -50,7 +50,7 @@ from matcam.forward.sampler.plan import RecordPlan, graded_for, record_plan
 from matcam.forward.sampler.record import record
 from matcam.forward.sampler.under_lamp import record_under_lamp
 from matcam.lamp.lamps import disc_of
-from matcam.material.material import Material
+from matcam.material.material import Material, check_material
 from matcam.material.microfacet import Microfacet
 from matcam.material.ndf.gaussian_lobe import GaussianNDF
 from matcam.material.optical_constants import metal
@@ -163,12 +163,8 @@ def table_values(
         >>> values.shape, pixels.shape
         ((90, 90, 180, 1), (90, 90, 180))
     """
-    if not isinstance(material, Material):
-        raise ArgumentError(
-            f"material must be a Material such as Microfacet(GGX(0.1), 0.9), got {type(material).__name__}"
-        )
-    if not isinstance(rig, Rig):
-        raise ArgumentError(f"rig must be a Rig such as rigs.merl(), got {type(rig).__name__}")
+    check_material(material)
+    checks.instance("rig", rig, Rig, "rigs.merl()")
     workspace = checks.instance("workspace", default_workspace() if workspace is None else workspace, Workspace)
     if isinstance(rig.sample, Flat):
         return _flat_values(material, rig), np.zeros(GRID_SHAPE)

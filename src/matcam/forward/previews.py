@@ -168,8 +168,7 @@ def sphere_preview(material: Microfacet, rig: Rig, theta_d: float, side: int = 1
 
 def _checked_rig(rig: Rig, ndf: object) -> Rig:
     """Check rig and lobe, and convert the rig to a near rig whose lens has a halo, so that all rigs share a program."""
-    if not isinstance(rig, Rig):
-        raise ArgumentError(f"rig must be a Rig such as rigs.merl(), got {type(rig).__name__}")
+    checks.instance("rig", rig, Rig, "rigs.merl()")
     if not isinstance(rig.sample, Sphere):
         raise ArgumentError(f"a preview needs a Sphere, got a {type(rig.sample).__name__}")
     if not isinstance(ndf, MixtureNDF):
@@ -187,10 +186,7 @@ def _checked_rig(rig: Rig, ndf: object) -> Rig:
 
 
 def _checked(material: Microfacet, rig: Rig, theta_d: float) -> tuple[Rig, Any]:
-    if not isinstance(material, Microfacet):
-        raise ArgumentError(
-            f"material must be a Microfacet such as Microfacet(GGX(0.1), 0.9), got {type(material).__name__}"
-        )
+    checks.instance("material", material, Microfacet, "Microfacet(GGX(0.1), 0.9)")
     return _checked_rig(rig, material.ndf), np.asarray(float(checks.within("theta_d", theta_d, 0, _STEEPEST, "rad")))
 
 

@@ -134,8 +134,7 @@ def rig_highlights(
         >>> print(np.round(found.x, 1), np.round(found.std_along, 2), np.round(found.std_across, 2))
         [ 40.1 174.5] [0.51 0.32] [0.51 0.49]
     """
-    if not isinstance(rig, Rig):
-        raise ArgumentError(f"rig must be a Rig such as rigs.merl(), got {type(rig).__name__}")
+    checks.instance("rig", rig, Rig, "rigs.merl()")
     sample, near = rig.sample, rig.lamp.nearness
     if not isinstance(sample, Sphere):
         raise ArgumentError(f"highlights of a rig need a Sphere, got a rig with a {type(sample).__name__}")

@@ -30,7 +30,7 @@ from matcam.forward.integral.scene import Scene, Turn
 from matcam.forward.sampler.plan import RecordPositions
 from matcam.forward.sampler.under_lamp import record_under_points
 from matcam.lamp.lamps import LampPoint, checked_lamp_angle, lamp_points
-from matcam.material.material import Material
+from matcam.material.material import Material, check_material
 from matcam.rigs import Rig, picture_shape
 from matcam.sample.curved import Cylinder, Sphere
 from matcam.sample.shape import Curved
@@ -84,12 +84,8 @@ def view_of(
     Raises:
         ArgumentError: see `matcam.picture`.
     """
-    if not isinstance(material, Material):
-        raise ArgumentError(
-            f"material must be a Material such as Microfacet(GGX(0.1), 0.9), got {type(material).__name__}"
-        )
-    if not isinstance(rig, Rig):
-        raise ArgumentError(f"rig must be a Rig such as rigs.merl(), got {type(rig).__name__}")
+    check_material(material)
+    checks.instance("rig", rig, Rig, "rigs.merl()")
     if not isinstance(rig.sample, Curved):
         raise ArgumentError("a flat sample has only one normal: use textured_picture, or give a Sphere or a Cylinder")
     lens = _lens_of(material, rig, rig.sample, error)

@@ -78,6 +78,11 @@ class Material(eqx.Module):
         return jnp.where(above, reflected / foreshortening, jnp.nan)
 
 
+def check_material(material: Material) -> None:
+    """Raise ArgumentError if an argument is not a material."""
+    checks.instance("material", material, Material, "Microfacet(GGX(0.1), 0.9)")  # type: ignore[type-abstract]
+
+
 def shading_at(theta_h: ArrayLike, theta_d: ArrayLike, phi_d: ArrayLike, phi_h: ArrayLike = 0.0) -> Shading:
     """Compute the shading at half and difference angles, rad, which broadcast."""
     theta_h, theta_d, phi_d, phi_h = checks.broadcastable(theta_h=theta_h, theta_d=theta_d, phi_d=phi_d, phi_h=phi_h)

@@ -15,7 +15,7 @@ from matcam.material.masking import Masking, g2
 from matcam.material.material import theta_h_of
 from matcam.material.ndf.distribution import NDF, SlopeDistribution
 from matcam.material.tabulated_masking import quick_lambda
-from matcam.sample.shape import depth_from
+from matcam.sample.sight import depth_from
 
 _LEAST = 1e-9  # smallest cosine of the angles of incidence and view: on the outline itself there is no surface
 

@@ -6,22 +6,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from matcam.core import checks
 from matcam.core.arrays import xp
-from matcam.core.arrays.module import static_field
 from matcam.core.shading import Vector
 from matcam.numerics.elementary import plane_length, sine
-from matcam.sample.shape import (
-    Curved,
-    Element,
-    Position,
-    checked_distance,
-    depth_of,
-    is_infinite,
-)
-
-_LARGEST = 1e100
-"""Largest radius, px. Sums of its square and of the squares of blurs are finite in float64."""
+from matcam.sample.shape import Curved, Element, Position, checked_distance, checked_radius, is_infinite
+from matcam.sample.sight import depth_of
 
 if TYPE_CHECKING:
     from jax.typing import ArrayLike
@@ -52,13 +41,8 @@ class Sphere(Curved):
         [128.0, 256.0]
     """
 
-    radius: jax.Array
-    distance: jax.Array
-    distant: bool = static_field()
-
     def __init__(self, radius: ArrayLike, distance: ArrayLike = np.inf):
-        self.radius = checks.scalar("radius", checks.within("radius", radius, 0, _LARGEST, "px", open_low=True))
-        self.distance = checked_distance(distance)
+        self.radius, self.distance = checked_radius(radius), checked_distance(distance)
         self.distant = is_infinite(distance)
 
     def surface(self, u: jax.Array, v: jax.Array) -> Element:
@@ -176,9 +160,6 @@ class Sphere(Curved):
     def _turn_across(self, half_vector: jax.Array) -> jax.Array:
         return 1 + half_vector
 
-    def __repr__(self) -> str:
-        return _constructor_call(self)
-
 
 class Cylinder(Curved):
     """Cylinder about the y axis, seen perpendicular to its axis.
@@ -203,13 +184,8 @@ class Cylinder(Curved):
         inf
     """
 
-    radius: jax.Array
-    distance: jax.Array
-    distant: bool = static_field()
-
     def __init__(self, radius: ArrayLike, distance: ArrayLike = np.inf):
-        self.radius = checks.scalar("radius", checks.within("radius", radius, 0, _LARGEST, "px", open_low=True))
-        self.distance = checked_distance(distance)
+        self.radius, self.distance = checked_radius(radius), checked_distance(distance)
         self.distant = is_infinite(distance)
 
     def surface(self, u: jax.Array, v: jax.Array) -> Element:
@@ -272,12 +248,3 @@ class Cylinder(Curved):
         # the normal is constant along the axis, but the half vector of a near camera is not; for a distant camera both
         # are constant, and 1 / 0 is the infinity that px_per_rad returns
         return half_vector
-
-    def __repr__(self) -> str:
-        return _constructor_call(self)
-
-
-def _constructor_call(shape: Curved) -> str:
-    """Return the constructor call of the shape."""
-    far = "" if shape.distant else f", distance={shape.distance!s}"
-    return f"{type(shape).__name__}(radius={shape.radius!s}{far})"

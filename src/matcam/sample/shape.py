@@ -16,17 +16,20 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from matcam.core import checks
-from matcam.core.arrays import is_concrete, repeated, xp
-from matcam.core.arrays.module import Module
+from matcam.core.arrays import is_concrete, xp
+from matcam.core.arrays.module import Module, static_field
 from matcam.core.errors import ArgumentError
 from matcam.core.shading import Vector, towards_source
-from matcam.numerics.approximation import AnyValues
 from matcam.numerics.elementary import arcsine
+from matcam.sample.sight import angle_on_circle, highlight_between, parallax
 
 if TYPE_CHECKING:
     from jax.typing import ArrayLike
 
     from matcam.core.jax import AnyArray, jax
+
+_LARGEST = 1e100
+"""Largest radius, px. Sums of its square and of the squares of blurs are finite in float64."""
 
 
 class Element(NamedTuple):
@@ -139,10 +142,13 @@ class Curved(Sample):
         distant: True if the distance is infinite. The view direction is then constant.
     """
 
-    if TYPE_CHECKING:
-        radius: jax.Array
-        distance: jax.Array
-        distant: bool
+    radius: jax.Array
+    distance: jax.Array
+    distant: bool = static_field()
+
+    def __repr__(self) -> str:
+        far = "" if self.distant else f", distance={self.distance!s}"
+        return f"{type(self).__name__}(radius={self.radius!s}{far})"
 
     def in_words(self) -> str:
         """Describe shape, radius and camera in words, for titles and pages."""
@@ -222,7 +228,11 @@ class Curved(Sample):
         """
 
     def point(self, element: Element) -> Vector:
-        """Return the points of surface elements, relative to the centre, radii."""
+        """Return the points of surface elements, relative to the centre, radii.
+
+        Args:
+            element: the surface elements.
+        """
         return element.normal[0], self.height(element), element.normal[2]
 
     @property
@@ -322,7 +332,7 @@ class Curved(Sample):
             lamp_nearness: inverse of the lamp's distance, 1/radii. Default: None, a distant lamp.
         """
         aside = lamp_angle - self.highlight(lamp_angle, lamp_nearness)
-        return aside if lamp_nearness is None else aside + _parallax(aside, lamp_nearness)[0]
+        return aside if lamp_nearness is None else aside + parallax(aside, lamp_nearness)[0]
 
     def px_per_rad(self, theta_o: jax.Array, lamp_nearness: ArrayLike | None = None) -> tuple[jax.Array, jax.Array]:
         """Return the shift of the image per rotation of the normal, px/rad.
@@ -377,64 +387,9 @@ class Curved(Sample):
         return view, xp.sqrt(square), 1 - q * normal[2]
 
 
-def highlight_between(lamp_angle: jax.Array, camera: ArrayLike, lamp: ArrayLike) -> jax.Array:
-    """Compute the angle from the optical axis at which the normal is the half vector of a near camera and lamp, rad.
-
-    Args:
-        lamp_angle: angle between lamp and optical axis, rad.
-        camera: inverse of the camera's distance, 1/radii.
-        lamp: inverse of the lamp's distance, 1/radii.
-    """
-
-    def miss(u: jax.Array) -> tuple[jax.Array, jax.Array]:
-        view, view_slope = _parallax(u, camera)
-        light, light_slope = _parallax(lamp_angle - u, lamp)
-        return 2 * u + view - light - lamp_angle, 2 + view_slope + light_slope
-
-    def newton(state: tuple[jax.Array, jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array, jax.Array]:
-        u, low, high = state  # the root lies between low and high: a step outside is replaced by a bisection
-        value, slope = miss(u)
-        low, high = xp.where(value < 0, u, low), xp.where(value < 0, high, u)
-        step = u - value / slope
-        inside = (step >= low) & (step <= high)
-        return xp.where(inside, step, (low + high) / 2), low, high
-
-    ends = xp.minimum(0.0, lamp_angle), xp.maximum(0.0, lamp_angle)
-    start = lamp_angle / 2 + 0 * (xp.asarray(camera) + lamp)  # a JAX array if one of the three is a JAX array
-    return repeated(24, newton, (start, *(end + 0 * start for end in ends)))[0]
-
-
-def _parallax(aside: jax.Array, nearness: ArrayLike) -> tuple[jax.Array, jax.Array]:
-    """Compute the parallax of a near point between surface and centre, rad, and its derivative with respect to `aside`.
-
-    Args:
-        aside: angle of the point from the normal, seen from the centre of the sample, rad.
-        nearness: inverse of the point's distance from the centre, 1/radii.
-    """
-    q = xp.asarray(nearness)
-    slope = q * (xp.cos(aside) - q) / (1 + q**2 - 2 * q * xp.cos(aside))
-    return xp.arctan2(q * xp.sin(aside), 1 - q * xp.cos(aside)), slope
-
-
-def angle_on_circle(slope: jax.Array, tilt: jax.Array) -> jax.Array:
-    """Solve sin u + tilt cos u = slope for the u nearest to 0; +-pi/2 without a solution."""
-    lean = xp.arctan(tilt)  # the solution is the intersection of a line of sight with a circle
-    sine = slope * xp.cos(lean)
-    inside = xp.abs(sine) < 1
-    return xp.where(inside, xp.arcsin(xp.where(inside, sine, 0.0)) - lean, xp.sign(slope) * xp.pi / 2)
-
-
-def depth_of(slope: AnyValues, q: ArrayLike) -> tuple[AnyValues, AnyValues]:
-    """Compute cos t of the visible point with sin t = slope (1 - q cos t), and a mask of lines of sight that hit."""
-    square = slope**2
-    root = 1 + square * (q**2 - 1)
-    hits = root > 0
-    return depth_from(square, xp.sqrt(xp.where(hits, root, 1.0)), q), hits
-
-
-def depth_from(square: AnyValues, root: AnyValues, q: ArrayLike) -> AnyValues:
-    """Compute `depth_of` from the squared slope and sqrt(1 - (1 - q^2) slope^2)."""
-    return (square * q + root) / (1 + square * q**2)
+def checked_radius(radius: ArrayLike) -> jax.Array:
+    """Check the radius of the limb of a sample, px."""
+    return checks.scalar("radius", checks.within("radius", radius, 0, _LARGEST, "px", open_low=True))
 
 
 def checked_distance(distance: ArrayLike) -> jax.Array:

@@ -67,8 +67,7 @@ def peak_response(
     theta = checks.viewing_angle("theta", theta)
     checks.choice("dims", dims, (1, 2))
     checks.choice("masking", masking, MASKINGS)
-    if not isinstance(rig, Rig):
-        raise ArgumentError(f"rig must be a Rig such as rigs.merl(), got {type(rig).__name__}")
+    checks.instance("rig", rig, Rig, "rigs.merl()")
     if not isinstance(ndf, SlopeDistribution):
         raise ArgumentError(f"ndf must be an NDF such as GGX(0.1), got {type(ndf).__name__}")
     flat = xp.reshape(theta, -1)

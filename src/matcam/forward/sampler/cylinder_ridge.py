@@ -13,7 +13,8 @@ from jax.typing import ArrayLike
 from matcam.core.jax import AnyArray, jax, jnp
 from matcam.core.shading import Vector, towards_source
 from matcam.sample.curved import Cylinder
-from matcam.sample.shape import Element, highlight_between
+from matcam.sample.shape import Element
+from matcam.sample.sight import highlight_between
 
 _STEPS = 6
 """Number of Newton steps to the position closest to the half vector. Each reduces the error to a few per cent."""

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from matcam.sample.shape import depth_of
+from matcam.sample.sight import depth_of
 
 _PER_SIDE = 12
 """Number of points on each side of a window at which angles are compared."""

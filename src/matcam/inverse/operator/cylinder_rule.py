@@ -21,7 +21,7 @@ from matcam.core.jax import jax, jit_plainly, jnp
 from matcam.forward.integral.blur import Blur, Spread
 from matcam.forward.sampler.cylinder_ridge import PlacedLamps, ends_of_light, ridge_of, seen_at, towards
 from matcam.inverse.operator.sphere_rule import Directions
-from matcam.inverse.operator.theta_nodes import NODES, CircleSums, Scale, Spacing, onto_nodes, rise_of
+from matcam.inverse.operator.theta_nodes import NODES, CircleSums, NodeSpacing, Scale, cos_azimuth, onto_nodes, rise_of
 from matcam.sample.curved import Cylinder
 
 _PANEL = np.polynomial.legendre.leggauss(16)
@@ -185,7 +185,7 @@ def cylinder_rule(
         half = blur.pixel.half_width
         own = [turns(x + arm * at) for at in (-wide, -half, half, wide)]
         farthest = jnp.maximum(own[3], own[0] + _LEAST)
-        scale = Spacing.of(own[0], farthest, scale_of.limit(farthest)).scale
+        scale = NodeSpacing.of(own[0], farthest, scale_of.limit(farthest)).scale
         cuts = jnp.stack([jnp.arcsinh(turn / scale) for turn in own], axis=-1)
         middle = cuts[..., :1] + _HALVES * (cuts[..., 3:] - cuts[..., :1])
         cuts = jnp.sort(jnp.concatenate([cuts, middle], axis=-1), axis=-1)
@@ -204,14 +204,13 @@ def cylinder_rule(
         if square is not None:
             share = share / square
         share = jnp.where((at.cos_i > 0) & (at.cos_o > 0), share, 0.0)
-        spacing = Spacing.of(from_theta, to_theta, scale_of.limit(to_theta))
+        spacing = NodeSpacing.of(from_theta, to_theta, scale_of.limit(to_theta))
         position = spacing.by_pixel().position(at.theta_h)
         weight = onto_nodes(position, share)
         moment = None if cell is None else onto_nodes(position, share * rise_of(at.theta_d, cell[:, None, None]))
         nodes = spacing.angle(NODES[0])
         # nodes of all samples at about the same angle from the closest normal form a circle
-        cos_psi = (at.cos_i - at.cos_o) / jnp.maximum(2 * jnp.sin(at.theta_h) * jnp.sin(at.theta_d), 1e-300)
-        cos_psi = jnp.clip(cos_psi, -1, 1)
+        cos_psi = cos_azimuth(at.cos_i, at.cos_o, at.theta_h, at.theta_d)
         sums = [
             jnp.sum(share * one, axis=1)
             for one in (1.0, cos_psi, cos_psi**2, cos_psi**3, position, at.theta_d, at.theta_d * cos_psi)

@@ -26,7 +26,7 @@ from matcam.forward.sampler.windows import SphereView
 from matcam.inverse.operator.sample_view import SampleView
 from matcam.numerics.disc_chords import CHORD_RULE, COUNTS, chord_rule, chords_of
 from matcam.numerics.disc_gaussians import DISC_GAUSSIANS, LARGEST
-from matcam.sample.shape import highlight_between
+from matcam.sample.sight import highlight_between
 
 _GAUSSIAN = 0.45
 """Largest ratio of the radius of the lamp's image to the standard deviation of the blur at which the image is replaced by a

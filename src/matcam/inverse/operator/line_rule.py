@@ -16,7 +16,7 @@ import numpy as np
 
 from matcam.core.jax import jax, jit_plainly, jnp
 from matcam.forward.integral.blur import Blur, Spread
-from matcam.inverse.operator.theta_nodes import NODES, Scale, Spacing, onto_nodes
+from matcam.inverse.operator.theta_nodes import NODES, NodeSpacing, Scale, cos_azimuth, onto_nodes
 
 _PANEL = np.polynomial.legendre.leggauss(24)
 """Gauss-Legendre nodes and weights of the panel between two neighbouring cuts of an arm."""
@@ -112,7 +112,7 @@ def line_rule(
 
         nearest = turns(column - arm * onto)
         farthest = jnp.maximum(turns(column + arm * onto), nearest + _LEAST)
-        spacing = Spacing.of(nearest, farthest, scale_of.limit(farthest))
+        spacing = NodeSpacing.of(nearest, farthest, scale_of.limit(farthest))
         own = [turns(column + arm * at) for at in (-reach, -blur.pixel.half_width, blur.pixel.half_width, reach)]
         cuts = jnp.concatenate([jnp.arcsinh(turn / spacing.scale) for turn in own], axis=1)
         cuts = jnp.sort(jnp.concatenate([cuts, cuts[:, :1] + _HALVES * (cuts[:, 3:] - cuts[:, :1])], axis=1), axis=1)
@@ -129,8 +129,7 @@ def line_rule(
         u = closest + arm * turn
         theta = jnp.arctan2(jnp.hypot(half[1], along * jnp.sin(turn)), along * jnp.cos(turn))
         cos_i, cos_o = light[0] * jnp.sin(u) + light[2] * jnp.cos(u), jnp.cos(u)
-        cos_psi = (cos_i - cos_o) / jnp.maximum(2 * jnp.sin(theta) * jnp.sin(theta_d), 1e-300)
-        return theta, weight, jnp.clip(cos_psi, -1, 1)
+        return theta, weight, cos_azimuth(cos_i, cos_o, theta, theta_d)
 
     arguments = (*pixels, variance, reach, onto)
     found = jax.lax.map(block, tuple(a.reshape(-1, _BLOCK) for a in arguments))

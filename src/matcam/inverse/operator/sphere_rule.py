@@ -33,8 +33,9 @@ from matcam.inverse.operator.theta_nodes import (
     FROM_MOMENTS,
     NODES,
     CircleSums,
-    Spacing,
+    NodeSpacing,
     ThetaRange,
+    cos_azimuth,
     legendre_sums,
     rise_of,
 )
@@ -339,9 +340,8 @@ def _arc_sums(
         at = directions(normal, jnp.sin(lamp), jnp.cos(lamp), view.camera, view.lamp)
         # area in the image divided by the cosine of the viewing angle, times the irradiance of a surface that faces the lamp
         share = share * at.view / depth**3 / at.light**2
-        position = Spacing(*spacing).position(at.theta_h)
-        cos_psi = (at.cos_i - at.cos_o) / jnp.maximum(2 * jnp.sin(at.theta_h) * jnp.sin(at.theta_d), 1e-300)
-        cos_psi = jnp.clip(cos_psi, -1, 1)
+        position = NodeSpacing(*spacing).position(at.theta_h)
+        cos_psi = cos_azimuth(at.cos_i, at.cos_o, at.theta_h, at.theta_d)
         factors = 1, cos_psi, cos_psi**2, cos_psi**3, position, at.theta_d, at.theta_d * cos_psi
         powers = [jnp.sum(share * one, axis=1) for one in factors]
         moments = legendre_sums(position, (share, share * rise_of(at.theta_d, cell)))

@@ -106,8 +106,8 @@ class Scale(NamedTuple):
         return self.shrink * high / _RANGE_PER_SCALE
 
 
-class Spacing(NamedTuple):
-    """Spacing of the nodes in a range of angles: even in asinh(theta / scale).
+class NodeSpacing(NamedTuple):
+    """NodeSpacing of the nodes in a range of angles: even in asinh(theta / scale).
 
     It is linear in theta below the scale, and logarithmic above it. The arrays have one shape, of NumPy or JAX.
 
@@ -122,7 +122,7 @@ class Spacing(NamedTuple):
     last: Any
 
     @classmethod
-    def of(cls, low: Any, high: Any, largest_scale: Any = np.inf) -> Spacing:
+    def of(cls, low: Any, high: Any, largest_scale: Any = np.inf) -> NodeSpacing:
         """Compute the spacing of a range of angles.
 
         low, high: ends of the range, rad. largest_scale: see `ThetaRange`. If `low` exceeds it, `low` is the limit.
@@ -131,9 +131,9 @@ class Spacing(NamedTuple):
         scale = xp.minimum(scale, xp.maximum(low, largest_scale))
         return cls(scale, xp.arcsinh(low / scale), xp.arcsinh(high / scale))
 
-    def by_pixel(self) -> Spacing:
+    def by_pixel(self) -> NodeSpacing:
         """Append an axis for the nodes of each pixel."""
-        return Spacing(*(a[..., None] for a in self))
+        return NodeSpacing(*(a[..., None] for a in self))
 
     def position(self, theta: Any) -> Any:
         """Compute the positions of angles among the nodes, in [-1.1, 1.1]."""
@@ -183,9 +183,9 @@ class ThetaRange(NamedTuple):
         weight = spacing.scale * np.cosh(spacing.stretched(NODES[0])) * (spacing.last - spacing.first) / 2 * NODES[1]
         return spacing.angle(NODES[0]), weight
 
-    def spacing(self) -> Spacing:
+    def spacing(self) -> NodeSpacing:
         """Compute the spacing of the nodes."""
-        return Spacing.of(self.low, self.high, self.largest_scale)
+        return NodeSpacing.of(self.low, self.high, self.largest_scale)
 
     def carry(self, theta: np.ndarray, weight: np.ndarray) -> np.ndarray:
         """Transfer weights at angles to the nodes.
@@ -197,7 +197,7 @@ class ThetaRange(NamedTuple):
 
 
 @jit_plainly
-def _carry(theta: Any, weight: Any, spacing: Spacing) -> jax.Array:
+def _carry(theta: Any, weight: Any, spacing: NodeSpacing) -> jax.Array:
     def block(arguments):  # type: ignore[no-untyped-def]
         theta, weight, spacing = arguments
         t = spacing.by_pixel().position(theta)
@@ -256,6 +256,11 @@ def rise_of(theta_d: jax.Array, cell: jax.Array) -> jax.Array:
     are unchanged.
     """
     return jnp.expm1(_STEEPNESS * (theta_d - cell)) / _STEEPNESS
+
+
+def cos_azimuth(cos_i: Any, cos_o: Any, theta_h: Any, theta_d: Any) -> jax.Array:
+    """Compute the cosine of the azimuth of the normal about the half vector, from the side of the lamp."""
+    return jnp.clip((cos_i - cos_o) / jnp.maximum(2 * jnp.sin(theta_h) * jnp.sin(theta_d), 1e-300), -1, 1)
 
 
 class CircleSums(NamedTuple):
