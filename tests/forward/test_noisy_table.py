@@ -9,7 +9,8 @@ from matcam.core.errors import ArgumentError
 from matcam.core.grid import GRID_SHAPE, below_horizon, brdf_table, merl_grid
 from matcam.forward import with_pixel_noise
 from matcam.forward.cells_in_pictures import CellChoice
-from matcam.forward.measurement import PICTURE_STRIDE, cell_pixels, true_table
+from matcam.forward.measurement import cell_pixels, true_table
+from matcam.forward.pixel_grid import STRIDE
 from tests.oracle import merl_lobe
 
 
@@ -58,7 +59,7 @@ def test_about_seventy_five_cells_share_the_peaks_pixel(pixels):
     per_pixel = counts[counts > 20].mean()
     assert 40 < per_pixel < 400
     assert near.any()
-    assert PICTURE_STRIDE > 2 * 256
+    assert STRIDE > 2 * 256
 
 
 @pytest.mark.slow

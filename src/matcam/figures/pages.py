@@ -39,8 +39,9 @@ from matcam.figures.style import (
     write_page,
 )
 from matcam.inverse.correction.correction import Correction
-from matcam.inverse.fresnel_term import NORMALISE, fresnel_of_peaks
+from matcam.inverse.fresnel_term import fresnel_of_peaks
 from matcam.inverse.operator.rig_axes import LAMP, LENS
+from matcam.inverse.peak_curve import NORMALISED_OVER
 
 _SPHERE = 180  # px
 _READ_AS = {
@@ -92,7 +93,7 @@ def reflectance_figure(raw: xr.DataArray, done: Correction) -> Figure:
     channel = curves.sizes["channel"] // 2
     theta = curves["theta_d"].values
     fitted, std = curves["fresnel"].values[:, channel], curves["fresnel_std"].values[:, channel]
-    low, high = NORMALISE
+    low, high = NORMALISED_OVER
     scale = np.nanmean(fitted[(theta > low) & (theta < high)])  # negative where a lobe is only noise
     angle, response = raw["theta_d"].values, done.table["response"].values[0, :, raw.sizes["phi_d"] // 2]
     masking = None if done.table.attrs["masking"] == "none" else done.table.attrs["masking"]

@@ -45,7 +45,7 @@ from matcam.forward.cylinder_cells import check_cylinder, cylinder_table
 from matcam.forward.frequencies.band_limited import EXACT
 from matcam.forward.frequencies.table_records import record_by_frequencies, served_by_frequencies
 from matcam.forward.integral.blur import Imaging, imaging_of, kernel_error
-from matcam.forward.pixel_grid import phase_of_slices, slice_pixels, turned
+from matcam.forward.pixel_grid import phase_of_slices, pixel_numbers, slice_pixels
 from matcam.forward.sampler.plan import RecordPlan, graded_for, record_plan
 from matcam.forward.sampler.record import record
 from matcam.forward.sampler.under_lamp import record_under_lamp
@@ -290,9 +290,6 @@ def _flat_values(material: Material, rig: Rig) -> jax.Array:
     return jnp.where(below_horizon(sampling)[..., None], jnp.nan, values)
 
 
-PICTURE_STRIDE = 1 << 13
-"""Factor of the column in the index of a pixel. It exceeds the height of any image, px."""
-
 CHROMIUM_WIDTH = 0.002
 """Width of the lobe of `simulated_chromium`, rad: half a pixel on the MERL rig's sphere."""
 
@@ -361,9 +358,9 @@ def with_pixel_noise(table: xr.DataArray, rig: Rig, noise: PixelNoise, seed: int
 
 
 class CellPixels(NamedTuple):
-    """Indices of the pixels of each cell, arrays of shape (theta_d, theta_h, phi_d).
+    """Numbers of the pixels of each cell (`pixel_numbers`), arrays of shape (theta_d, theta_h, phi_d).
 
-    An index is unique within its slice. The optical axis is at the centre of a pixel.
+    The optical axis is at the centre of a pixel.
 
     Attributes:
         first: pixel at azimuth pi - phi_d about the half vector.
@@ -375,16 +372,11 @@ class CellPixels(NamedTuple):
 
 
 def cell_pixels(sphere: Sphere, sampling: Sampling, azimuth: float = 0.0) -> CellPixels:
-    """Compute the indices of the pixels of all cells in the images of a sphere. azimuth: azimuth of the lamp, rad."""
+    """Compute the numbers of the pixels of all cells in the images of a sphere. azimuth: azimuth of the lamp, rad."""
     grid = merl_grid(sampling)
     theta_h, theta_d, phi_d = grid.theta_h[:, None], grid.theta_d[:, None, None], grid.phi_d
     positions = (positions_of(sphere, theta_h, theta_d, phi_d + turn) for turn in (0, np.pi))
-    return CellPixels(*(_pixel_number(x, y, azimuth) for x, y, _ in positions))
-
-
-def _pixel_number(x: np.ndarray, y: np.ndarray, azimuth: float) -> np.ndarray:
-    x, y = (np.rint(a).astype(np.int64) for a in turned(x, y, azimuth))
-    return x * PICTURE_STRIDE + y
+    return CellPixels(*(pixel_numbers(x, y, azimuth=azimuth) for x, y, _ in positions))
 
 
 def simulated_chromium() -> xr.DataArray:

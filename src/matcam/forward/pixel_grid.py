@@ -23,8 +23,9 @@ from matcam.rigs import ON_REAL_PIXELS, CellValue, PixelPhase, Rig
 
 _SMALLEST = 1e-12
 """Weight up to which a pixel is omitted from an interpolation, no unit. Such weights are rounding errors."""
-_STRIDE = 1 << 16
-"""Factor of the column in the index of a pixel. It exceeds the height of any image, px."""
+STRIDE = 1 << 16
+"""Factor of the column in the number of a pixel. It exceeds the height of any image, px."""
+_ON_AXIS = np.zeros(2)
 
 
 class PixelGrid(NamedTuple):
@@ -193,7 +194,7 @@ def slice_pixels(
     if crop is not None:
         shown = (np.abs(columns) <= crop[1] / 2) & (np.abs(rows) <= crop[0] / 2)
         cells, columns, rows, weight = (a[shown] for a in (cells, columns, rows, weight))
-    number = np.rint(columns - phase[0]).astype(np.int64) * _STRIDE + np.rint(rows - phase[1]).astype(np.int64)
+    number = pixel_numbers(columns, rows, phase)
     _, first, index = np.unique(number, return_index=True, return_inverse=True)
     x, y = turned(columns[first], rows[first], -azimuth)
     at = pixel_angles(radius, theta_d, x, y)
@@ -224,6 +225,16 @@ def _pixels_inside(
     i = np.minimum((n_h * np.sqrt(at.theta_h[seen] / (np.pi / 2))).astype(int), n_h - 1)
     k = np.minimum((np.mod(np.pi - at.psi[seen], np.pi) / np.pi * n_p).astype(int), n_p - 1)
     return i * n_p + k, columns[seen], rows[seen]
+
+
+def pixel_numbers(x: np.ndarray, y: np.ndarray, phase: np.ndarray = _ON_AXIS, azimuth: float = 0.0) -> np.ndarray:
+    """Number the pixels that contain positions. A number is unique in an image.
+
+    phase: phase of the pixel grid, px, (..., 2). Default: a pixel is centred on the axis. azimuth: azimuth of the lamp
+        relative to the rows of pixels, rad.
+    """
+    x, y = turned(x, y, azimuth)
+    return np.rint(x - phase[..., 0]) * STRIDE + np.rint(y - phase[..., 1])
 
 
 def turned(x: np.ndarray, y: np.ndarray, angle: float) -> tuple[np.ndarray, np.ndarray]:

@@ -35,7 +35,7 @@ from matcam.inverse.operator.lobe_operator import check_rig, operator_in, point_
 from matcam.inverse.operator.pixel_phase import located_rig
 from matcam.inverse.operator.rig_axes import known_lens
 from matcam.inverse.operator.sample_view import sample_view
-from matcam.inverse.peak_curve import recorded_peak
+from matcam.inverse.peak_curve import NORMALISED_OVER, recorded_peak
 from matcam.inverse.picture_gain import gain_remarks, picture_gain
 from matcam.material.masking import MASKINGS, Masking, g2
 from matcam.material.ndf.distribution import NDF
@@ -45,11 +45,6 @@ from matcam.rigs import Rig
 
 SUPPORTED_STD = 0.05
 """Relative standard deviation of F above which the data do not support F at an angle, as for `supported` in `correct`."""
-
-NORMALISE = (np.radians(10.0), np.radians(45.0))
-"""Default range of theta_d over which F is normalised, rad. Below 10 degrees lamp and camera occlude each other on real
-rigs; F of metals is flat up to 45 degrees.
-"""
 
 _NEGLIGIBLE = 1e-3
 """Probability of the explanation without a camera below which its fit is not repeated in all slices. F would change by less
@@ -82,7 +77,7 @@ def fresnel(
     *,
     masking: Masking = "smith",
     noise: PixelNoise | None = None,
-    normalise: tuple[float, float] = NORMALISE,
+    normalise: tuple[float, float] = NORMALISED_OVER,
     slice_step: int = 1,
     force_correction: bool = False,
     workspace: Workspace | None = None,

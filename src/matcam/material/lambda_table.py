@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from matcam.core.arrays import xp
-from matcam.material.masking import SlopeDensity, cot_of, smith_lambda
+from matcam.material.masking import NEAREST, SlopeDensity, cot_of, smith_lambda
 from matcam.numerics.approximation import AnyValues, between_entries
 
 if TYPE_CHECKING:
@@ -23,13 +23,12 @@ if TYPE_CHECKING:
 _KNEE = 1e-5  # cot theta below which the entries are even in cot theta: a tenth of the least roughness
 _LEVEL = 1e4  # largest cot theta of the table, at which masking is negligible
 _END = float(np.arcsinh(_LEVEL / _KNEE))
-_LEAST = 1e-30  # cot theta of the first entry; keeps Lambda finite
 _MANY = 2400  # number of entries for an error of 1e-9
 
 
 def cots_of_table(entries: int) -> np.ndarray:
     """Compute cot theta of the directions of a table, (entries,)."""
-    return np.maximum(_KNEE * np.sinh(np.linspace(0.0, _END, entries)), _LEAST)
+    return np.maximum(_KNEE * np.sinh(np.linspace(0.0, _END, entries)), NEAREST)
 
 
 def table_of(lambdas: AnyValues) -> AnyValues:

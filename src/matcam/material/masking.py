@@ -29,7 +29,8 @@ SlopeDensity = Callable[["jax.Array"], "jax.Array"]
 # steps of the exp-sinh rule, which is accurate to rounding even for a P22 as steep as exp(-slope^8)
 _STEPS = np.linspace(-3.7, 3.7, 201)
 _FARTHEST = 1e9  # largest cot theta; Lambda is 0 to rounding at smaller angles
-_NEAREST = 1e-30  # smallest cosine; keeps Lambda finite at the horizon, where 1 / Lambda is effectively 0
+NEAREST = 1e-30
+"""Smallest cosine or cot theta; keeps Lambda finite at the horizon, where 1 / Lambda is effectively 0."""
 
 
 def smith_lambda(slope_density: SlopeDensity, scale: jax.Array, cot: jax.Array) -> jax.Array:
@@ -61,7 +62,7 @@ def smith_rule(scale: jax.Array, cot: jax.Array) -> tuple[jax.Array, jax.Array]:
         docs/model.md 6.
     """
     scale = constant(scale)  # the nodes do not affect the integral
-    mu = xp.clip(cot, _NEAREST, _FARTHEST)[..., None]
+    mu = xp.clip(cot, NEAREST, _FARTHEST)[..., None]
     y = xp.sqrt(scale**2 + mu**2) * np.exp(np.pi / 2 * np.sinh(_STEPS))
     step = (_STEPS[1] - _STEPS[0]) * np.pi / 2 * np.cosh(_STEPS)
     ratio = y / mu
@@ -77,7 +78,7 @@ def cot_of(cos: jax.Array) -> jax.Array:
 
     Along the normal it is large but finite.
     """
-    cos = xp.maximum(cos, _NEAREST)
+    cos = xp.maximum(cos, NEAREST)
     return cos / xp.sqrt(xp.maximum((1 - cos) * (1 + cos), _FARTHEST**-2))
 
 

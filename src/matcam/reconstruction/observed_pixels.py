@@ -19,14 +19,17 @@ from matcam.reconstruction.picture_rule import WINDOW, HighlightPosition, window
 SCATTERED = 768
 """Number of pixels of an image outside its window."""
 _STRATA = 24
-_LIMB = 3.0  # px from the outline within which the rule of a single pixel does not resolve the border
-_OUTSIDE = 1.5  # px beyond the outline up to which pixels of the window are read: the background is not modelled
+LIMB = 3.0
+"""Distance from the outline within which the rule of a single pixel or column does not resolve the border, px."""
+OUTSIDE = 1.5
+"""Distance beyond the outline up to which a window is read, px. The background is not modelled."""
 _BESIDE = 9.0  # px from the highlight within which the limb is read, too
 _SIMILAR_LEVELS = 15
 """Number of pixels of similar level of which the ratio of variance and level is the median: their noise of 1 % to 30 % then
 changes the median by at most 10 %. A median follows the steps of this ratio between the exposures of a merged image.
 """
-_LIT = 0.1  # smallest cosine to the lamp: near the terminator the rule of a pixel is inaccurate
+LIT = 0.1
+"""Smallest cosine of the angle of incidence. Near the terminator the rule of a pixel or column is inaccurate."""
 
 
 class ObservedPixels(NamedTuple):
@@ -125,10 +128,10 @@ def chosen_pixels(
     if field is not None:
         column, row = field.true_position(column, row)
     away = np.hypot(column - position.column, row - position.row)
-    used = inside & np.isfinite(values) & (std > 0) & (away < position.radius + _OUTSIDE)
+    used = inside & np.isfinite(values) & (std > 0) & (away < position.radius + OUTSIDE)
     # the limb, with dirt and supports, is read only near the highlight
     peak_column, peak_row = position.at
-    used &= (away < position.radius - _LIMB) | (np.hypot(column - peak_column, row - peak_row) < _BESIDE)
+    used &= (away < position.radius - LIMB) | (np.hypot(column - peak_column, row - peak_row) < _BESIDE)
     return ObservedPixels(
         window=window,
         column=column[near_row.size :],
@@ -157,9 +160,9 @@ def _scattered(
     p_x, p_y = (true_column - position.column) / position.radius, (position.row - true_row) / position.radius
     depth2 = 1 - p_x**2 - p_y**2
     out = (np.abs(column - near[0].mean()) > WINDOW // 2) | (np.abs(row - near[1].mean()) > WINDOW // 2)
-    keep = (np.hypot(p_x, p_y) < 1 - _LIMB / position.radius) & out
+    keep = (np.hypot(p_x, p_y) < 1 - LIMB / position.radius) & out
     depth = np.sqrt(np.where(keep, depth2, 1.0))
-    keep &= p_x * position.lamp[0] + p_y * position.lamp[1] + depth * position.lamp[2] > _LIT
+    keep &= p_x * position.lamp[0] + p_y * position.lamp[1] + depth * position.lamp[2] > LIT
     index = np.flatnonzero(keep)
     random = np.random.default_rng(seed)
     half = position.lamp + np.array([0.0, 0.0, 1.0])

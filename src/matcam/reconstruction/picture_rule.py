@@ -24,7 +24,8 @@ _PEAK_STEP = 0.25  # spacing of nodes near the peak, in asinh(angle / scale of t
 _PIXEL_STEP = 0.5  # spacing of nodes elsewhere, px: at the inverse of this distance the MTF of a pixel is 0
 _LIMB_STEP = 0.04  # spacing of nodes near the outline, rad
 _LIMB = 0.35  # distance from the outline within which this spacing is used, rad
-_MARGIN = 4.5  # margin of the nodes about the pixels of a window, px
+MARGIN = 4.5
+"""Margin of the nodes about the pixels of a window, px."""
 _DISC_POINTS = 36
 _NO_DISC = 0.1  # share of the width of the lobe: a lamp with a smaller disc is a point
 
@@ -122,7 +123,7 @@ def window_about(
             column, row = old_column, old_row
     span = np.arange(WINDOW) - WINDOW // 2
     pixel_u, pixel_v = (row + span, column + span) if turned else (column + span, row + span)
-    reach = (WINDOW // 2 + 1 + _MARGIN) / radius
+    reach = (WINDOW // 2 + 1 + MARGIN) / radius
     peak_v = np.arcsin(np.clip(across, -1, 1))
     peak_u = np.arcsin(np.clip(along / max(np.cos(peak_v), 1e-6), -1, 1))
     low_v, high_v = (np.arcsin(np.clip(across + side * reach, -1, 1)) for side in (-1, 1))

@@ -13,13 +13,12 @@ from typing import NamedTuple
 import numpy as np
 
 from matcam.core.grid import GRID_SHAPE, Sampling, merl_grid
-from matcam.forward.pixel_grid import PixelGrid, grid_of, pixel_angles, turned
+from matcam.forward.pixel_grid import PixelGrid, grid_of, pixel_angles, pixel_numbers, turned
 from matcam.inverse.operator.pixels_behind import (
     CellPositions,
     PixelsBehind,
     cell_positions,
     pixel_counts,
-    pixel_numbers,
     pixels_behind,
 )
 from matcam.inverse.operator.sample_view import BOTH_DIRECTIONS, SampleView, sample_view

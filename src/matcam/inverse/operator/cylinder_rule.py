@@ -20,16 +20,15 @@ from jax.typing import ArrayLike
 from matcam.core.jax import jax, jit_plainly, jnp
 from matcam.forward.integral.blur import Blur, Spread
 from matcam.forward.sampler.cylinder_ridge import PlacedLamps, ends_of_light, ridge_of, seen_at, towards
+from matcam.inverse.operator.line_rule import LEAST_ARM, arm_nodes
 from matcam.inverse.operator.sphere_rule import Directions
 from matcam.inverse.operator.theta_nodes import NODES, CircleSums, NodeSpacing, Scale, cos_azimuth, onto_nodes, rise_of
+from matcam.numerics.approximation import nodes_in_panels
 from matcam.sample.curved import Cylinder
 
-_PANEL = np.polynomial.legendre.leggauss(16)
-_ACROSS = np.polynomial.legendre.leggauss(10)
-_HALVES = np.array([0.5])
+_PANEL, _ACROSS = 16, 10
+"""Numbers of Gauss-Legendre nodes between two neighbouring cuts of an arm, and between two samples' borders along the axis."""
 _BLOCK = 8
-_LEAST = 1e-12
-"""Smallest length of an arm, rad. An arm outside the window has this length, and weights of 0."""
 _SLACK = 0.02
 """Share by which the range of theta_h is widened, because it is computed from single points."""
 _SHORT = 1e-3
@@ -123,7 +122,7 @@ def line_window(
     angle = np.concatenate([np.asarray(a) for a in angles], axis=1)
     meets = np.asarray((miss.min(1) <= 0) & (miss.max(1) >= 0) & jnp.any((closest > first) & (closest < last), axis=1))
     low, high = angle.min(1), angle.max(1)
-    slack = _SLACK * (high - low) + _LEAST
+    slack = _SLACK * (high - low) + LEAST_ARM
     # nodes below the smallest angle would have to resolve the peak of the lobe, which is not in the window
     return np.where(meets, 0.0, (1 - _SLACK) * low), np.minimum(high + slack, np.pi / 2)
 
@@ -184,14 +183,9 @@ def cylinder_rule(
             wide = wide + cylinder.stretch * moved * 1.5
         half = blur.pixel.half_width
         own = [turns(x + arm * at) for at in (-wide, -half, half, wide)]
-        farthest = jnp.maximum(own[3], own[0] + _LEAST)
+        farthest = jnp.maximum(own[3], own[0] + LEAST_ARM)
         scale = NodeSpacing.of(own[0], farthest, scale_of.limit(farthest)).scale
-        cuts = jnp.stack([jnp.arcsinh(turn / scale) for turn in own], axis=-1)
-        middle = cuts[..., :1] + _HALVES * (cuts[..., 3:] - cuts[..., :1])
-        cuts = jnp.sort(jnp.concatenate([cuts, middle], axis=-1), axis=-1)
-        left, right = cuts[..., :-1, None], cuts[..., 1:, None]
-        t = ((left + right) / 2 + (right - left) / 2 * _PANEL[0]).reshape(*closest.shape, -1)
-        step = ((right - left) / 2 * _PANEL[1]).reshape(t.shape) * scale[..., None] * jnp.cosh(t)
+        t, step = arm_nodes(own, scale, _PANEL)
         u = closest[..., None] + arm * scale[..., None] * jnp.sinh(t)
         row = samples.row[..., None] + jnp.zeros_like(u)
         element, to_lamp, square = seen_at(cylinder, samples.light.beside(1), u, row)
@@ -289,7 +283,7 @@ def _meeting(first: jax.Array, middle: jax.Array, last: jax.Array) -> tuple[jax.
     first, middle, last: angles at -1, 0 and 1, rad.
     """
     slope = (last - first) / 2
-    safe = jnp.where(jnp.abs(slope) > _LEAST, slope, _LEAST)
+    safe = jnp.where(jnp.abs(slope) > LEAST_ARM, slope, LEAST_ARM)
     return jnp.clip(-middle / safe, -1, 1), jnp.abs(safe)
 
 
@@ -300,10 +294,8 @@ def _crowded(middle: jax.Array, borders: tuple[jax.Array, ...], scale: jax.Array
     """
     cuts = jnp.concatenate([jnp.arcsinh((at - middle) / scale) for at in (*borders, middle)], axis=1)
     cuts = jnp.sort(cuts, axis=1)
-    low, high = cuts[:, :-1, None], cuts[:, 1:, None]
-    t = ((low + high) / 2 + (high - low) / 2 * _ACROSS[0]).reshape(cuts.shape[0], -1)
-    step = ((high - low) / 2 * _ACROSS[1]).reshape(t.shape) * scale * jnp.cosh(t)
-    return middle + scale * jnp.sinh(t), step
+    t, step = nodes_in_panels(cuts, _ACROSS)
+    return middle + scale * jnp.sinh(t), step * scale * jnp.cosh(t)
 
 
 def _moved(light: PlacedLamps, disc: ArrayLike, position: jax.Array, along: jax.Array) -> tuple[PlacedLamps, jax.Array]:

@@ -9,6 +9,7 @@ this variable for any angle between the half vector and the plane of the normals
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 from typing import NamedTuple
 
@@ -17,14 +18,13 @@ import numpy as np
 from matcam.core.jax import jax, jit_plainly, jnp
 from matcam.forward.integral.blur import Blur, Spread
 from matcam.inverse.operator.theta_nodes import NODES, NodeSpacing, Scale, cos_azimuth, onto_nodes
+from matcam.numerics.approximation import nodes_in_panels
 
-_PANEL = np.polynomial.legendre.leggauss(24)
-"""Gauss-Legendre nodes and weights of the panel between two neighbouring cuts of an arm."""
-_HALVES = np.array([0.5])
-"""Positions of additional cuts between the two ends of an arm, as shares of the distance between the ends."""
+_PANEL = 24
+"""Number of Gauss-Legendre nodes of the panel between two neighbouring cuts of an arm."""
 _BLOCK = 128
 """Number of pixels that are computed at a time. It divides `PIECE`, and limits the memory of the arrays."""
-_LEAST = 1e-12
+LEAST_ARM = 1e-12
 """Smallest length of an arm, rad. An arm outside the window has this length, and weights of 0."""
 ARMS = (1.0, -1.0)
 """Signs of the two arms. From the normal closest to the half vector, the column increases on the first and decreases on the
@@ -111,14 +111,10 @@ def line_rule(
             return jnp.maximum(arm * (u - closest), 0.0)
 
         nearest = turns(column - arm * onto)
-        farthest = jnp.maximum(turns(column + arm * onto), nearest + _LEAST)
+        farthest = jnp.maximum(turns(column + arm * onto), nearest + LEAST_ARM)
         spacing = NodeSpacing.of(nearest, farthest, scale_of.limit(farthest))
         own = [turns(column + arm * at) for at in (-reach, -blur.pixel.half_width, blur.pixel.half_width, reach)]
-        cuts = jnp.concatenate([jnp.arcsinh(turn / spacing.scale) for turn in own], axis=1)
-        cuts = jnp.sort(jnp.concatenate([cuts, cuts[:, :1] + _HALVES * (cuts[:, 3:] - cuts[:, :1])], axis=1), axis=1)
-        low, high = cuts[:, :-1, None], cuts[:, 1:, None]
-        t = ((low + high) / 2 + (high - low) / 2 * _PANEL[0]).reshape(x.shape[0], -1)
-        step = ((high - low) / 2 * _PANEL[1]).reshape(t.shape) * spacing.scale * jnp.cosh(t)
+        t, step = arm_nodes([turn[:, 0] for turn in own], spacing.scale[:, 0], _PANEL)
         at = closest + arm * spacing.scale * jnp.sinh(t)
         offset = column - radius * jnp.sin(at)
         spread = Spread(variance, variance, jnp.abs(blur.defocus(radius, jnp.cos(at))))
@@ -134,3 +130,15 @@ def line_rule(
     arguments = (*pixels, variance, reach, onto)
     found = jax.lax.map(block, tuple(a.reshape(-1, _BLOCK) for a in arguments))
     return LineRule(*(a.reshape(-1, a.shape[-1]) for a in found))
+
+
+def arm_nodes(turns: Sequence[jax.Array], scale: jax.Array, order: int) -> tuple[jax.Array, jax.Array]:
+    """Compute asinh(angle / scale) of the nodes of an arm, and their weights, rad, (..., nodes).
+
+    turns: angles of the ends of the arm and of the borders of the pixel between them, rad. The arm is cut at the borders and in
+        the middle. order: number of nodes between two cuts.
+    """
+    cuts = jnp.stack([jnp.arcsinh(turn / scale) for turn in turns], axis=-1)
+    middle = (cuts[..., :1] + cuts[..., -1:]) / 2
+    t, step = nodes_in_panels(jnp.sort(jnp.concatenate([cuts, middle], axis=-1), axis=-1), order)
+    return t, step * scale[..., None] * jnp.cosh(t)

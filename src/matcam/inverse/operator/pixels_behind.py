@@ -13,11 +13,9 @@ from typing import NamedTuple
 import numpy as np
 
 from matcam.core.grid import GRID_SHAPE, merl_grid, theta_h_edges
-from matcam.forward.pixel_grid import PixelGrid, looked_up, phase_of_slices, slice_pixels, turned
+from matcam.forward.pixel_grid import PixelGrid, looked_up, phase_of_slices, pixel_numbers, slice_pixels, turned
 from matcam.inverse.operator.sample_view import BOTH_DIRECTIONS
 
-_STRIDE = 1 << 16
-"""Difference between the numbers of neighbouring pixels in a row. It exceeds the height of any image."""
 _POINTS = 4
 """Number of positions that represent the pixels of a cell on one side: two opposite pairs represent any covariance."""
 _GAUSS = 0.5 + np.array([-1.0, 1.0]) / np.sqrt(12)
@@ -66,15 +64,6 @@ def cell_positions(radius: float, theta_h: np.ndarray, theta_d: np.ndarray, phi_
     mean, half = np.cos(th) * np.cos(td), np.sin(th) * np.sin(td) * np.cos(psi)
     x = radius * (np.cos(th) * np.sin(td) + np.sin(th) * np.cos(psi) * np.cos(td))
     return CellPositions(x, radius * np.sin(th) * np.sin(psi), mean + half, mean - half)
-
-
-def pixel_numbers(x: np.ndarray, y: np.ndarray, phase: np.ndarray, azimuth: float = 0.0) -> np.ndarray:
-    """Number the pixels that contain positions.
-
-    phase: phase of the pixel grid, px. azimuth: azimuth of the lamp relative to the rows of pixels, rad.
-    """
-    x, y = turned(x, y, azimuth)
-    return np.rint(x - phase[..., 0]) * _STRIDE + np.rint(y - phase[..., 1])
 
 
 def pixel_counts(radius: float, theta_d: np.ndarray) -> np.ndarray:

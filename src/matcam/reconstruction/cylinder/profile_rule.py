@@ -12,15 +12,11 @@ import numpy as np
 
 from matcam.acquisition.mirror_ball import MirrorBall, cylinder_line
 from matcam.reconstruction.cylinder.strips import Strip, StripProfiles
-from matcam.reconstruction.observed_pixels import ObservedPixels
-from matcam.reconstruction.picture_rule import WINDOW, graded_nodes
+from matcam.reconstruction.observed_pixels import LIMB, LIT, OUTSIDE, ObservedPixels
+from matcam.reconstruction.picture_rule import MARGIN, WINDOW, graded_nodes
 
 _MOST = 2048
 """Largest number of fitted columns outside the windows, summed over all strips and colours."""
-_LIMB = 3.0  # px from the outline within which the rule of a single column does not resolve the border
-_OUTSIDE = 1.5  # px beyond the outline up to which a window is read: the background is not modelled
-_LIT = 0.1  # smallest cosine to the lamp: near the terminator the rule of a column is inaccurate
-_MARGIN = 4.5  # margin of the nodes about the columns of a window, px
 _NODES = 224
 
 
@@ -95,7 +91,7 @@ def chosen_columns(
     inside = (at >= 0) & (at < width)
     near = np.where(inside, at, 0).astype(int)
     strip_index = np.arange(rows)[:, None]
-    outside = np.abs(window.column - ball.column) > ball.radius + _OUTSIDE
+    outside = np.abs(window.column - ball.column) > ball.radius + OUTSIDE
 
     def of_window(array: np.ndarray) -> np.ndarray:
         return array[:, strip_index, near].reshape(-1)
@@ -110,8 +106,8 @@ def chosen_columns(
     p = (profiles.column[column] - ball.column) / ball.radius
     depth = np.sqrt(np.maximum(1 - p**2, 0.0))
     apart = np.abs(profiles.column[column] - window.column[strip_of, WINDOW // 2]) > WINDOW // 2
-    far = apart & (np.abs(p) < 1 - _LIMB / ball.radius)
-    far &= p * lamp[0] + depth * lamp[2] > _LIT
+    far = apart & (np.abs(p) < 1 - LIMB / ball.radius)
+    far &= p * lamp[0] + depth * lamp[2] > LIT
     far &= profiles.used.ravel()[candidates]
 
     def both(array: np.ndarray, empty: float) -> np.ndarray:
@@ -149,7 +145,7 @@ def _window(
     # the nodes cover the columns and their kernels
     low, high = (
         np.arcsin(np.clip((end - ball.column) / ball.radius, -1, 1))
-        for end in (columns[0] - 1 - _MARGIN, columns[-1] + 1 + _MARGIN)
+        for end in (columns[0] - 1 - MARGIN, columns[-1] + 1 + MARGIN)
     )
     across = np.hypot(np.cos(strip.turn) / alphas[0], np.sin(strip.turn) / alphas[1])
     u, weight = graded_nodes(low, high, np.arcsin(peak), 1 / across / 3, plateau, ball.radius, _NODES)
