@@ -41,7 +41,9 @@ def test_lobes_in_closed_form_need_no_table():
 
 def test_positions_are_shares_of_the_table():
     cos = COTS / np.sqrt(1 + COTS**2)
-    np.testing.assert_allclose(position_of(cos), np.linspace(0, 1, COTS.size), atol=1e-8)
+    entries = position_of(cos) * (COTS.size - 1)
+    apart = COTS < 10  # a cosine nearer to 1 has too few digits
+    np.testing.assert_allclose(entries[apart], np.arange(COTS.size)[apart], atol=1e-9)
     assert isinstance(position_of(cos), np.ndarray)
     np.testing.assert_allclose(position_of(jnp.asarray(cos)), position_of(cos), rtol=1e-12)
 
