@@ -25,7 +25,6 @@ _SMALLEST = 1e-12
 """Weight up to which a pixel is omitted from an interpolation, no unit. Such weights are rounding errors."""
 STRIDE = 1 << 16
 """Factor of the column in the number of a pixel. It exceeds the height of any image, px."""
-_ON_AXIS = np.zeros(2)
 
 
 class PixelGrid(NamedTuple):
@@ -227,13 +226,13 @@ def _pixels_inside(
     return i * n_p + k, columns[seen], rows[seen]
 
 
-def pixel_numbers(x: np.ndarray, y: np.ndarray, phase: np.ndarray = _ON_AXIS, azimuth: float = 0.0) -> np.ndarray:
+def pixel_numbers(x: np.ndarray, y: np.ndarray, phase: ArrayLike = (0.0, 0.0), azimuth: float = 0.0) -> np.ndarray:
     """Number the pixels that contain positions. A number is unique in an image.
 
     phase: phase of the pixel grid, px, (..., 2). Default: a pixel is centred on the axis. azimuth: azimuth of the lamp
         relative to the rows of pixels, rad.
     """
-    x, y = turned(x, y, azimuth)
+    (x, y), phase = turned(x, y, azimuth), np.asarray(phase)
     return np.rint(x - phase[..., 0]) * STRIDE + np.rint(y - phase[..., 1])
 
 

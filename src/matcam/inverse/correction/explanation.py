@@ -29,7 +29,7 @@ from matcam.inverse.correction.evidence import OtherLobe, Weighing, noise_withou
 from matcam.inverse.correction.lobe_shape import ShapeUncertainty, known_shape, shape_uncertainty
 from matcam.inverse.correction.rig_refits import RigRefit, rig_refits
 from matcam.inverse.correction.spline_lobe import in_all_slices
-from matcam.inverse.fit.fit_data import MOST_NOISE
+from matcam.inverse.fit.fit_data import at_largest_noise
 from matcam.inverse.fit.fit_parameters import STUDENT, TWO_LOBES
 from matcam.inverse.fit.fit_setup import AUTO, CANDIDATES, SEARCH_STEP, FitSetup, free_setup
 from matcam.inverse.fit.material_fit import MaterialFit
@@ -148,7 +148,7 @@ class Explanation(NamedTuple):
     def no_blur_remark(self) -> Remark:
         """Build the remark that the data show no blur."""
         noise = [
-            f"{'at least ' if fit.noise.relative > 0.99 * MOST_NOISE else ''}{fit.noise.relative:.1%}"
+            f"{'at least ' if at_largest_noise(fit.noise) else ''}{fit.noise.relative:.1%}"
             for fit in (self.blind, self.fit, self.without_camera)
         ]
         text = (

@@ -41,6 +41,11 @@ _HUBER = 3.0
 """Standardised residual above which the weight of a cell decreases (Huber 1964). 0.3 % of normal residuals exceed it."""
 
 
+def at_largest_noise(noise: PixelNoise) -> bool:
+    """Check whether an estimate of the noise has its largest value, so that the noise may be larger."""
+    return bool(np.isclose(noise.relative, MOST_NOISE, rtol=1e-6))
+
+
 class FitData(NamedTuple):
     """Values to which a material is fitted.
 
