@@ -15,6 +15,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 from jax.typing import ArrayLike
 from scipy.sparse import csr_matrix
 
@@ -226,7 +227,7 @@ def _pixels_inside(
     return i * n_p + k, columns[seen], rows[seen]
 
 
-def pixel_numbers(x: np.ndarray, y: np.ndarray, phase: ArrayLike = (0.0, 0.0), azimuth: float = 0.0) -> np.ndarray:
+def pixel_numbers(x: np.ndarray, y: np.ndarray, phase: npt.ArrayLike = (0.0, 0.0), azimuth: float = 0.0) -> np.ndarray:
     """Number the pixels that contain positions. A number is unique in an image.
 
     phase: phase of the pixel grid, px, (..., 2). Default: a pixel is centred on the axis. azimuth: azimuth of the lamp
