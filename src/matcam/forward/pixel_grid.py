@@ -24,7 +24,7 @@ from matcam.rigs import ON_REAL_PIXELS, CellValue, PixelPhase, Rig
 
 _SMALLEST = 1e-12
 """Weight up to which a pixel is omitted from an interpolation, no unit. Such weights are rounding errors."""
-STRIDE = 1 << 16
+_STRIDE = 1 << 16
 """Factor of the column in the number of a pixel. It exceeds the height of any image, px."""
 
 
@@ -234,7 +234,7 @@ def pixel_numbers(x: np.ndarray, y: np.ndarray, phase: npt.ArrayLike = (0.0, 0.0
         relative to the rows of pixels, rad.
     """
     (x, y), phase = turned(x, y, azimuth), np.asarray(phase)
-    return np.rint(x - phase[..., 0]) * STRIDE + np.rint(y - phase[..., 1])
+    return np.rint(x - phase[..., 0]) * _STRIDE + np.rint(y - phase[..., 1])
 
 
 def turned(x: np.ndarray, y: np.ndarray, angle: float) -> tuple[np.ndarray, np.ndarray]:

@@ -2,7 +2,7 @@
 
 The position of a direction in the table depends neither on the lobe nor on the number of entries. A fit evaluates
 successive lobes in the same directions, so it computes each position once. An entry is ln(cot theta (1 + Lambda)), which is
-finite at the horizon. The entries are even in asinh(cot theta / 1e-5). 1 / (1 + Lambda) is accurate to 3e-6 with 187
+finite at the horizon. The entries are equally spaced in asinh(cot theta / 1e-5). 1 / (1 + Lambda) is accurate to 3e-6 with 187
 entries and to 1e-9 with 2400, for roughnesses from 1e-4 to 1. For lobes as steep as an EPD with a power of 1.8, 187 entries
 are accurate to 1e-5.
 """
@@ -20,7 +20,7 @@ from matcam.numerics.approximation import AnyValues, between_entries
 if TYPE_CHECKING:
     from matcam.core.jax import jax
 
-_KNEE = 1e-5  # cot theta below which the entries are even in cot theta: a tenth of the least roughness
+_KNEE = 1e-5  # cot theta below which the entries are equally spaced in cot theta: a tenth of the least roughness
 _LEVEL = 1e4  # largest cot theta of the table, at which masking is negligible
 _END = float(np.arcsinh(_LEVEL / _KNEE))
 _MANY = 2400  # number of entries for an error of 1e-9

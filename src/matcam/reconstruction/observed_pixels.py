@@ -25,8 +25,8 @@ OUTSIDE = 1.5
 """Distance beyond the outline up to which a window is read, px. The background is not modelled."""
 _BESIDE = 9.0  # px from the highlight within which the limb is read, too
 _SIMILAR_LEVELS = 15
-"""Number of pixels of similar level of which the ratio of variance and level is the median: their noise of 1 % to 30 % then
-changes the median by at most 10 %. A median follows the steps of this ratio between the exposures of a merged image.
+"""Number of pixels of similar level. The median of their ratios of variance and level is used. Noise of 1 % to 30 % of the
+level changes this median by at most 10 %. Unlike a mean, it follows the steps of the ratio between merged exposures.
 """
 LIT = 0.1
 """Smallest cosine of the angle of incidence. Near the terminator the rule of a pixel or column is inaccurate."""

@@ -266,7 +266,8 @@ def _in_turn(points: FloatArray, start: int) -> list[int]:
 def _bases(points: FloatArray) -> FloatArray:
     """Compute maps (m, 3, 3) from the projective basis to four points (n, 4, 2), without those of collinear points."""
     whole = np.concatenate([points, np.ones((*points.shape[:2], 1))], axis=2)
-    # Cramer's rule: determinants of three points, one of which the fourth replaces. The scale of a map is arbitrary.
+    # By Cramer's rule, the weight of each of the first three points is the determinant in which the fourth point replaces it,
+    # divided by the determinant of the three. The divisor is omitted, because the scale of a map is arbitrary.
     weight = np.linalg.det(whole[:, [[3, 1, 2], [0, 3, 2], [0, 1, 3], [0, 1, 2]]])
     good = (np.abs(weight) > 1e-3 * np.maximum(np.ptp(points, axis=1).prod(1), 1e-300)[:, None]).all(1)
     return (whole[good, :3] * weight[good, :3, None]).swapaxes(1, 2)

@@ -129,7 +129,7 @@ def lay_circles(view: SphereView, windows: Windows, finest: float, fineness: flo
     about, across = about_highlight(windows), _across_radius(windows)
     peak = about.axis
     inside = windows.contains(view, peak)
-    nearest, farthest = windows.extremes(view, from_highlight)
+    nearest, farthest = windows.extremes(view, border, from_highlight)
     nearest = np.where(inside, 0.0, nearest)
     polar = angles_from_axis(across, border)
     first, last = polar.min(-1), polar.max(-1)

@@ -100,13 +100,13 @@ class Windows(NamedTuple):
         return np.stack(view.normals(*self.to_lamp(x, y)))
 
     def extremes(
-        self, view: SphereView, angle_of: Callable[[Windows, np.ndarray], np.ndarray]
+        self, view: SphereView, border: np.ndarray, angle_of: Callable[[Windows, np.ndarray], np.ndarray]
     ) -> tuple[np.ndarray, np.ndarray]:
         """Compute the smallest and the largest angle on the border of each window, rad, (windows,) each.
 
-        angle_of: angles of normals, (3, windows, points), of some windows, rad, (windows, points).
+        border: result of `border`. angle_of: function that computes the angles, rad, (windows, points), of normals of some
+            windows, (3, windows, points).
         """
-        border = self.border(view)
         angles = angle_of(self, border)
         low, high = angles.min(axis=-1), angles.max(axis=-1)
         index = np.flatnonzero(border[2].min(axis=-1) < _FORESHORTENED)

@@ -32,8 +32,9 @@ extends to the limb. If its peak were corrected and the light beside the peak we
 The cells of a fit have larger cosines (`FAR_COSINE`).
 """
 _CLEAR = 3.0
-"""Distance from the limb, in standard deviations of the lens beyond the border of a pixel, at which the limb does not change a
-record. Closer entries are not corrected beyond the dense rings, because the lattice does not resolve the effect of the limb.
+"""Smallest distance of the border of a pixel from the limb, in standard deviations of the lens, for an entry beyond the dense
+rings. 0.1 % of a Gaussian lies farther away on one side. Closer entries are not corrected, because the lattice does not resolve
+the effect of the limb there.
 """
 _LATTICE_COSINE = 0.005
 """Smallest cosine of the angles of light and view of a valid cell of a lattice. It is smaller than the limit of the entries,
@@ -41,7 +42,7 @@ because entries lie between the cells of the lattice. In rings beyond `_LIMB_RIN
 the slices of the lattice are too far apart there for the effect of the limb.
 """
 _LIMB_RINGS = _DENSE_RINGS + 4
-"""Number of rings that the interpolation of the dense rings requires."""
+"""Number of rings from which values in the dense rings are interpolated: up to two rings of the lattice beyond them."""
 _LATTICES = 4
 """Number of lattices that are stored in memory, about 10 MB each."""
 VANISHED = 1e-40

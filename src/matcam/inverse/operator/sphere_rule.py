@@ -119,10 +119,10 @@ def sphere_range(view: SphereView, windows: Windows) -> tuple[ThetaRange, ThetaR
     The first range is that of the angle from the normal of the highlight. The second is that of theta_h. The extremes
     lie on the border of a window, or on the limb if the window extends beyond the sphere.
     """
-    inside = windows.contains(view, about_highlight(windows).axis)
+    inside, border = windows.contains(view, about_highlight(windows).axis), windows.border(view)
 
     def between(angle_of: Callable[[Windows, np.ndarray], np.ndarray]) -> ThetaRange:
-        low, high = windows.extremes(view, angle_of)
+        low, high = windows.extremes(view, border, angle_of)
         slack = _SLACK * (high - low)
         return ThetaRange(np.where(inside, 0.0, np.maximum(low - slack, 0.0)), np.minimum(high + slack, np.pi / 2))
 

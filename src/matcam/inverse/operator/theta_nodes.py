@@ -107,7 +107,7 @@ class Scale(NamedTuple):
 
 
 class NodeSpacing(NamedTuple):
-    """NodeSpacing of the nodes in a range of angles: even in asinh(theta / scale).
+    """Spacing of the nodes in a range of angles: equal in asinh(theta / scale).
 
     It is linear in theta below the scale, and logarithmic above it. The arrays have one shape, of NumPy or JAX.
 
