@@ -10,7 +10,7 @@ from matcam.core.grid import GRID_SHAPE, below_horizon, brdf_table, merl_grid
 from matcam.forward import with_pixel_noise
 from matcam.forward.cells_in_pictures import CellChoice
 from matcam.forward.measurement import cell_pixels, true_table
-from matcam.forward.pixel_grid import STRIDE
+from matcam.forward.pixel_grid import pixel_numbers
 from tests.oracle import merl_lobe
 
 
@@ -59,7 +59,14 @@ def test_about_seventy_five_cells_share_the_peaks_pixel(pixels):
     per_pixel = counts[counts > 20].mean()
     assert 40 < per_pixel < 400
     assert near.any()
-    assert STRIDE > 2 * 256
+
+
+def test_every_pixel_of_an_image_has_its_own_number():
+    """At the radius of the MERL rig, for a shifted pixel grid, too."""
+    x, y = np.meshgrid(np.arange(-300.0, 301.0), np.arange(-300.0, 301.0))
+    for phase in ((0.0, 0.0), (0.3, -0.4)):
+        numbers = pixel_numbers(x + phase[0], y + phase[1], phase)
+        assert len(np.unique(numbers)) == x.size
 
 
 @pytest.mark.slow
