@@ -70,12 +70,11 @@ def lagrange_basis(points: Any, at: Any) -> list[Any]:
 
 def lagrange_slopes(points: np.ndarray, at: float) -> np.ndarray:
     """Differentiate the Lagrange basis polynomials of points at a position, (n,); see `lagrange_basis`."""
-    slopes = np.zeros(points.size)
-    for k in range(points.size):  # the product rule: each term lacks one of the factors
-        others = np.delete(points, k)
-        terms = [np.prod(at - np.delete(others, j)) for j in range(others.size)]
-        slopes[k] = np.sum(terms) / np.prod(points[k] - others)
-    return slopes
+    n = points.size
+    own = np.eye(n, dtype=bool)
+    others = ~own[:, None] & ~own  # the product rule: term m of polynomial k lacks the factors k and m
+    terms = np.where(others, at - points, 1.0).prod(axis=-1)
+    return np.where(own, 0.0, terms).sum(axis=1) / (points[:, None] - points + own).prod(axis=1)
 
 
 def cubic_basis(position: jax.Array, count: int) -> jax.Array:

@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from matcam.core.jax import jax, jnp, placed
+from matcam.core.jax import AnyArray, jax, jnp, placed
 from matcam.core.programs import kept_program
 from matcam.inverse.fit.fit_parameters import LobeKind
 from matcam.inverse.operator.lobe_operator import LobeOperator
@@ -138,7 +138,7 @@ def _table_slopes(kind: LobeKind, q: jax.Array) -> tuple[jax.Array, jax.Array]:
 
 
 @kept_program
-def _rows(nodes: OperatorNodes, lobe: _Lobe, bases: list[tuple[jax.Array, jax.Array]]) -> jax.Array:
+def _rows(nodes: OperatorNodes, lobe: _Lobe, bases: list[tuple[AnyArray, AnyArray]]) -> jax.Array:
     """Compute the record of cells, followed by its derivatives, (1 + coordinates, cells)."""
     return nodes.by_steps(lambda one: _step(one, lobe, bases))
 
@@ -186,7 +186,7 @@ def _lifted(
     return pairs[0][0] * lift, [slope * lift for _, slope in pairs]
 
 
-def _step(nodes: OperatorNodes, lobe: _Lobe, bases: list[tuple[jax.Array, jax.Array]]) -> jax.Array:
+def _step(nodes: OperatorNodes, lobe: _Lobe, bases: list[tuple[AnyArray, AnyArray]]) -> jax.Array:
     """Compute the rows of `_rows` for a few cells. bases: results of `_basis` for each axis."""
     kind, q = lobe.kind, lobe.q
     weight = nodes.at.weight
@@ -240,9 +240,9 @@ def _over_nodes(values: jax.Array) -> jax.Array:
     return jnp.sum(values, axis=(-2, -1))
 
 
-def _basis(points: np.ndarray, shift: float) -> tuple[jax.Array, jax.Array]:
+def _basis(points: np.ndarray, shift: float) -> tuple[np.ndarray, np.ndarray]:
     """Evaluate the Lagrange polynomials of some points, and their derivatives with respect to the position.
 
     shift: position at which the polynomials are evaluated.
     """
-    return placed(lagrange_basis(points, shift)), placed(lagrange_slopes(points, shift))
+    return np.array(lagrange_basis(points, shift)), lagrange_slopes(points, shift)
