@@ -5,10 +5,10 @@ import pytest
 
 from matcam import EPD, GGX
 from matcam.core.jax import jax, jnp
-from matcam.material.lambda_table import lambda_at, position_of
+from matcam.material.lambda_table import TabulatedDirections, lambda_at, position_of
 from matcam.material.ndf.student_lobe import StudentLobe
 from matcam.material.ndf.two_lobes import TwoLobes
-from matcam.material.tabulated_masking import COTS, by_entries, quick_lambda, quick_table
+from matcam.material.tabulated_masking import COTS, quick_lambda, quick_table
 
 COSINES = jnp.asarray(np.random.default_rng(4).uniform(0, 1, 4000) ** 3)
 
@@ -51,7 +51,10 @@ def test_positions_are_shares_of_the_table():
 def test_derivatives_by_entries_are_those_of_the_sum():
     table = quick_table(StudentLobe(jnp.asarray(0.05), jnp.asarray(2.0)))  # of long tails: nowhere is Lambda 0
     rng = np.random.default_rng(5)
-    position, share = jnp.asarray(rng.uniform(0, 0.6, (6, 50, 2))), jnp.asarray(rng.normal(size=(6, 50, 2)))
+    cos, share = 0.9 * rng.uniform(0, 1, (6, 50, 2)) ** 3, rng.normal(size=(6, 50, 2))
+    directions, position = TabulatedDirections.of(cos, COTS.size), position_of(jnp.asarray(cos))
+    lambdas = lambda_at(table, position)
+    np.testing.assert_allclose(directions.one_plus_lambda(np.asarray(table)), 1 + lambdas, rtol=1e-11)
     own = jax.vmap(jax.grad(lambda t, p, s: jnp.sum(s * lambda_at(t, p))), (None, 0, 0))(table, position, share)
-    found = by_entries(position, share * (1 + lambda_at(table, position)))
-    np.testing.assert_allclose(found, own, atol=1e-5)
+    found = directions.by_tables(share * np.asarray(1 + lambdas), np.eye(COTS.size)).T
+    np.testing.assert_allclose(found, own, rtol=1e-9, atol=1e-9 * np.abs(own).max())

@@ -9,13 +9,13 @@ are accurate to 1e-5.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from matcam.core.arrays import xp
 from matcam.material.masking import NEAREST, SlopeDensity, cot_of, smith_lambda
-from matcam.numerics.approximation import AnyValues, between_entries
+from matcam.numerics.approximation import AnyValues, between_entries, four_about
 
 if TYPE_CHECKING:
     from matcam.core.jax import jax
@@ -24,6 +24,8 @@ _KNEE = 1e-5  # cot theta below which the entries are equally spaced in cot thet
 _LEVEL = 1e4  # largest cot theta of the table, at which masking is negligible
 _END = float(np.arcsinh(_LEVEL / _KNEE))
 _MANY = 2400  # number of entries for an error of 1e-9
+_CUBICS = np.linalg.inv(np.vander([-1.0, 0.0, 1.0, 2.0], increasing=True))
+"""Coefficients of the cubic through four entries, as a matrix (powers, entries)."""
 
 
 def cots_of_table(entries: int) -> np.ndarray:
@@ -48,6 +50,58 @@ def lambda_at(table: jax.Array, position: jax.Array) -> jax.Array:
     """Interpolate Lambda at positions of a table by cubics through four entries."""
     log = between_entries(table, position * (table.size - 1))
     return xp.maximum(xp.exp(log) / (_KNEE * xp.sinh(_END * position)) - 1, 0.0)
+
+
+class TabulatedDirections(NamedTuple):
+    """Directions in which Lambda of successive lobes is interpolated, as positions in a table.
+
+    Attributes:
+        first: index of the first of the four entries about each direction, (cells, ...).
+        offset: distance from the second of these entries, in entries, (cells, ...).
+        log_cot: ln cot theta, (cells, ...).
+    """
+
+    first: np.ndarray
+    offset: np.ndarray
+    log_cot: np.ndarray
+
+    @classmethod
+    def of(cls, cos: np.ndarray, entries: int) -> TabulatedDirections:
+        """Locate directions in a table of a number of entries. cos: cosines of their angles to the normal, (cells, ...)."""
+        position = np.asarray(position_of(cos))
+        first, _ = four_about(position * (entries - 1), entries)
+        return cls(first, position * (entries - 1) - first - 1, np.log(_KNEE * np.sinh(_END * position)))
+
+    def one_plus_lambda(self, table: np.ndarray) -> np.ndarray:
+        """Interpolate 1 + Lambda, (cells, ...)."""
+        lower, highest = np.split(_cubics(table), [3])
+        log = np.take(highest[0], self.first)
+        for coefficients in lower[::-1]:
+            log *= self.offset
+            log += np.take(coefficients, self.first)
+        log -= self.log_cot
+        return np.asarray(np.exp(log))
+
+    def by_tables(self, by_log: np.ndarray, tables: np.ndarray) -> np.ndarray:
+        """Differentiate the sum of each cell along changes of the table, (changes, cells).
+
+        by_log: derivatives of the sum with respect to ln(1 + Lambda) in each direction, (cells, ...). tables: changes of the
+            table, (changes, entries).
+        """
+        cells, intervals = len(self.first), tables.shape[1] - 3
+        bins = (
+            np.arange(0, cells * intervals, intervals).reshape(-1, *[1] * (self.first.ndim - 1)) + self.first
+        ).ravel()
+        weight, offset, total = by_log.ravel(), self.offset.ravel(), np.zeros((len(tables), cells))
+        for coefficients in np.moveaxis(_cubics(tables), 1, 0):
+            total += coefficients @ np.bincount(bins, weight, cells * intervals).reshape(cells, intervals).T
+            weight = weight * offset
+        return total
+
+
+def _cubics(table: np.ndarray) -> np.ndarray:
+    """Compute the coefficients of the cubics between the entries of tables, (..., powers, intervals)."""
+    return np.asarray(_CUBICS @ np.moveaxis(np.lib.stride_tricks.sliding_window_view(table, 4, axis=-1), -1, -2))
 
 
 def integrated_lambda(slope_density: SlopeDensity, scale: jax.Array, cos: jax.Array) -> jax.Array:

@@ -7,7 +7,7 @@ over the slopes of the lobe, or from a table of that integral. `g2` combines the
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -82,7 +82,7 @@ def cot_of(cos: jax.Array) -> jax.Array:
     return cos / xp.sqrt(xp.maximum((1 - cos) * (1 + cos), _FARTHEST**-2))
 
 
-def g2(masking: Masking, lambda_i: jax.Array, lambda_o: jax.Array, azimuth: jax.Array) -> jax.Array:
+def g2(masking: Masking, lambda_i: Any, lambda_o: Any, azimuth: Any) -> Any:
     """Compute the joint masking of light and view from their Lambdas.
 
     Args:

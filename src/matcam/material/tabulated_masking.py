@@ -19,7 +19,6 @@ from matcam.material.ndf.beckmann import Beckmann
 from matcam.material.ndf.distribution import NDF, SlopeDistribution
 from matcam.material.ndf.free_lobe import ShadowedNDF
 from matcam.material.ndf.ggx import GGX
-from matcam.numerics.approximation import four_about
 
 COTS = cots_of_table(187)
 """Cotangents of the directions of the tables of lobes. The number of entries gives an error of 3e-6 of 1 / (1 + Lambda)."""
@@ -30,22 +29,18 @@ def has_closed_lambda(ndf: NDF) -> bool:
     return isinstance(ndf, GGX | Beckmann | ShadowedNDF)
 
 
-def quick_table(ndf: NDF) -> jax.Array | None:
-    """Compute the table of Lambda of a lobe (`table_of`).
-
-    The result is None for lobes whose Lambda has a closed form.
-    """
-    if has_closed_lambda(ndf):
-        return None
+def lobe_table(ndf: NDF) -> jax.Array:
+    """Compute the table of Lambda of a lobe (`table_of`)."""
     return table_of(jnp.asarray(ndf.smith_lambda(COTS / np.sqrt(1 + COTS**2))))
 
 
-@kept_program
-def compiled_table(ndf: NDF) -> jax.Array:
-    """Compute `quick_table` of a lobe without a closed form of Lambda."""
-    table = quick_table(ndf)
-    assert table is not None
-    return table
+compiled_table = kept_program(lobe_table)
+"""Compiled `lobe_table`."""
+
+
+def quick_table(ndf: NDF) -> jax.Array | None:
+    """Compute the table of Lambda of a lobe; None if Lambda has a closed form."""
+    return None if has_closed_lambda(ndf) else lobe_table(ndf)
 
 
 def quick_lambda(ndf: NDF, cos: jax.Array, table: jax.Array | None = None) -> jax.Array:
@@ -56,20 +51,6 @@ def quick_lambda(ndf: NDF, cos: jax.Array, table: jax.Array | None = None) -> ja
     """
     table = quick_table(ndf) if table is None else table
     return ndf.smith_lambda(cos) if table is None else lambda_at(table, position_of(cos))
-
-
-def by_entries(position: jax.Array, by_log: jax.Array) -> jax.Array:
-    """Differentiate a sum with respect to table entries, (cells, entries).
-
-    Each cell has its own sum. position: positions in the table, (cells, ...). by_log: derivatives of the sum with
-    respect to ln(1 + Lambda) at each position, same shape.
-    """
-    first, shares = four_about(position * (COTS.size - 1), COTS.size)
-    cell = jnp.arange(position.shape[0]).reshape(-1, *[1] * (position.ndim - 1))
-    total = jnp.zeros((position.shape[0], COTS.size))
-    for k, share in enumerate(shares):
-        total = total.at[cell, first + k].add(by_log * share, mode="promise_in_bounds")
-    return total
 
 
 class TabulatedMasking(SlopeDistribution):

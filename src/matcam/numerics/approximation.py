@@ -46,7 +46,7 @@ def between_entries(table: jax.Array, position: jax.Array) -> jax.Array:
     return sum((xp.take(table, first + k, mode="clip") * share for k, share in enumerate(shares)), xp.zeros(()))
 
 
-def four_about(position: jax.Array, entries: int) -> tuple[jax.Array, list[jax.Array]]:
+def four_about(position: Any, entries: int) -> tuple[Any, list[Any]]:
     """Compute first index and weights of the four entries about positions."""
     left = constant(xp.clip(xp.floor(position), 1, entries - 3))
     return left.astype(int) - 1, lagrange_basis(np.arange(-1.0, 3.0), position - left)

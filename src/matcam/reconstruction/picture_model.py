@@ -15,11 +15,12 @@ import equinox as eqx
 import numpy as np
 
 from matcam.acquisition.mirror_ball import unit
-from matcam.core.jax import AnyArray, jax, jit_plainly, jnp
+from matcam.core.jax import AnyArray, jax, jit_plainly, jnp, placed
 from matcam.core.shading import Vector
 from matcam.forward.integral.blur import Blur
 from matcam.inverse.fit.fit_parameters import LobeKind
 from matcam.inverse.fit.lobe_slopes import table_slopes
+from matcam.material.tabulated_masking import has_closed_lambda
 from matcam.reconstruction.picture_rule import Window
 from matcam.reconstruction.sphere_in_picture import normal_at, radiance, sphere_tangent, surface_shading, theta_d_at
 
@@ -355,12 +356,14 @@ def _lambda_table(kind: LobeKind, lobe: bytes, slopes: bool) -> tuple[AnyArray |
         lobe: bytes of the coordinates of the lobe, (kind.size,).
         slopes: True to compute derivatives.
     """
-    return _table_of(kind, np.frombuffer(lobe), slopes)
+    return _table_of(kind, placed(np.frombuffer(lobe)), slopes)
 
 
 @partial(jit_plainly, static=("kind", "slopes"))
-def _table_of(kind: LobeKind, q: AnyArray, slopes: bool) -> tuple[jax.Array | None, jax.Array | None]:
-    table, by_lobe = table_slopes(kind, jnp.asarray(q))
+def _table_of(kind: LobeKind, q: jax.Array, slopes: bool) -> tuple[jax.Array | None, jax.Array | None]:
+    if kind.masking is None or has_closed_lambda(kind.ndf(q)):
+        return None, None
+    table, by_lobe = table_slopes(kind, q)
     return table, by_lobe if slopes else None
 
 

@@ -17,26 +17,21 @@ Forward differentiation would store the derivatives at all nodes with respect to
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from matcam.core.jax import AnyArray, jax, jnp, placed
+from matcam.core.jax import jax, jnp, placed
 from matcam.core.programs import kept_program
 from matcam.inverse.fit.fit_parameters import LobeKind
 from matcam.inverse.operator.lobe_operator import LobeOperator
-from matcam.inverse.operator.operator_nodes import OperatorNodes
-from matcam.material.lambda_table import lambda_at, table_of
+from matcam.inverse.operator.operator_nodes import OperatorNodes, spline_parts
+from matcam.material.lambda_table import table_of
 from matcam.material.masking import smith_rule
 from matcam.material.ndf.distribution import NDF
 from matcam.material.ndf.free_lobe import SplineNDF, spline_at, spline_sums
-from matcam.material.tabulated_masking import COTS, by_entries, has_closed_lambda, quick_table
-from matcam.numerics.approximation import lagrange_basis, lagrange_slopes
-
-_FEW = 2
-"""Largest number of coordinates of a lobe for which Lambda is differentiated with respect to one coordinate after the other.
-For more coordinates, reverse differentiation is faster.
-"""
+from matcam.material.tabulated_masking import COTS, lobe_table
+from matcam.numerics.approximation import lagrange_slopes
 
 
 class RecordAndSlopes(NamedTuple):
@@ -65,12 +60,8 @@ def record_and_slopes(operator: LobeOperator, kind: LobeKind, q: np.ndarray) -> 
 
     q: coordinates of the lobe, then of the rig, in the order of the axes of the operator.
     """
-    lobe = _Lobe.of(kind, placed(q[: kind.size]))
-    # inside the program, the polynomials of all axes would double its compile time
-    bases = [
-        _basis(np.asarray(points), at) for points, at in zip(operator.points, q[kind.size :].tolist(), strict=True)
-    ]
-    rows = operator.by_blocks(lambda nodes: _rows(nodes._replace(points=()), lobe, bases))
+    lobe = _Lobe.of(kind, q[: kind.size])
+    rows = operator.by_blocks(lambda nodes: _rows(nodes, lobe, q[kind.size :]))
     return RecordAndSlopes(rows[0], rows[1:])
 
 
@@ -81,69 +72,38 @@ class _Lobe(NamedTuple):
         kind: parametrisation of the lobe.
         q: coordinates of the lobe, (lobe coordinates,).
         by_norm: derivatives of ln(norm) of a spline-modified lobe with respect to q, (lobe coordinates,); None for other lobes.
-        table: table of Lambda, (entries,); None if Lambda has a closed form, or without masking.
-        by_table: derivatives of the table with respect to q, (lobe coordinates, entries); None without a table.
+        table: table of Lambda, (entries,); None without masking.
+        by_table: derivatives of the table with respect to q, (lobe coordinates, entries); None without masking.
     """
 
     kind: LobeKind
-    q: jax.Array
-    by_norm: jax.Array | None
-    table: jax.Array | None
-    by_table: jax.Array | None
+    q: np.ndarray
+    by_norm: np.ndarray | None
+    table: np.ndarray | None
+    by_table: np.ndarray | None
 
     @classmethod
-    def of(cls, kind: LobeKind, q: jax.Array) -> _Lobe:
+    def of(cls, kind: LobeKind, q: np.ndarray) -> _Lobe:
         """Compute the common quantities from the coordinates of a lobe."""
-        by_norm = _by_norm(kind, q) if kind.spline_size else None
-        return cls(kind, q, by_norm, *table_slopes(kind, q))
-
-    def directions(self, nodes: OperatorNodes) -> tuple[jax.Array, jax.Array]:
-        """Return the directions of light and view in the form that `lambda_of` requires."""
-        return (nodes.at.cos_i, nodes.at.cos_o) if self.table is None else (nodes.at.position_i, nodes.at.position_o)
-
-    @property
-    def masked_by(self) -> jax.Array:
-        """Return the array from which Lambda is computed: its table, or the coordinates of the lobe."""
-        return self.q if self.table is None else self.table
-
-    @property
-    def masked_slopes(self) -> jax.Array:
-        """Return the derivatives of `masked_by` with respect to the coordinates, (lobe coordinates, values)."""
-        return jnp.eye(self.q.size) if self.by_table is None else self.by_table
-
-    def lambda_of(self, by: jax.Array, direction: jax.Array) -> jax.Array:
-        """Compute Lambda. by: array of the kind of `masked_by`. direction: light or view from `directions`."""
-        return self.kind.ndf(by).smith_lambda(direction) if self.table is None else lambda_at(by, direction)
-
-
-def table_slopes(kind: LobeKind, q: jax.Array) -> tuple[jax.Array | None, jax.Array | None]:
-    """Compute the table of Lambda of a lobe, and its derivatives, (lobe coordinates, entries).
-
-    Both are None for a lobe without masking, or if Lambda has a closed form.
-    """
-    return (None, None) if kind.masking is None or has_closed_lambda(kind.ndf(q)) else _table_slopes(kind, q)
+        by_norm = np.asarray(_by_norm(kind, q)) if kind.spline_size else None
+        if kind.masking is None:
+            return cls(kind, q, by_norm, None, None)
+        return cls(kind, q, by_norm, *(np.asarray(one) for one in table_slopes(kind, q)))
 
 
 @kept_program
-def _table_slopes(kind: LobeKind, q: jax.Array) -> tuple[jax.Array, jax.Array]:
-    if kind.spline_size:
+def table_slopes(kind: LobeKind, q: Any) -> tuple[jax.Array, jax.Array]:
+    """Compute the table of Lambda of a lobe, and its derivatives, (lobe coordinates, entries)."""
+    if kind.spline_size and not kind.shadows:
         return _spline_table(kind, q)
 
     def table(q: jax.Array) -> jax.Array:
-        found = quick_table(kind.ndf(q))
-        assert found is not None
-        return found
+        return lobe_table(kind.ndf(q))
 
     return table(q), jax.jacfwd(table)(q).T
 
 
-@kept_program
-def _rows(nodes: OperatorNodes, lobe: _Lobe, bases: list[tuple[AnyArray, AnyArray]]) -> jax.Array:
-    """Compute the record of cells, followed by its derivatives, (1 + coordinates, cells)."""
-    return nodes.by_steps(lambda one: _step(one, lobe, bases))
-
-
-def _spline_table(kind: LobeKind, q: jax.Array) -> tuple[jax.Array, jax.Array]:
+def _spline_table(kind: LobeKind, q: Any) -> tuple[jax.Array, jax.Array]:
     """Compute the table of Lambda of a spline-modified lobe, and its derivatives, (lobe coordinates, values)."""
     ndf = kind.ndf(q)
     slope2, weight = smith_rule(ndf.roughness, jnp.asarray(COTS))
@@ -155,7 +115,7 @@ def _spline_table(kind: LobeKind, q: jax.Array) -> tuple[jax.Array, jax.Array]:
 
 
 @kept_program
-def _by_norm(kind: LobeKind, q: jax.Array) -> jax.Array:
+def _by_norm(kind: LobeKind, q: Any) -> jax.Array:
     """Compute the derivatives of ln(norm) of a spline-modified lobe, (lobe coordinates,)."""
 
     def log_norm(q: jax.Array) -> jax.Array:
@@ -167,7 +127,7 @@ def _by_norm(kind: LobeKind, q: jax.Array) -> jax.Array:
 
 
 def _lifted(
-    kind: LobeKind, q: jax.Array, slope2: jax.Array, light_of: Callable[[NDF], jax.Array]
+    kind: LobeKind, q: Any, slope2: Any, light_of: Callable[[NDF], jax.Array]
 ) -> tuple[jax.Array, list[jax.Array]]:
     """Compute a quantity proportional to D, and its derivatives with respect to the coordinates of the family.
 
@@ -186,63 +146,37 @@ def _lifted(
     return pairs[0][0] * lift, [slope * lift for _, slope in pairs]
 
 
-def _step(nodes: OperatorNodes, lobe: _Lobe, bases: list[tuple[AnyArray, AnyArray]]) -> jax.Array:
-    """Compute the rows of `_rows` for a few cells. bases: results of `_basis` for each axis."""
-    kind, q = lobe.kind, lobe.q
-    weight = nodes.at.weight
-    for (basis, _), differences in zip(bases, nodes.at.along, strict=True):
-        weight = weight + jnp.tensordot(differences, basis, (1, 0))
-    light, by_own = _lifted(kind, q, nodes.at.slope2, nodes.light)
-    seen, by_lambda = jnp.ones_like(weight), jnp.zeros(())
-    if kind.masking is not None:
-        directions = lobe.directions(nodes)
-        lambdas = [lobe.lambda_of(lobe.masked_by, one) for one in directions]
-        seen, pull = jax.vjp(lambda i, o: nodes.joint_masking(kind.masking, i, o), *lambdas)
-        pulled = pull(weight * light)
+@kept_program
+def _facet_slopes(kind: LobeKind, q: Any, slope2: Any) -> jax.Array:
+    """Evaluate D at nodes, 1/sr, followed by its derivatives with respect to the coordinates of the family."""
+    light, by_family = _lifted(kind, q, slope2, lambda ndf: ndf.slope_density(slope2) * (1 + slope2) ** 2)
+    return jnp.stack([light, *by_family])
 
-        def along(direction: jax.Array) -> jax.Array:
-            """Compute the contribution of masking to a derivative of the record. direction: derivative of `lobe.masked_by`."""
-            total = jnp.zeros(())
-            for one, share in zip(directions, pulled, strict=True):
-                _, change = jax.jvp(lambda by, one=one: lobe.lambda_of(by, one), (lobe.masked_by,), (direction,))
-                total = total + jnp.sum(share * change, axis=(1, 2, 3, 4))
-            return total
 
-        if kind.size > _FEW and lobe.table is not None:
-            by_logs = [share * (1 + own) for share, own in zip(pulled, lambdas, strict=True)]
-            light_and_view = [by_entries(*pair).T for pair in zip(directions, by_logs, strict=True)]
-            by_lambda = lobe.masked_slopes @ (light_and_view[0] + light_and_view[1])
-        elif kind.size > _FEW:  # each cell has its own copy of the coordinates, so one reverse pass suffices
-
-            def of_cells(own: jax.Array) -> list[jax.Array]:
-                return [jax.vmap(lobe.lambda_of)(own, one) for one in directions]
-
-            _, back = jax.vjp(of_cells, jnp.broadcast_to(lobe.masked_by, (len(nodes.at.slope2), lobe.masked_by.size)))
-            by_lambda = lobe.masked_slopes @ back(list(pulled))[0].T
-        else:
-            by_lambda = jax.vmap(along)(lobe.masked_slopes)
-
-    visible = seen * light
-    record = _over_nodes(weight * visible)
-    by_family = jnp.stack([_over_nodes(weight * seen * slope) for slope in by_own])
-    by_spline = [spline_sums(nodes.at.slope2, weight * visible, axes=2)] if kind.spline_size else []
-    by_lobe = jnp.pad(jnp.concatenate([by_family, *by_spline]), ((0, kind.shadows), (0, 0))) + by_lambda
+def _rows(nodes: OperatorNodes, lobe: _Lobe, rig: np.ndarray) -> np.ndarray:
+    """Compute the record of cells, followed by its derivatives, (1 + coordinates, cells)."""
+    kind, at = lobe.kind, nodes.at
+    light, *by_family = np.asarray(_facet_slopes(kind, lobe.q, at.slope2))
+    weight, masked = nodes.weight_at(rig), nodes.masked(kind.masking, lobe.table)
+    seen = np.ones_like(weight) if masked is None else masked.value
+    record = _over_nodes(weight * seen * light)
+    by_lobe = np.zeros((kind.size, len(record)))
+    for row, slope in zip(by_lobe, by_family, strict=False):
+        row += _over_nodes(weight * seen * slope)
+    if kind.spline_size:
+        own = len(kind.family_names)
+        by_lobe[own : own + kind.spline_size] = spline_parts(at.slope2, weight * seen * light)
+    if masked is not None and lobe.by_table is not None:
+        by_lobe += masked.by_tables(weight * light, lobe.by_table)
     if lobe.by_norm is not None:
         by_lobe -= lobe.by_norm[:, None] * record
+    visible = (seen * light).reshape(len(record), -1, 1)
     by_rig = [
-        slopes @ jnp.sum(visible[:, None] * differences, axis=(-2, -1)).T
-        for (_, slopes), differences in zip(bases, nodes.at.along, strict=True)
+        lagrange_slopes(points, shift) @ (along.reshape(*along.shape[:2], -1) @ visible)[..., 0].T
+        for points, along, shift in zip(nodes.points, at.along, rig.tolist(), strict=True)
     ]
-    return jnp.stack([record, *by_lobe, *by_rig])
+    return np.stack([record, *by_lobe, *by_rig])
 
 
-def _over_nodes(values: jax.Array) -> jax.Array:
-    return jnp.sum(values, axis=(-2, -1))
-
-
-def _basis(points: np.ndarray, shift: float) -> tuple[np.ndarray, np.ndarray]:
-    """Evaluate the Lagrange polynomials of some points, and their derivatives with respect to the position.
-
-    shift: position at which the polynomials are evaluated.
-    """
-    return np.array(lagrange_basis(points, shift)), lagrange_slopes(points, shift)
+def _over_nodes(values: np.ndarray) -> np.ndarray:
+    return np.asarray(values.sum(axis=(1, 2)))

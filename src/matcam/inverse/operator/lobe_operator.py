@@ -1,4 +1,4 @@
-"""Record of D G in chosen cells, as a compiled function of lobe and camera that is valid for all materials.
+"""Record of D G in chosen cells, as a function of lobe and camera that is valid for all materials.
 
 `record` is the integral of docs/model.md 3 without F. The value of a table is F(theta_d) times this record, because all
 nodes of a slice have the same theta_d if camera and lamp are distant. The quadrature rule of each pixel (`sphere_rule`)
@@ -28,7 +28,7 @@ from matcam.camera.optics.optics import checked_isotropic
 from matcam.core import checks
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import Sampling, azimuth_difference
-from matcam.core.jax import AnyArray, jax, placed
+from matcam.core.jax import jax
 from matcam.core.threads import available_cores, in_order
 from matcam.core.workspace import Workspace, default_workspace
 from matcam.forward.cylinder_cells import check_cylinder
@@ -41,18 +41,18 @@ from matcam.inverse.operator.lamp_lines import DISC_RULE
 from matcam.inverse.operator.operator_nodes import (
     NodeArrays,
     OperatorNodes,
-    directions_of,
     in_blocks,
     joined,
     lambda_table,
-    shape_sums,
+    spline_parts,
 )
 from matcam.inverse.operator.rig_axes import APERTURE, LAMP, Axis
 from matcam.inverse.operator.sample_view import FAR_AWAY, SampleView, sample_view
 from matcam.inverse.operator.theta_nodes import NODE_RULE, RISE, SAMPLED, THROUGH_SAMPLES
-from matcam.material.lambda_table import position_of
+from matcam.material.lambda_table import TabulatedDirections
 from matcam.material.masking import Masking
 from matcam.material.ndf.distribution import NDF
+from matcam.material.tabulated_masking import COTS
 from matcam.numerics.disc_chords import CHORD_RULE
 from matcam.rigs import ON_REAL_PIXELS, Rig
 from matcam.sample.curved import Cylinder, Sphere
@@ -81,7 +81,7 @@ class LobeOperator:
         return (self,) if self.moment is None else (self, self.moment)
 
     @property
-    def points(self) -> tuple[jax.Array, ...]:
+    def points(self) -> tuple[np.ndarray, ...]:
         """Return the points of each axis along which a parameter of the rig may change."""
         return self.blocks[0].points
 
@@ -135,7 +135,8 @@ class LobeOperator:
     def directions(self, ndf: NDF, masking: Masking, shifts: npt.ArrayLike) -> np.ndarray:
         """Compute the record of each direction, 1/sr, (slices, cells, directions). Half of their sum is `record`."""
         table = lambda_table(ndf, masking)
-        return np.moveaxis(self.by_blocks(lambda one: directions_of(one.moved(shifts), ndf, masking, table)), 0, -1)
+        found = self.by_blocks(lambda one: 2 * one.weighted(ndf, masking, table, shifts).sum(axis=-1).T)
+        return np.moveaxis(found, 0, -1)
 
     def by_shape(self, ndf: NDF, masking: Masking, shifts: npt.ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """Compute the record, and its derivative with respect to each coefficient of a smooth factor of D.
@@ -143,21 +144,26 @@ class LobeOperator:
         Returns: record, 1/sr, (slices, cells), and derivatives, 1/sr, (coefficients, slices, cells).
         """
         table = lambda_table(ndf, masking)
-        found = self.by_blocks(lambda one: shape_sums(one.moved(shifts), ndf, masking, table))
+
+        def sums(one: OperatorNodes) -> np.ndarray:
+            lobe = one.weighted(ndf, masking, table, shifts)
+            return np.concatenate([lobe.sum(axis=(1, 2))[None], spline_parts(one.at.slope2, lobe)])
+
+        found = self.by_blocks(sums)
         return found[0], found[1:]
 
-    def by_blocks(self, function: Callable[[OperatorNodes], AnyArray]) -> np.ndarray:
+    def by_blocks(self, function: Callable[[OperatorNodes], np.ndarray]) -> np.ndarray:
         """Apply a function to each block, on all cores. The result has shape (..., slices, cells).
 
-        function: compiled function of the nodes of a block that returns (..., cells of the block).
+        function: function of the nodes of a block that returns (..., cells of the block).
         """
-        parts = in_order(lambda one: np.asarray(function(one)), self.blocks, available_cores())
+        parts = in_order(function, self.blocks, available_cores())
         whole = np.concatenate(list(parts), axis=-1)[..., : np.prod(self.shape)]
         return whole.reshape(*whole.shape[:-1], *self.shape)
 
 
 def _in_blocks(nodes: OperatorNodes) -> tuple[OperatorNodes, ...]:
-    return tuple(nodes._replace(at=jax.tree.map(placed, block)) for block in in_blocks(nodes.at))
+    return tuple(nodes._replace(at=block) for block in in_blocks(nodes.at))
 
 
 class _Rules(NamedTuple):
@@ -187,15 +193,12 @@ class _Rules(NamedTuple):
             slope2=np.tan(self.theta) ** 2,
             weight=self.weight,
             along=_cells_first(self.along),
-            cos_i=cos_i,
-            cos_o=cos_o,
-            position_i=position_of(cos_i),
-            position_o=position_of(cos_o),
+            light_and_view=TabulatedDirections.of(np.stack([cos_i, cos_o], axis=1), COTS.size),
             azimuth=np.broadcast_to(azimuth, cos_i.shape),
             share=self.sample_share,
         )
-        points = tuple(placed(np.array(axis.points)) for axis in axes)
-        own = LobeOperator(_in_blocks(OperatorNodes(at, placed(through), points)), cells.valid.shape)
+        points = tuple(np.array(axis.points) for axis in axes)
+        own = LobeOperator(_in_blocks(OperatorNodes(at, through, points)), cells.valid.shape)
         if self.moment is None:
             return own
         return dataclasses.replace(own, moment=own.with_weights(self.moment, _cells_first(self.moment_along)))

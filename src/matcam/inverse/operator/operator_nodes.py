@@ -1,30 +1,30 @@
-"""Quadrature nodes of some cells, at which a compiled program evaluates a lobe.
+"""Quadrature nodes of some cells, at which an operator evaluates a lobe.
 
-All programs take the same number of cells, so that few programs serve all rigs, tables and lattices of cells.
+Only D and its derivatives depend on the family of the lobe, so a small program is compiled for each family. Lambda is
+interpolated in a table for every lobe, and the sums are those of NumPy. One compiled program for all of this takes ten times
+as long to compile, and more time to run. All programs take the same number of cells.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
-from matcam.core.jax import computes_on_gpu, jax, jnp, placed
+from matcam.core.jax import jax, jnp
 from matcam.core.programs import kept_program
 from matcam.inverse.operator.chosen_cells import SLICE_CELLS
-from matcam.material.lambda_table import lambda_at
+from matcam.material.lambda_table import TabulatedDirections
 from matcam.material.masking import Masking, g2
 from matcam.material.ndf.distribution import NDF
 from matcam.material.ndf.free_lobe import spline_sums
-from matcam.material.tabulated_masking import compiled_table, has_closed_lambda
+from matcam.material.tabulated_masking import compiled_table
 from matcam.numerics.approximation import lagrange_basis
 
 CELLS = 5 * SLICE_CELLS
 """Number of cells in each call of a program: five slices of a table, because fits use 5, 15 or 90 slices."""
-_STEP = SLICE_CELLS
-"""Number of cells in each step of a call: one slice of a table, whose arrays fit into the cache of the processor."""
 
 
 class NodeArrays(NamedTuple):
@@ -36,23 +36,17 @@ class NodeArrays(NamedTuple):
         slope2: squared tangent of the angle between normal and half vector, (cells, directions, nodes).
         weight: weight of each node, (cells, directions, nodes).
         along: for each axis, differences of the weights at the points of the axis, (cells, points, directions, nodes).
-        cos_i: cosine of the angle of incidence, (cells, directions, groups of nodes, samples, 2).
-        cos_o: cosine of the viewing angle, in the shape of `cos_i`.
-        position_i: position of the angle of incidence in a table of Lambda (`position_of`), in the shape of `cos_i`.
-        position_o: position of the viewing angle in this table, in the shape of `cos_i`.
-        azimuth: azimuth between the directions of incidence and view, rad, in the shape of `cos_i`.
-        share: shares of the two azimuths at which masking is evaluated, in the shape of `cos_i`; None: one half each.
+        light_and_view: directions of light and view, (cells, 2, directions, groups of nodes, samples, azimuths).
+        azimuth: azimuth between light and view, rad, (cells, directions, groups of nodes, samples, azimuths).
+        share: shares of the azimuths at which masking is evaluated, in the shape of `azimuth`; None: equal shares.
     """
 
-    slope2: Any
-    weight: Any
-    along: tuple[Any, ...]
-    cos_i: Any
-    cos_o: Any
-    position_i: Any
-    position_o: Any
-    azimuth: Any
-    share: Any = None
+    slope2: np.ndarray
+    weight: np.ndarray
+    along: tuple[np.ndarray, ...]
+    light_and_view: TabulatedDirections
+    azimuth: np.ndarray
+    share: np.ndarray | None = None
 
 
 class OperatorNodes(NamedTuple):
@@ -61,83 +55,102 @@ class OperatorNodes(NamedTuple):
     Attributes:
         at: quantities at the nodes.
         through_samples: matrix that interpolates from the samples to the nodes of a group, (nodes of a group, samples).
-        points: points of each axis, (points,). They are arrays, so that one compiled program serves all rigs.
+        points: points of each axis, (points,).
     """
 
     at: NodeArrays
-    through_samples: jax.Array
-    points: tuple[jax.Array, ...]
+    through_samples: np.ndarray
+    points: tuple[np.ndarray, ...]
 
-    def with_weights(self, weight: Any, along: Sequence[Any]) -> OperatorNodes:
+    def with_weights(self, weight: np.ndarray, along: Sequence[np.ndarray]) -> OperatorNodes:
         """Replace the weights and their differences along the axes."""
-        return self._replace(at=self.at._replace(weight=placed(weight), along=tuple(placed(one) for one in along)))
+        return self._replace(at=self.at._replace(weight=weight, along=tuple(along)))
 
     def plus(self, other: OperatorNodes, factor: np.ndarray) -> OperatorNodes:
         """Add the weights of other nodes at the same positions, multiplied by a factor of each cell, (cells, 1, 1)."""
-        weight = np.asarray(self.at.weight) + factor * np.asarray(other.at.weight)
         pairs = zip(self.at.along, other.at.along, strict=True)
-        return self.with_weights(weight, [np.asarray(one) + factor[:, None] * np.asarray(more) for one, more in pairs])
+        return self.with_weights(
+            self.at.weight + factor * other.at.weight, [one + factor[:, None] * more for one, more in pairs]
+        )
 
     def along_axes(self, indices: Sequence[int]) -> OperatorNodes:
         """Restrict the nodes to some of the axes."""
         along, points = (tuple(every[k] for k in indices) for every in (self.at.along, self.points))
         return self._replace(at=self.at._replace(along=along), points=points)
 
-    def moved(self, shifts: npt.ArrayLike) -> OperatorNodes:
-        """Return the nodes of a rig with other parameters, without axes. shifts: coordinates along the axes, (axes,)."""
-        weight = np.asarray(self.at.weight)
+    def weight_at(self, shifts: npt.ArrayLike) -> np.ndarray:
+        """Compute the weights of a rig with other parameters. shifts: coordinates along the axes, (axes,)."""
+        weight = self.at.weight
         for points, differences, shift in zip(self.points, self.at.along, np.asarray(shifts, dtype=float), strict=True):
             if shift:
-                basis = np.stack(lagrange_basis(np.asarray(points), shift))
-                weight = weight + np.tensordot(np.asarray(differences), basis, (1, 0))
-        return self._replace(at=self.at._replace(weight=placed(weight), along=()), points=())
+                weight = weight + _along_points(differences, np.array(lagrange_basis(points, shift)))
+        return weight
 
-    def by_steps(self, function: Callable[[OperatorNodes], jax.Array]) -> jax.Array:
-        """Apply a function to a few cells at a time. The result has shape (..., cells).
+    def masked(self, masking: Masking, table: np.ndarray | None) -> JointMasking | None:
+        """Evaluate G at the nodes; None without masking. table: table of Lambda."""
+        if masking is None or table is None:
+            return None
+        return JointMasking(self, masking, self.at.light_and_view.one_plus_lambda(table))
 
-        function: function of the nodes of some cells that returns (..., cells).
+    def weighted(self, ndf: NDF, masking: Masking, table: np.ndarray | None, shifts: npt.ArrayLike) -> np.ndarray:
+        """Evaluate D G at the nodes, multiplied by the weights, (cells, directions, nodes)."""
+        lobe = self.weight_at(shifts) * np.asarray(facets(ndf, self.at.slope2))
+        masked = self.masked(masking, table)
+        return lobe if masked is None else lobe * masked.value
+
+
+class JointMasking(NamedTuple):
+    """Masking G at the nodes of cells.
+
+    Attributes:
+        nodes: the nodes.
+        masking: model of the masking.
+        lambdas: 1 + Lambda of light and view, in the shape of `NodeArrays.light_and_view`.
+    """
+
+    nodes: OperatorNodes
+    masking: Masking
+    lambdas: np.ndarray
+
+    @property
+    def value(self) -> np.ndarray:
+        """G at the nodes, (cells, directions, nodes)."""
+        at = self.nodes.at
+        light, view = np.moveaxis(self.lambdas - 1, 1, 0)
+        both = g2(self.masking, light, view, at.azimuth)
+        mean = both.mean(axis=-1) if at.share is None else (both * at.share).sum(axis=-1)
+        return (mean @ self.nodes.through_samples.T).reshape(at.slope2.shape)
+
+    def by_tables(self, by_value: np.ndarray, tables: np.ndarray) -> np.ndarray:
+        """Differentiate the sum of each cell along changes of the table of Lambda, (changes, cells).
+
+        by_value: derivatives of the sum with respect to G at the nodes, (cells, directions, nodes). tables: changes of the
+            table, (changes, entries).
         """
+        at, through = self.nodes.at, self.nodes.through_samples
+        by_samples = by_value.reshape(*at.azimuth.shape[:3], len(through)) @ through
+        by_both = by_samples[..., None] * (1 / at.azimuth.shape[-1] if at.share is None else at.share)
+        slopes = np.asarray(masking_slopes(self.masking, self.lambdas, at.azimuth))
+        return at.light_and_view.by_tables(by_both[:, None] * slopes, tables)
 
-        def one(at: NodeArrays) -> jax.Array:
-            return function(self._replace(at=at))
 
-        steps = jax.tree.map(lambda array: array.reshape(-1, _STEP, *array.shape[1:]), self.at)
-        # a GPU is faster if it processes all cells at once
-        found = jax.vmap(one)(steps) if computes_on_gpu() else jax.lax.map(one, steps)
-        return jnp.moveaxis(found, 0, -2).reshape(*found.shape[1:-1], -1)
+def _along_points(differences: np.ndarray, basis: np.ndarray) -> np.ndarray:
+    """Sum over the points of an axis, (cells, directions, nodes)."""
+    cells, points, *nodes = differences.shape
+    return (basis @ differences.reshape(cells, points, -1)).reshape(cells, *nodes)
 
-    def weighted(self, ndf: NDF, masking: Masking, table: jax.Array | None) -> jax.Array:
-        """Evaluate D G at the nodes, multiplied by the weights, (cells, directions, nodes).
 
-        table: table of Lambda; None: Lambda has a closed form, or there is no masking.
-        """
-        light = self.light(ndf)
-        if masking is not None:
-            light *= self.joint_masking(masking, *self.lambdas(ndf, table))
-        return self.at.weight * light
+@kept_program
+def facets(ndf: NDF, slope2: Any) -> jax.Array:
+    """Evaluate D = P22 / cos^4 theta_h, 1/sr."""
+    return ndf.slope_density(slope2) * (1 + slope2) ** 2
 
-    def lambdas(self, ndf: NDF, table: jax.Array | None) -> tuple[jax.Array, jax.Array]:
-        """Evaluate Lambda at the angles of incidence and view.
 
-        table: table of Lambda; None: Lambda has a closed form.
-        """
-        if table is None:
-            return ndf.smith_lambda(self.at.cos_i), ndf.smith_lambda(self.at.cos_o)
-        return lambda_at(table, self.at.position_i), lambda_at(table, self.at.position_o)
-
-    def light(self, ndf: NDF) -> jax.Array:
-        """Evaluate D = P22 / cos^4 theta_h at the nodes, 1/sr."""
-        return ndf.slope_density(self.at.slope2) * (1 + self.at.slope2) ** 2
-
-    def joint_masking(self, masking: Masking, lambda_i: jax.Array, lambda_o: jax.Array) -> jax.Array:
-        """Evaluate G at the nodes from Lambda at the samples."""
-        both = g2(masking, lambda_i, lambda_o, self.at.azimuth)
-        if self.at.share is None:
-            mean = jnp.mean(both, axis=-1)
-        else:  # jnp.sum over the pair takes five times as long in XLA
-            mean = both[..., 0] * self.at.share[..., 0] + both[..., 1] * self.at.share[..., 1]
-        joint = mean @ self.through_samples.T
-        return joint.reshape(self.at.slope2.shape)
+@kept_program
+def masking_slopes(masking: Masking, lambdas: Any, azimuth: Any) -> jax.Array:
+    """Differentiate G with respect to ln(1 + Lambda) of light and view. lambdas: 1 + Lambda, see `JointMasking`."""
+    _, pull = jax.vjp(lambda both: g2(masking, both[:, 0] - 1, both[:, 1] - 1, azimuth), lambdas)
+    return pull(jnp.ones_like(azimuth))[0] * lambdas
 
 
 T = TypeVar("T")
@@ -155,26 +168,15 @@ def in_blocks(cells: T) -> list[T]:
 
 def joined(blocks: Sequence[T], count: int) -> T:
     """Join blocks. count: number of cells without the padding."""
-    return jax.tree.map(lambda *parts: np.concatenate([np.asarray(part) for part in parts])[:count], *blocks)
+    return jax.tree.map(lambda *parts: np.concatenate(parts)[:count], *blocks)
 
 
-def lambda_table(ndf: NDF, masking: Masking) -> jax.Array | None:
-    """Compute the table of Lambda; None if Lambda has a closed form, or without masking."""
-    return None if masking is None or has_closed_lambda(ndf) else compiled_table(ndf)
-
-
-@kept_program
-def directions_of(nodes: OperatorNodes, ndf: NDF, masking: Masking, table: jax.Array | None) -> jax.Array:
-    """Compute the record of D G divided by cos_i in each direction, 1/sr, (directions, cells)."""
-    return nodes.by_steps(lambda one: 2 * jnp.sum(one.weighted(ndf, masking, table), axis=-1).T)
+def lambda_table(ndf: NDF, masking: Masking) -> np.ndarray | None:
+    """Compute the table of Lambda; None without masking."""
+    return None if masking is None else np.asarray(compiled_table(ndf))
 
 
 @kept_program
-def shape_sums(nodes: OperatorNodes, ndf: NDF, masking: Masking, table: jax.Array | None) -> jax.Array:
-    """Compute the record, and its derivatives with respect to the coefficients of a smooth factor of D, (1 + k, cells)."""
-
-    def one(nodes: OperatorNodes) -> jax.Array:
-        lobe = nodes.weighted(ndf, masking, table)
-        return jnp.concatenate([jnp.sum(lobe, axis=(-2, -1))[None], spline_sums(nodes.at.slope2, lobe, axes=2)])
-
-    return nodes.by_steps(one)
+def spline_parts(slope2: Any, weighted: Any) -> jax.Array:
+    """Differentiate sums over the nodes with respect to the coefficients of a smooth factor of D, (k, cells)."""
+    return spline_sums(slope2, weighted, axes=2)
