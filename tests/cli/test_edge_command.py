@@ -161,6 +161,7 @@ BAD = [
     (("flat.tif",), "only one value"),
     (("white.tif",), "saturated"),
     (("chart.tif",), "choose another region with --roi, or measure all edges: matcam calibrate chart.tif"),
+    (("chart.tif", "--method", "iso12233"), "with --roi, or measure all edges: matcam calibrate chart.tif"),
 ]
 
 

@@ -11,7 +11,7 @@ import typer
 from matcam.cli import show
 from matcam.cli.edge_series import focus_positions, run_series
 from matcam.cli.options import AsJson, Budget, EdgeLens, Force, HalfWidth, Mosaic, Pitch, Wavelength, option
-from matcam.core.errors import ArgumentError, FitError
+from matcam.core.errors import ArgumentError, RegionError
 from matcam.core.io import check_output, check_outputs, check_picture, write_columns, write_text
 
 _DOUBTS = {"asymmetric", "compressed", "crushed", "demosaiced", "denoised", "filtered", "sharpened", "tone-curve"}
@@ -157,11 +157,11 @@ def command(
         photograph = open_photograph(picture)
         try:
             result = measure(photograph, roi, channel)
-        except FitError as error:
-            if roi is not None or not str(error).endswith("choose another region"):
+        except RegionError as error:
+            if roi is not None:
                 raise
             whole = shlex.join(["matcam", "calibrate", str(picture)])
-            raise FitError(f"{error} with --roi, or measure all edges: {whole}") from error
+            raise RegionError(f"{error} with --roi, or measure all edges: {whole}") from error
     files = [
         *([output, output.with_suffix(".csv")] if output else []),
         *(path for path in (sfr, table, budget) if path),

@@ -44,6 +44,10 @@ class FitError(MatcamError):
     """Data that do not determine the requested result."""
 
 
+class RegionError(FitError):
+    """Region of an image without a measurable edge, although the image may have one elsewhere."""
+
+
 def one_line(error: Exception) -> str:
     """Format the error of a library as one line, truncated."""
     return " ".join(str(error).split())[:120] or type(error).__name__

@@ -35,7 +35,7 @@ from matcam.calibration.photograph.tone import Tone
 from matcam.calibration.photograph.uneven_light import EXCLUDED_WIDTHS, LightField, light_field
 from matcam.core import checks
 from matcam.core.arrays import changed, tuple_map
-from matcam.core.errors import ArgumentError, FitError
+from matcam.core.errors import ArgumentError, FitError, RegionError
 from matcam.core.registry import PARAMETRIC_LENSES
 from matcam.core.remark import Remark
 from matcam.files.photographs import Photograph
@@ -47,6 +47,8 @@ _WIDEST = 0.1
 
 With a wider blur, too little of the two flat sides remains.
 """
+_OF_REGION = ("no-edge", "unexplained")
+"""Codes of the problems of a region that another region of the image may not have."""
 _BRIGHTEST = 0.2
 """Relative standard deviation of the estimated light above which the variation is attributed to a pattern of the scene."""
 
@@ -119,7 +121,8 @@ def edge_mtf(
 
     Raises:
         ArgumentError: an argument is invalid.
-        FitError: the region contains no edge that can be measured; the message gives the reason.
+        RegionError: the region contains no single edge.
+        FitError: the edge cannot be measured; the message gives the reason.
 
     Source:
         ISO 12233; docs/model.md 7.
@@ -136,7 +139,7 @@ def edge_mtf(
     rows = _placed(rows, *region.corner)
     stack = edge_stack([(rows, [None])], settings, even_light=True)
     if problem := stack.problems[0]:
-        raise FitError(problem.text)
+        raise (RegionError if problem.code in _OF_REGION else FitError)(problem.text)
     result = stack[0]
     return replace(result, given=region.remarks + result.given)
 

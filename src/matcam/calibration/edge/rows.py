@@ -21,7 +21,7 @@ from matcam.calibration.photograph.flat_noise import flat_noise
 from matcam.calibration.photograph.linear_image import LinearImage, measurable_region
 from matcam.calibration.photograph.tone import Tone
 from matcam.calibration.photograph.unnamed_mosaic import refuse_unnamed_mosaic
-from matcam.core.errors import FitError
+from matcam.core.errors import RegionError
 from matcam.core.remark import Remark
 from matcam.files.photographs import Photograph
 from matcam.numerics.normal import SIGNIFICANT, robust_std
@@ -145,12 +145,12 @@ def edge_region(
 ) -> tuple[LinearImage, EdgeRegions]:
     """Convert the region of an image that contains one edge to a linear plane and to rows.
 
-    The arguments are those of `region_of`. A FitError is raised if the region cannot be measured.
+    The arguments are those of `region_of`. A RegionError is raised if the region is too large.
     """
     region = measurable_region(image, roi, channel=channel, cfa=cfa, tone=tone)
     height, width = region.values.shape
     if height * width > _LARGEST:
-        raise FitError(
+        raise RegionError(
             f"a region of {width} x {height} px is too large for one edge, which needs less than 4 million pixels: "
             "choose another region"
         )

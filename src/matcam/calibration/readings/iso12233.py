@@ -19,7 +19,7 @@ from matcam.calibration.photograph.linear_image import LinearImage
 from matcam.calibration.photograph.tone import Tone
 from matcam.calibration.readings.edge_numbers import LEVELS, rise
 from matcam.core.arrays import FloatArray
-from matcam.core.errors import ArgumentError, FitError
+from matcam.core.errors import ArgumentError, FitError, RegionError
 from matcam.core.io import plain
 from matcam.files.photographs import Photograph
 from matcam.numerics.crossing import first_fall
@@ -157,7 +157,7 @@ def iso12233_sfr(
     start = rows.start[0, : len(value)] / rows.step
     number = np.arange(len(value), dtype=float)
     if value.shape[1] < 8:
-        raise FitError("the region has missing pixels, but ISO 12233 requires all of them: choose another region")
+        raise RegionError("the region has missing pixels, but ISO 12233 requires all of them: choose another region")
     place = _edge_positions(value, start, number, order)
     straight = np.polynomial.Polynomial.fit(number, place, 1).convert().coef[1]
     if abs(straight) * len(value) < _LEAST_TURNS:
@@ -190,7 +190,7 @@ def _edge_positions(value: FloatArray, start: FloatArray, number: FloatArray, or
         weight = slope * window
         total = weight.sum(1)
         if not (total > 0).all():
-            raise FitError("no edge was found: choose a region that an edge crosses from one side to the other")
+            raise RegionError("no edge was found: choose a region that an edge crosses from one side to the other")
         middle = np.polynomial.Polynomial.fit(number, (weight * at).sum(1) / total, order)(number)
         window = (1 - _FLOOR) * _hann(at - middle[:, None], columns) + _FLOOR
     return middle
@@ -213,7 +213,7 @@ def _edge_spread(value: FloatArray, distance: FloatArray) -> FloatArray:
     total = np.bincount(bins[inside] - first, value[inside], last - first + 1)
     known = count > 0
     if known.sum() < 2 * _BINS:
-        raise FitError("the edge leaves the region: choose a region whose middle the edge crosses")
+        raise RegionError("the edge leaves the region: choose a region whose middle the edge crosses")
     positions = np.arange(count.size)
     return np.interp(positions, positions[known], total[known] / count[known])
 
