@@ -351,8 +351,13 @@ def test_bad_arguments():
 
 def test_too_few_edges_are_no_camera():
     picture = chart(0.5)
-    with pytest.raises(FitError, match="good edges are too few for a camera, which requires 8 in two directions"):
+    with pytest.raises(
+        FitError, match="good edges are too few for a camera, which requires 8 in two directions: photo"
+    ):
         calibrate([picture[:150, :150]])
+    noise = 0.5 + 0.01 * np.random.default_rng(1).standard_normal((150, 150))
+    with pytest.raises(FitError, match="which requires 8 in two directions; none are in image 2: photograph"):
+        calibrate([picture[:150, :150], noise])
 
 
 def test_mostly_processed_pictures_are_no_camera():

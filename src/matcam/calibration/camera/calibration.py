@@ -238,10 +238,10 @@ def calibrate(
     measured.check()
     findings = measured.findings + [Finding(s.channel, s.source, s.f_number, None, (s,)) for s in samples]
     request = CameraRequest(model, half_width, wavelength, pixel_pitch)
-    fits = {}
+    fits, names = {}, [Path(name).name for name in measured.failed]
     for channel in dict.fromkeys(f.channel for f in findings):
         evidence = Evidence(f for f in findings if f.channel == channel)
-        measured.remarks += evidence.check(channel, accept_sharpened=accept_sharpened)
+        measured.remarks += evidence.check(channel, names, accept_sharpened=accept_sharpened)
         fit = fit_camera(evidence, channel, request)
         if fit.names[0].endswith("sigma_px"):
             fit = fit.with_wider_errors(processing_std(evidence.software, float(fit.values[0])))

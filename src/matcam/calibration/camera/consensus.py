@@ -7,14 +7,14 @@ verify that they agree.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from matcam.calibration.edge.edge_result import EdgeStack
 from matcam.core.errors import FitError
-from matcam.core.remark import Remark
+from matcam.core.remark import Remark, some_of
 from matcam.numerics.normal import SIGNIFICANT, robust_std
 
 FEWEST_EDGES = 8
@@ -52,10 +52,13 @@ def in_consensus(stacks: Sequence[EdgeStack]) -> list[EdgeStack]:
     return result
 
 
-def refuse_too_few(stacks: Sequence[EdgeStack], channel: str, *, accept_sharpened: bool) -> None:
+def refuse_too_few(
+    stacks: Sequence[EdgeStack], channel: str, without: Collection[str], *, accept_sharpened: bool
+) -> None:
     """Raise FitError if the edges are too few, too parallel, or often processed.
 
-    The check applies if edges are the only measurements. `accept_sharpened`: whether sharpened edges are treated as good.
+    The check applies if edges are the only measurements. `without`: names of the images without good edges.
+    `accept_sharpened`: whether sharpened edges are treated as good.
     """
     codes = [problem.code if problem else "" for stack in stacks for problem in stack.problems]
     good, processed = codes.count(""), codes.count("saturated")
@@ -67,9 +70,10 @@ def refuse_too_few(stacks: Sequence[EdgeStack], channel: str, *, accept_sharpene
             "this is a processed or overexposed image, whose MTF is not that of the lens; use camera raw, and expose less"
         )
     if good < FEWEST_EDGES:
+        none = f"; none are in {some_of(without)}" if good and without else ""
         raise FitError(
-            f"channel {channel}: {good} good edges are too few for a camera, which requires {FEWEST_EDGES} in two directions: "
-            "photograph a chart of slanted squares (matcam chart), or measure one edge with matcam edge"
+            f"channel {channel}: {good} good edges are too few for a camera, which requires {FEWEST_EDGES} in two "
+            f"directions{none}: photograph a chart of slanted squares (matcam chart), or measure one edge with matcam edge"
         )
     angle = np.concatenate([stack.angle[stack.good] for stack in stacks])
     off = widest_angle(angle)

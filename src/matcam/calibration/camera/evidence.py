@@ -310,14 +310,16 @@ class Evidence:
         """F-number of the image of every measurement."""
         return [f_number for _, _, f_number in self._stacks] + [s.f_number for s in self._samples]
 
-    def check(self, channel: str, *, accept_sharpened: bool) -> list[Remark]:
+    def check(self, channel: str, failed: Iterable[str], *, accept_sharpened: bool) -> list[Remark]:
         """List remarks on edges that were excluded.
 
-        A FitError is raised if edges are the only measurements, and insufficient for a camera.
+        A FitError is raised if edges are the only measurements, and insufficient for a camera. `failed`: names of the images
+        in which nothing was measured.
         """
         edges = [stack for stack, _, _ in self._stacks]
         if edges and not self._samples:
-            refuse_too_few(edges, channel, accept_sharpened=accept_sharpened)
+            empty = (source for stack, source, _ in self._stacks if not stack.good.size)
+            refuse_too_few(edges, channel, (*failed, *empty), accept_sharpened=accept_sharpened)
         lost = sum(problem is not None and problem.code == "no-consensus" for e in edges for problem in e.problems)
         text = f"{channel}: {lost} edges disagree with the others and were excluded"
         return [Remark("no-consensus", text)] if lost else []
