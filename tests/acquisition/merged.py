@@ -6,6 +6,7 @@ import imagecodecs
 import numpy as np
 
 from matcam.acquisition.merged_picture import MergedPicture
+from matcam.acquisition.outline import OutlineFit, Sighting
 from tests.oracle import ball_outline as oracle
 
 BAYER = np.array([[0.6, 1.0], [1.0, 0.5]])
@@ -44,3 +45,8 @@ def diligent(real_data):
         std = np.hypot(0.012 * green, 4.0)
         pictures.append(merged(green, std, clip=65535, name=row["file"]))
     return pictures, lamps
+
+
+def by_powers(picture, start, powers):
+    """Outline of a lit sphere with another model of the light inside its limb."""
+    return OutlineFit(picture, "lit", Sighting(), powers, np.array(start)).outline()

@@ -2,13 +2,14 @@
 
 import numpy as np
 import pytest
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
 
 from matcam.acquisition.highlights import find_highlight, find_highlights, lamp_angles_apart, lamp_from_highlight
-from matcam.acquisition.lamps.lamp_table import radius_by_highlights
-from matcam.acquisition.mirror_ball import MirrorBall, pull_to_limb, unit
-from matcam.acquisition.outline import find_outline, stacked
+from matcam.acquisition.mirror_ball import MirrorBall, unit
+from matcam.acquisition.outline import stacked
 from matcam.core.errors import FitError
-from tests.acquisition.merged import diligent, merged, photograph
+from tests.acquisition.merged import by_powers, diligent, merged, photograph
 from tests.oracle import ball_outline as oracle
 
 SHAPE = (152, 156)
@@ -62,16 +63,6 @@ def test_lamps_are_found_from_highlights(alpha, worst, bayer):
     assert np.sqrt(np.mean(np.square(off))) < worst
 
 
-def test_the_brightest_point_of_a_rough_sphere_is_pulled_to_the_limb():
-    """Against the maximum of GGX over the cosine of the view, searched for (docs/model.md 10: 0.56 degrees with masking)."""
-    for alpha in (0.02, 0.05):
-        theta = np.radians(75) + np.linspace(0, 0.03, 300001)
-        turn = np.cos(theta - np.radians(75)) ** 2
-        bright = 1 / (turn * (alpha**2 - 1) + 1) ** 2 / np.cos(theta)
-        pulled = theta[bright.argmax()] - np.radians(75)
-        assert pull_to_limb(np.radians(75), alpha / 2) == pytest.approx(pulled, rel=0.06)
-
-
 def test_clipped_pixels_are_at_least_so_bright():
     rng = np.random.default_rng(2)
     ball, at = oracle.Ball(*AT), lamp(40, 30, 1e6)
@@ -112,27 +103,26 @@ def test_other_bright_spots_are_named():
 def test_diligent_highlights(real_data):
     """0.4 degrees of the published directions; the radius that they want is beyond the outline's."""
     pictures, lamps = diligent(real_data)
-    outline = find_outline(stacked(pictures), start=(103.7, 103.9, 71.4), exponents=(0, 0.5, 1))
+    outline = by_powers(stacked(pictures), (103.7, 103.9, 71.4), (0, 0.5, 1))
     pictures, lamps = pictures[::3], lamps[::3]
     found, _ = find_highlights(pictures, outline.ball)
     assert all(one is not None for one in found)
     assert all(1 <= one.clipped <= 12 for one in found)
     positions = np.array([(one.row, one.column) for one in found])
-    wanted = radius_by_highlights(*positions.T, lamps, outline.ball, outline.std)
-    assert wanted.rms < 0.25
-    assert wanted.radius == pytest.approx(72.2, abs=0.2)
-    assert 0.007 < wanted.mismatch < 0.016
-    assert {remark.code for remark in wanted.remarks} == {"radius-mismatch", "table-turned"}
-    # with the outline's radius, the distances that the mismatch wants, and the table's axes turned
-    distance = 2 / wanted.inverse_distances
+
+    def off(p):
+        return (np.stack(MirrorBall(*p).mirror_position(lamps), 1) - positions).ravel()
+
+    wanted = least_squares(off, [outline.row, outline.column, outline.radius], loss="soft_l1", x_scale="jac")
+    assert np.sqrt(2 * np.mean(off(wanted.x) ** 2)) < 0.25
+    assert wanted.x[2] == pytest.approx(72.2, abs=0.2)
+    ratio = wanted.x[2] / outline.radius
+    assert 1.007 < ratio < 1.016
+    # with the outline's radius, the distances that the ratio wants, and the table's axes turned
+    larger = outline.ball._replace(radius=outline.radius * ratio)
+    seen = larger.lamp_seen_at(larger.normals(*positions.T))
+    turn = Rotation.align_vectors(lamps, seen)[0]
+    distance = 1 / (ratio - 1)
     near = outline.ball._replace(distance=distance)
-    turned = near.lamp_seen_at(near.normals(*positions.T), distance) @ rotation(wanted.turn).T
-    off = np.degrees(lamp_angles_apart(turned, lamps))
-    assert np.sqrt(np.mean(off**2)) < 0.4
-
-
-def rotation(vector):
-    angle = np.linalg.norm(vector)
-    x, y, z = vector / angle
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
+    turned = turn.apply(near.lamp_seen_at(near.normals(*positions.T), distance))
+    assert np.sqrt(np.mean(np.degrees(lamp_angles_apart(turned, lamps)) ** 2)) < 0.4

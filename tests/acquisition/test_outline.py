@@ -7,7 +7,7 @@ import pytest
 from matcam.acquisition.frame_shifts import find_shifts
 from matcam.acquisition.outline import Sighting, find_outline, stacked
 from matcam.core.errors import FitError
-from tests.acquisition.merged import around, diligent, merged, photograph
+from tests.acquisition.merged import around, by_powers, diligent, merged, photograph
 from tests.oracle import ball_outline as oracle
 
 SHAPE = (152, 156)
@@ -58,8 +58,8 @@ def test_the_backlight_that_the_sphere_mirrors_is_allowed_for():
     rng = np.random.default_rng(2)
     ball = oracle.Ball(75.0, 78.0, 62.0)
     picture = photograph(oracle.backlit(ball, SHAPE, reach=np.radians(10)), rng)
-    silent = find_outline(picture, light="backlit", lens=(0.5, 0.02))
-    told = find_outline(picture, light="backlit", lens=(0.5, 0.02), backlight_reach=(np.radians(10), np.radians(0.5)))
+    silent = find_outline(picture, light="backlit")
+    told = find_outline(picture, light="backlit", backlight_reach=(np.radians(10), np.radians(0.5)))
     assert silent.radius < ball.radius - 0.12  # 1.5 px of 400 with F = 1: 0.23 px here
     assert [remark.code for remark in silent.remarks] == ["backlight-reach-not-given"]
     assert abs(told.radius - ball.radius) < 2.5 * told.std[2] < 0.15
@@ -83,7 +83,7 @@ def test_a_line_in_place_of_the_root_shrinks_the_sphere():
     ball = oracle.Ball(75.0, 78.0, 71.4)
     radiance = sum(oracle.lit(ball, SHAPE, lamp, coat=True) for lamp in around(3, 30))
     picture = photograph(radiance, rng, sigma=0.2)
-    root, line = find_outline(picture), find_outline(picture, exponents=(0, 1))
+    root, line = find_outline(picture), by_powers(picture, ball[:3], (0, 1))
     assert abs(root.radius - ball.radius) < 0.05
     assert line.radius < ball.radius - 0.15
     assert line.sigma > root.sigma + 0.1
@@ -97,7 +97,7 @@ def test_every_frame_has_its_shift():
         ball = oracle.Ball(75 + row, 78 + column, 60.0)
         pictures.append(photograph(oracle.lit(ball, SHAPE, lamp), rng, electrons=5e3))
     first = find_outline(stacked(pictures))
-    outline, found = find_shifts(pictures, first, shift_std=0.3, same_radius=False)
+    outline, found = find_shifts(pictures, first, 0.3)
     positions = np.array([[outline.row + one.row, outline.column + one.column] for one in found])
     off = positions - (shifts + np.array([75, 78]))
     std = np.array([np.sqrt(np.diag(one.covariance)) for one in found])
@@ -141,7 +141,7 @@ def test_diligent_ball(real_data):
     """The published comparison has 71.13 px, with a straight line in place of the root: reproduced, and bettered."""
     pictures, _ = diligent(real_data)
     picture = stacked(pictures)
-    line = find_outline(picture, exponents=(0, 1))
+    line = by_powers(picture, (103.7, 103.9, 71.4), (0, 1))
     assert abs(line.radius - 71.13) < 0.1
     assert abs(line.row - 103.68) < 0.1
     assert abs(line.column - 103.81) < 0.1

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from matcam.acquisition.merged_picture import MergedPicture
-from matcam.acquisition.outline import EXPONENTS, FEWEST_SECTORS, LimbLight, Outline, OutlineFit
+from matcam.acquisition.outline import EXPONENTS, FEWEST_SECTORS, Outline, OutlineFit
 from matcam.core.errors import FitError
 from matcam.core.remark import Remark
 from matcam.numerics.normal import robust_std
@@ -47,22 +47,14 @@ class FrameShift(NamedTuple):
 
 
 def find_shifts(
-    pictures: Sequence[MergedPicture],
-    outline: Outline,
-    *,
-    light: LimbLight = "lit",
-    shift_std: float = 0.5,
-    same_radius: bool = True,
+    pictures: Sequence[MergedPicture], outline: Outline, shift_std: float
 ) -> tuple[Outline, list[FrameShift]]:
     """Estimate the shift of the sphere in every frame, and the common outline.
 
     Args:
-        pictures: images, one for each lamp.
-        outline: outline of the sphere, from one image or from the stack of all images.
-        light: "lit" or "backlit". Default: "lit".
-        shift_std: prior standard deviation of the motion between frames, px. Default: 0.5.
-        same_radius: True if the outline is an independent measurement from other images; False if it is from the stack
-            of these images. Default: True.
+        pictures: images of a lit sphere, one for each lamp.
+        outline: outline of the sphere from the stack of these images.
+        shift_std: prior standard deviation of the motion between frames, px.
 
     Returns:
         The outline at the mean position, and a shift for each image.
@@ -72,7 +64,7 @@ def find_shifts(
     """
     position = np.array([outline.row, outline.column, outline.radius])
     shifts = np.zeros((len(pictures), 2))
-    kind = "coated" if light == "lit" and outline.coated else light
+    kind = "coated" if outline.coated else "lit"
     fits = [OutlineFit(one, kind, outline.sighting, EXPONENTS[kind], position) for one in pictures]
     sigma = max(outline.sigma, 0.05)
     used: list[np.ndarray] = []
@@ -101,7 +93,7 @@ def find_shifts(
             raise FitError(
                 "no image shows the limb in front of its background: photograph the outline in front of a bright field"
             )
-        step, covariance = _solved(np.array(blocks), np.array(pulls), shifts, shift_std, position, outline, same_radius)
+        step, covariance = _solved(np.array(blocks), np.array(pulls), shifts, shift_std)
         position, shifts = position + step[:3], shifts + step[3:].reshape(-1, 2)
         if np.abs(step).max() < _STILL:
             break
@@ -121,7 +113,7 @@ def find_shifts(
         text = f"the sphere moves by {moved:.2f} px rms between frames: fasten the sphere and the camera"
         remarks += (Remark("sphere-moved", text),)
     # the errors due to the lens and to the light near the limb are common to all frames
-    common = outline.covariance - outline.noise if not same_radius else 0.0
+    common = outline.covariance - outline.noise
     return replace(
         outline,
         row=float(position[0]),
@@ -133,13 +125,7 @@ def find_shifts(
 
 
 def _solved(
-    blocks: np.ndarray,
-    pulls: np.ndarray,
-    shifts: np.ndarray,
-    shift_std: float,
-    position: np.ndarray,
-    outline: Outline,
-    same_radius: bool,
+    blocks: np.ndarray, pulls: np.ndarray, shifts: np.ndarray, shift_std: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Compute the step of (row, column, radius, shifts...) and its covariance; the shifts have mean 0 in the prior."""
     count = len(blocks)
@@ -150,9 +136,5 @@ def _solved(
         information[:3, at], information[at, :3] = block[:, :2], block[:2]
         information[at, at] = block[:2, :2] + np.eye(2) / shift_std**2
         pull[at] = one[:2] - shifts[k] / shift_std**2
-    if same_radius:
-        weight = np.linalg.inv(outline.covariance)
-        information[:3, :3] += weight
-        pull[:3] += weight @ ([outline.row, outline.column, outline.radius] - position)
     covariance = np.linalg.inv(information)
     return covariance @ pull, covariance

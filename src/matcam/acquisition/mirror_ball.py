@@ -179,25 +179,3 @@ def cylinder_line(
         if abs(u - last) < _SETTLED:
             break
     return float(np.sqrt(1 - camera**2) * np.sin(u) / (1 - camera * np.cos(u)))
-
-
-def pull_to_limb(theta_o: float | np.ndarray, width: float | np.ndarray) -> np.ndarray:
-    """Compute the shift of the brightest point of a rough sphere from the mirror point, as a rotation of the normal, rad.
-
-    Near the limb, foreshortening increases the number of facets in a pixel. The lobe D therefore appears as
-    D / cos(theta_o), and its maximum moves by width^2 tan(theta_o) to first order. If this shift is neglected, the error
-    of the direction of the lamp is twice the shift.
-
-    Args:
-        theta_o: angle between normal and view, rad.
-        width: width of the lobe at its maximum, rad: the standard deviation in theta_h for a Gaussian, alpha / sqrt(2)
-            for Beckmann, alpha / 2 for GGX.
-
-    Source:
-        docs/model.md 10.
-
-    Example:
-        >>> round(float(np.degrees(pull_to_limb(np.radians(75), 0.1 / 2))), 2)
-        0.53
-    """
-    return np.asarray(width) ** 2 * np.tan(theta_o)

@@ -166,10 +166,7 @@ def find_outline(
     *,
     light: LimbLight = "lit",
     sighting: Sighting | None = None,
-    lens: tuple[float, float] | None = None,
     backlight_reach: tuple[float, float] | None = None,
-    start: tuple[float, float, float] | None = None,
-    exponents: Sequence[float] | None = None,
 ) -> Outline:
     """Find the outline of the sphere in an image.
 
@@ -177,11 +174,8 @@ def find_outline(
         picture: image of one lamp or of all lamps (`stacked`), or a frame with light from behind.
         light: "lit" for a sphere brighter than its background, "backlit" for a dark sphere in front of a bright field.
         sighting: geometry of the camera. Default: infinitely distant.
-        lens: standard deviation of the lens's blur and its standard deviation, px. Default: estimated from the limb.
         backlight_reach: angular extent beyond the limb of the bright field that the sphere mirrors, and its standard
             deviation, rad. Default: unknown; the error includes the reflection of a field of 3 degrees.
-        start: initial row, column and radius, px. Default: found by a search.
-        exponents: exponents of the distance inside the limb in the model of its light, from 0. Default: `EXPONENTS`.
 
     Returns:
         The outline, in px of the frame.
@@ -195,14 +189,11 @@ def find_outline(
     if light not in get_args(LimbLight):
         raise ArgumentError(f"light must be one of {', '.join(map(repr, get_args(LimbLight)))}, got {light!r}")
     sighting = sighting or Sighting()
-    begin = np.array(start if start is not None else _searched(picture, light))
-    tried: list[tuple[str, Sequence[float]]] = [(light, exponents if exponents is not None else EXPONENTS[light])]
-    if exponents is None and light == "lit":
-        tried.append(("coated", EXPONENTS["coated"]))
+    begin = np.array(_searched(picture, light))
     found = []
-    for kind, powers in tried:
+    for kind in (light, "coated") if light == "lit" else (light,):
         try:
-            found.append(OutlineFit(picture, kind, sighting, powers, begin).outline(lens, backlight_reach))
+            found.append(OutlineFit(picture, kind, sighting, EXPONENTS[kind], begin).outline(backlight_reach))
         except FitError as error:
             failed = error
     if not found:
@@ -363,16 +354,14 @@ class OutlineFit:
             )
         return step, used, covariance, float(np.sqrt(np.mean(left[used] ** 2)))
 
-    def outline(self, lens: tuple[float, float] | None, backlight_reach: tuple[float, float] | None) -> Outline:
+    def outline(self, backlight_reach: tuple[float, float] | None = None) -> Outline:
         """Build the outline with all its uncertainties."""
         remarks = []
         # the model of a step and a line converges from any result of the search
         position, *_ = self.settle(self.position, 1.0, (0, 1), turns=4, wider=2.0)
-        if lens is None:
-            sigma, _ = self.lens(position)
-            position, *_ = self.settle(position, sigma, self.exponents, turns=3)
-            lens = self.lens(position, about=sigma)
-        sigma, sigma_std = lens
+        sigma, _ = self.lens(position)
+        position, *_ = self.settle(position, sigma, self.exponents, turns=3)
+        sigma, sigma_std = self.lens(position, about=sigma)
         position, edges, used, covariance, scatter = self.settle(position, sigma, self.exponents)
         noise = covariance
         # derivative of the outline with respect to the blur of the lens

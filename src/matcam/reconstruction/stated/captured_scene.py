@@ -145,7 +145,7 @@ def captured_scene(
             tried = [one.text for one in remarks if one.code == "outline-left-out"]
             advice = "photograph the sphere in front of a bright field, in outline/, or set outline.mask or outline.centre_px"
             raise FitError(f"{'; '.join([*tried, str(error)])}; {advice}") from error
-        outline, shifts = find_shifts(pictures, outline, shift_std=_SHIFT, same_radius=False)
+        outline, shifts = find_shifts(pictures, outline, _SHIFT)
         centres = np.array([[outline.column + s.column, outline.row + s.row] for s in shifts])
     remarks.extend(outline.remarks)
     highlights, said = find_highlights(pictures, outline.ball, blur=float(np.hypot(outline.sigma, 0.29)))
