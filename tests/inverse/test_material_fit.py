@@ -9,6 +9,7 @@ from matcam.camera import PixelNoise
 from matcam.core.errors import ArgumentError, FitError
 from matcam.core.remark import texts
 from matcam.inverse import FitSetup
+from matcam.inverse.correction.explanation import first_setup
 from matcam.material import Sampled
 from tests.inverse import recorded
 from tests.oracle import sphere_cells as oracle
@@ -150,19 +151,28 @@ def test_a_lobe_too_narrow_for_the_camera_is_said_to_be():
     assert any("narrower than this camera can resolve" in remark.text for remark in found.remarks)
 
 
-def test_bad_data_are_refused():
+def test_bad_data_are_refused_before_the_operator_is_computed(monkeypatch):
+    def operator(*_, **__):
+        raise AssertionError
+
+    monkeypatch.setattr("matcam.inverse.fit.fit_setup.lobe_operator", operator)
     table = noisy(oracle.GGX(0.01), 9)
-    empty, dark, torn = (table.copy() for _ in range(3))
+    empty, dark, torn, few = (table.copy() for _ in range(4))
     empty[:] = np.nan
     dark[:] = 0.0
     torn[:, 20:] = np.nan
+    few[:] = np.nan
+    few[:3, 1] = 0.3  # in no slice that is used
     for bad, words in (
         (empty, "every value is missing"),
         (dark, "no value is above 0"),
         (torn, "a fit requires at least"),
+        (few, "contains 0% of the required values, in 0 of 5 slices"),
     ):
         with pytest.raises(FitError, match=words):
             fit(bad, recorded.rig(), slice_step=EVERY)
+        with pytest.raises(FitError, match=words):
+            first_setup(bad, recorded.rig(), masking="smith", noise=None, workspace=None, slice_step=EVERY)
 
 
 def test_bad_arguments_are_refused():

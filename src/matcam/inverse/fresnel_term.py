@@ -21,7 +21,8 @@ from matcam.core.results.labelled import named
 from matcam.core.threads import done_behind
 from matcam.core.workspace import Workspace, default_workspace
 from matcam.inverse.correction.explanation import explain, first_setup
-from matcam.inverse.fit.fit_setup import AUTO, SEARCH_STEP
+from matcam.inverse.fit.fit_data import SEARCH_STEP
+from matcam.inverse.fit.fit_setup import AUTO
 from matcam.inverse.fit.material_fit import MaterialFit
 from matcam.inverse.normalised_fresnel import (
     NormalisedFresnel,

@@ -17,8 +17,9 @@ from matcam.core.grid import checked_table
 from matcam.core.workspace import Workspace, default_workspace
 from matcam.inverse.correction.evidence import Weighing
 from matcam.inverse.correction.explanation import PROBABLE, Member, explain, first_setup, with_free_masking
+from matcam.inverse.fit.fit_data import SEARCH_STEP
 from matcam.inverse.fit.fit_parameters import FAMILIES
-from matcam.inverse.fit.fit_setup import AUTO, SEARCH_STEP
+from matcam.inverse.fit.fit_setup import AUTO
 from matcam.inverse.fit.material_fit import MaterialFit
 from matcam.inverse.operator.lobe_operator import check_rig
 from matcam.inverse.operator.pixel_phase import located_rig

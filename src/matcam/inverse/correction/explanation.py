@@ -29,9 +29,9 @@ from matcam.inverse.correction.evidence import OtherLobe, Weighing, noise_withou
 from matcam.inverse.correction.lobe_shape import ShapeUncertainty, known_shape, shape_uncertainty
 from matcam.inverse.correction.rig_refits import RigRefit, rig_refits
 from matcam.inverse.correction.spline_lobe import in_all_slices
-from matcam.inverse.fit.fit_data import at_largest_noise
+from matcam.inverse.fit.fit_data import SEARCH_STEP, at_largest_noise, check_values
 from matcam.inverse.fit.fit_parameters import STUDENT, TWO_LOBES
-from matcam.inverse.fit.fit_setup import AUTO, CANDIDATES, SEARCH_STEP, FitSetup, free_setup
+from matcam.inverse.fit.fit_setup import AUTO, CANDIDATES, FitSetup, free_setup
 from matcam.inverse.fit.material_fit import MaterialFit
 from matcam.inverse.operator.pixel_phase import LocatedRig
 from matcam.inverse.operator.rig_axes import LAMP, LENS, is_guess, known_lens, widths_of
@@ -194,9 +194,13 @@ def first_setup(
         noise: noise of a pixel; None: it is estimated.
         workspace: store of results that depend only on the rig; None: that of the process.
         slice_step: spacing of the slices that are used (no unit). Default: SEARCH_STEP.
+
+    Raises:
+        FitError: the table has too few values.
     """
     setup = free_setup([brdf], rig, masking=masking, noise=noise, slice_step=slice_step, workspace=workspace)
     refitted = tuple(name for name in (LAMP,) if name in widths_of(rig))
+    check_values(setup.tables, setup.rig, slice_step)
     return setup.with_(lens_shape=not known_lens(rig.camera).exact, refitted=refitted)
 
 

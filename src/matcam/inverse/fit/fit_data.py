@@ -17,10 +17,17 @@ from scipy.optimize import minimize
 
 from matcam.camera.sensor import PixelNoise
 from matcam.core.errors import FitError
-from matcam.inverse.operator.chosen_cells import ChosenCells
+from matcam.core.grid import sampling_of
+from matcam.forward.pixel_grid import grid_of
+from matcam.inverse.operator.chosen_cells import ChosenCells, chosen_cells
+from matcam.inverse.operator.sample_view import sample_view
+from matcam.rigs import Rig
 
 INITIAL_NOISE = PixelNoise(0.02, 2e-3, 0.01)
 """Assumed noise of a pixel until it is estimated from residuals: 2 % of the value, 0.2 % of the peak and a gain of 1 %."""
+
+SEARCH_STEP = 6
+"""Spacing of the slices of theta_d in the first search for a lobe, which is then fitted to more slices."""
 
 _FEWEST = 0.2
 """Smallest share of the chosen cells of a channel that must have a value."""
@@ -89,6 +96,15 @@ def fit_data(tables: tuple[xr.DataArray, ...], cells: ChosenCells) -> FitData:
     return FitData(values, used, parts[0].share, peak, labels, tuple(t for part in parts for t in part.table_of))
 
 
+def check_values(tables: tuple[xr.DataArray, ...], rig: Rig | None, slice_step: int = SEARCH_STEP) -> None:
+    """Raise FitError if checked tables do not suffice for a fit.
+
+    This takes much less time than the operator of the fit. rig: rig of the tables; None: a distant camera and lamp.
+    """
+    pixels = None if rig is None else grid_of(rig)
+    fit_data(tables, chosen_cells(sample_view(rig), sampling_of(tables[0]), slice_step, pixels))
+
+
 def _table_data(brdf: xr.DataArray, cells: ChosenCells, index: int) -> FitData:
     values = brdf.values[cells.i_theta_h, cells.slices[:, None], cells.i_phi_d].transpose(2, 0, 1)
     slices = brdf.values[:, cells.slices]
@@ -96,20 +112,20 @@ def _table_data(brdf: xr.DataArray, cells: ChosenCells, index: int) -> FitData:
     used = np.isfinite(values) & cells.valid & (peak > 0)[..., None]
     used &= used.sum(-1, keepdims=True) >= 4
     labels = tuple(str(c) for c in (brdf["channel"].values if "channel" in brdf.coords else range(brdf.shape[3])))
-    for label, one, there, bright in zip(labels, values, used, peak, strict=True):
-        if not np.isfinite(one[cells.valid]).any():
+    for label, whole, there, bright in zip(labels, np.moveaxis(brdf.values, 3, 0), used, peak, strict=True):
+        if not np.isfinite(whole).any():
             raise FitError(f"channel {label}: every value is missing: give a table with values in this channel")
-        if not (bright > 0).any():
+        if not (whole > 0).any():
             raise FitError(f"channel {label}: no value is above 0, so there is no highlight to fit: check the table")
-        if not _PEAKS[0] < bright.max() < _PEAKS[1]:
-            raise FitError(
-                f"channel {label}: the brightest value, {bright.max():.3g}, is impossible for a BRDF: give the table in 1/sr"
-            )
         share, seen = there.sum() / cells.valid.sum(), int(there.any(-1).sum())
         if share < _FEWEST or seen < _FEWEST_SLICES:
             raise FitError(
                 f"channel {label}: the table contains {share:.0%} of the required values, in {seen} of {cells.slices.size} "
                 f"slices of theta_d; a fit requires at least {_FEWEST:.0%}, in at least {_FEWEST_SLICES} slices"
+            )
+        if not _PEAKS[0] < bright.max() < _PEAKS[1]:
+            raise FitError(
+                f"channel {label}: the brightest value, {bright.max():.3g}, is impossible for a BRDF: give the table in 1/sr"
             )
     return FitData(
         np.where(used, values, 0.0),

@@ -24,7 +24,7 @@ from matcam.core.grid import checked_table, sampling_of
 from matcam.core.registry import FAMILIES, FRESNEL_MODELS
 from matcam.core.workspace import Workspace, default_workspace
 from matcam.forward.pixel_grid import PixelGrid
-from matcam.inverse.fit.fit_data import fit_data
+from matcam.inverse.fit.fit_data import SEARCH_STEP, check_values, fit_data
 from matcam.inverse.fit.fit_parameters import STUDENT, TWO_LOBES, FresnelModel, Layout, LobeKind
 from matcam.inverse.fit.fit_problem import FitProblem, Prior
 from matcam.inverse.fit.material_fit import MaterialFit, material_fit
@@ -63,8 +63,6 @@ CAMERA_PARAMETERS: tuple[CameraParameters, ...] = ("fixed", "prior", "free")
 AUTO = "auto"
 """Default family of the lobe: the most probable of the candidates."""
 CANDIDATES = ("ggx", "epd")
-SEARCH_STEP = 6
-"""Spacing of the slices of theta_d in the first search for a lobe, which is then fitted to more slices."""
 _LOOK_STEP = 3 * SEARCH_STEP
 """Spacing of the slices of theta_d in which the starting points of a search are compared."""
 _LOOK_ROUNDS = 2
@@ -423,6 +421,8 @@ def fit(
         diffuse=diffuse, per_channel=per_channel, masking=masking, camera_parameters=camera_parameters,
         free=tuple(free), spline=spline, noise=noise, slice_step=slice_step, workspace=workspace,
     )  # fmt: skip
+    _ = setup.layout  # checks the arguments before the values
+    check_values(setup.tables, setup.rig, slice_step)
     return setup.solve()
 
 
