@@ -12,9 +12,11 @@ import pytest
 import tifffile
 import xarray as xr
 
-from matcam import BoxPixel, Camera, DiffractionOptics, GaussianOptics, write_merl
+from matcam import BoxPixel, Camera, DiffractionOptics, GaussianOptics, convert, write_merl
 from matcam.camera import Uncertainty
 from matcam.core.grid import brdf_table
+from matcam.core.io import write_json
+from tests.exchange.test_overviews import RECONSTRUCTION
 from tests.oracle import epd_peak, merl_lobe
 
 
@@ -50,6 +52,9 @@ _LIGHT = [
     ("predict", "0.01", "--camera", "c.json"),
     ("edge", "edge.tif"),
     ("inspect", "c.json"),
+    ("inspect", "edge.tif"),
+    ("inspect", "result.json"),
+    ("inspect", "."),
     ("chart", "-o", "chart.pdf"),
     ("capture", "init", "capture"),
     ("data", "merl", "--list"),
@@ -59,6 +64,7 @@ _LIGHT = [
 @pytest.mark.parametrize("words", _LIGHT, ids=" ".join)
 def test_small_commands_load_neither_jax_nor_xarray(environment, tmp_path, words):
     Camera(DiffractionOptics(8, 550e-9, 5e-6)).save(tmp_path / "c.json")
+    write_json(tmp_path / "result.json", RECONSTRUCTION)
     y, x = np.mgrid[-80:80, -40:40]
     edge = 5000 + 40000 / (1 + np.exp(-2 * (x - 0.1 * y)))
     tifffile.imwrite(tmp_path / "edge.tif", np.random.default_rng(1).poisson(edge).astype(np.uint16))
@@ -69,6 +75,22 @@ def test_small_commands_load_neither_jax_nor_xarray(environment, tmp_path, words
     command = [sys.executable, "-c", code]
     result = subprocess.run(command, capture_output=True, text=True, env=environment, check=True, cwd=tmp_path)
     assert result.stdout.splitlines()[-1] == "[]"
+
+
+def test_inspect_needs_no_jax(environment, tmp_path, measured):
+    """Neither for a table, nor for the command that it suggests."""
+    convert(measured, tmp_path / "a.nc")
+    convert(measured, tmp_path / "a.bsdf", square=8)
+    files = {str(measured): "next: matcam correct", "a.nc": "next: matcam correct", "a.bsdf": "resampled"}
+    code = (
+        f"import sys\nfrom matcam.cli import main\nfor file in {list(files)}:\n"
+        "    try:\n        main(['inspect', file])\n    except SystemExit as end:\n        assert not end.code\n"
+        "print(sorted({m.split('.')[0] for m in sys.modules} & {'jax', 'equinox', 'dask'}))"
+    )
+    command = [sys.executable, "-c", code]
+    result = subprocess.run(command, capture_output=True, text=True, env=environment, check=True, cwd=tmp_path)
+    assert result.stdout.splitlines()[-1] == "[]"
+    assert all(words in result.stdout for words in files.values())
 
 
 @pytest.mark.parametrize(

@@ -12,14 +12,15 @@ import numpy as np
 import pytest
 import typer
 
-from matcam import BoxPixel, Camera, DiffractionOptics, GaussianOptics, io
-from matcam.cli import show, suggestions
+from matcam import BoxPixel, Camera, DiffractionOptics, GaussianOptics, inspect, io
+from matcam.cli import _run, show, suggestions
 from matcam.cli.help_page import EXIT_CODES, GROUPS
 from matcam.cli.options import Command
 from matcam.cli.rig_file import read_rig_file
 from matcam.core.grid import brdf_table
 from matcam.core.io import all_or_nothing, replacing, write_json
 from matcam.core.threads import ONE_BLAS_THREAD
+from matcam.files import datasets
 
 RIG = """schema = "matcam-rig-1"
 camera = "camera.json"
@@ -245,20 +246,21 @@ def test_what_follows_a_reconstruction_was_written(tmp_path, monkeypatch, files,
         assert suggestions.after("reconstruct", {"output": output, "capture": Path("shots")}) == next_one
 
 
-@pytest.mark.parametrize(
-    ("name", "text", "next_one"),
-    [
-        ("a.csv", "theta_h_deg,theta_d_deg,phi_d_deg,Y_per_sr\n0,30,90,0.31\n", None),
-        ("a.csv", "theta_h_deg,theta_d_deg,phi_d_deg,Y_per_sr\n5,30,90,0.31\n", None),
-        ("a.csv", "frequency,mtf\n0,1\n", None),
-        ("a.json", '{"format": "matcam picture sidecar"}', None),
-        ("a.json", '{"format": "matcam camera profile"}', "matcam predict --camera a.json"),
-    ],
-)
-def test_what_follows_an_inspection_can_read_the_file(tmp_path, monkeypatch, name, text, next_one):
+@pytest.mark.parametrize("theta_h", [0, 5])  # on the MERL grid, and scattered
+def test_nothing_follows_the_inspection_of_a_single_sample(tmp_path, theta_h):
+    path = tmp_path / "a.csv"
+    path.write_text(f"theta_h_deg,theta_d_deg,phi_d_deg,Y_per_sr\n{theta_h},30,90,0.31\n")
+    assert _after_inspect(path) is None
+
+
+def test_a_prediction_follows_the_inspection_of_a_camera(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    Path(name).write_text(text)
-    assert suggestions.after("inspect", {"file": Path(name)}) == next_one
+    Camera(GaussianOptics(0.5)).save("a.json")
+    assert _after_inspect(Path("a.json")) == "matcam predict --camera a.json"
+
+
+def _after_inspect(file):
+    return suggestions.after("inspect", {"file": file, "report": inspect(file)})
 
 
 @pytest.mark.parametrize(
@@ -275,7 +277,19 @@ def test_a_correction_is_suggested_for_a_table_that_it_accepts(tmp_path, monkeyp
     values = np.full((90, 90, 180, 3), np.nan)
     values[:, :slices] = 0.3
     io.write_netcdf("a.nc", brdf_table(values, "centre", sample=sample).to_dataset(name="brdf"))
-    assert suggestions.after("inspect", {"file": Path("a.nc")}) == next_one
+    assert _after_inspect(Path("a.nc")) == next_one
+
+
+def test_inspect_reads_a_table_once(tmp_path, monkeypatch, capsys):
+    path = tmp_path / "a.nc"
+    io.write_netcdf(
+        path, brdf_table(np.full((90, 90, 180, 3), 0.3), "centre").isel(channel=[0]).to_dataset(name="brdf")
+    )
+    reads = []
+    monkeypatch.setattr(datasets, "read_netcdf", lambda one, own=datasets.read_netcdf: reads.append(one) or own(one))
+    assert _run(["inspect", str(path)]) == 0
+    assert "next: matcam correct" in capsys.readouterr().out
+    assert reads == [path]
 
 
 @pytest.mark.parametrize(
@@ -298,7 +312,7 @@ def test_a_table_of_one_channel_is_corrected_without_a_merl_file(tmp_path, monke
     monkeypatch.chdir(tmp_path)
     one = brdf_table(np.full((90, 90, 180, 3), 0.3), "centre").isel(channel=[0])
     io.write_netcdf("a.nc", one.to_dataset(name="brdf"))
-    values = {"file": Path("a.nc"), "files": [Path("a.nc")]}
+    values = {"file": Path("a.nc"), "files": [Path("a.nc")], "channels": 1, "report": inspect("a.nc")}
     assert suggestions.after(command, values) == "matcam correct a.nc -o a-corrected.nc"
 
 

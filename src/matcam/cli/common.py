@@ -45,7 +45,8 @@ def with_common(name: str, command: Callable[..., Any]) -> Callable[..., Any]:
 
     Args:
         name: words of the command, such as "data merl".
-        command: function of the command.
+        command: function of the command. It returns its exit code; or facts about its result, by name, from which the
+            next command is suggested.
     """
     kinds = get_type_hints(command, include_extras=True)
     result_kind = kinds.pop("return", None)
@@ -68,9 +69,10 @@ def with_common(name: str, command: Callable[..., Any]) -> Callable[..., Any]:
         line = contextlib.nullcontext() if quiet else activity.shown(name)
         with line, show.speaking(quiet=quiet, schema=f"matcam-{name.replace(' ', '-')}-1"):
             result = command(**given, **rig)
-            if not result and not values.get("json") and (following := suggestions.after(name, values)):
+            code, facts = (0, result) if isinstance(result, dict) else (result, {})
+            if not code and not values.get("json") and (following := suggestions.after(name, values | facts)):
                 show.say(f"next: {following}")
-        return result
+        return code
 
     run.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
         [

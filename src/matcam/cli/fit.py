@@ -59,7 +59,7 @@ def command(
     budget: Budget = None,
     force: Force = False,
     json: AsJson = False,
-) -> None:
+) -> dict[str, Any]:
     """Fit the parameters of a microfacet material through the camera, all difference angles jointly, with their errors.
 
     Example: `matcam fit chrome.binary --ndf epd --fresnel free`
@@ -83,8 +83,9 @@ def command(
     recorded: Any = None if blind else rig.of_table()
     read = read_table if blind else read_recorded_table
     with show.working(f"fitting {', '.join(str(f) for f in files)} through the camera"):
+        tables = [read(file, sampling=rig.sampling) for file in files]
         found = fit(
-            [read(file, sampling=rig.sampling) for file in files],
+            tables,
             recorded,
             ndf,
             fresnel=fresnel,
@@ -100,9 +101,8 @@ def command(
     if rival:
         from matcam.inverse.rival_fits import rivals
 
-        table = read_table(files[0], sampling=rig.sampling)
         with show.working(f"fitting {files[0]} with free shadowing instead"):
-            found_rivals = rivals(table, recorded, ndf, slice_step=slice_step, workspace=workspace)
+            found_rivals = rivals(tables[0], recorded, ndf, slice_step=slice_step, workspace=workspace)
         document["rival"] = found_rivals.to_dict()
     if output:
         write_json(output, plain(document), force=force)
@@ -117,6 +117,7 @@ def command(
         written = [str(path) for path in (output, budget) if path]
         if written:
             show.written(written)
+    return {"channels": tables[0].sizes["channel"]}
 
 
 def print_fit(summary: dict[str, Any], name: str) -> None:

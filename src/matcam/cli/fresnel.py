@@ -64,7 +64,7 @@ def command(
     force_correction: ForceCorrection = False,
     force: Force = False,
     json: AsJson = False,
-) -> None:
+) -> dict[str, Any]:
     """Extract the Fresnel term of a measured metal, raw and corrected for the camera, with its uncertainty.
 
     Example: `matcam fresnel chrome.binary --metal Cr`
@@ -119,6 +119,7 @@ def command(
         show.as_json(_document(result, tables, files))
     else:
         _print(result, tables, files, channel)
+    return {"channels": table.sizes["channel"]}
 
 
 def _channel_of(table: Any, given: str | None) -> str:

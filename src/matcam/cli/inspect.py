@@ -8,21 +8,26 @@ from typing import Annotated, Any
 import typer
 
 from matcam.cli import show
-from matcam.cli.options import AsJson, Sampling, option, use_caches
-from matcam.files import formats
+from matcam.cli.options import AsJson, Sampling, option
 from matcam.files.formats import CONTENTS, titles_for
 
 
 def command(
-    file: Annotated[Path, typer.Argument(help=f"File to read: {titles_for(*CONTENTS)}.")],
+    file: Annotated[
+        Path,
+        typer.Argument(
+            help=f"File to read: {titles_for(*CONTENTS)}, the JSON file of a result, a photograph; or a folder: a capture, "
+            "the results of a run, tables or photographs."
+        ),
+    ],
     sampling: Sampling = "centre",
     radius: Annotated[
         float,
         option("--radius", "PX", "Radius of the limb in the images behind a table, px."),
     ] = 256.0,
     json: AsJson = False,
-) -> None:
-    """Show the contents of a file: a BRDF, another result, an image or a camera profile.
+) -> dict[str, Any]:
+    """Show the contents of a file or folder: a BRDF, another result, an image, a camera profile or a capture.
 
     For a BRDF, print the grid, the share of missing values, the reciprocity, the albedo, the lobe width by angle, the
     trace of a camera, and the lookup of cells in pixels.
@@ -36,15 +41,22 @@ def command(
         _print_profile(report)
     elif "albedo" in report:
         _print_brdf(report)
+    elif "saturated_share" in report:
+        _print_photograph(report)
+    elif "shape" in report and "range" in report:
+        _print_image(report)
+    elif "verdict" in report:
+        _print_result(report)
+    elif report["format"] == "folder":
+        _print_folder(report)
     else:
         _print_remainder(report)
+    return {"report": report}
 
 
 def _report(file: Path, sampling: Any, radius: float) -> dict[str, Any]:
     from matcam.exchange.file_report import inspect
 
-    if formats.identify(file) not in ("camera profile", "picture sidecar"):
-        use_caches()
     with show.working("inspecting the file"):
         return inspect(file, sampling=sampling, radius=radius)
 
@@ -75,7 +87,14 @@ def _print_brdf(report: dict[str, Any]) -> None:
     if "camera" in report:
         _print_trace(report["camera"])
         _print_cells(report["cells"])
+        if "supported_share" in report:
+            show.say(f"supported: {report['supported_share']:.0%} of the entries that have a standard deviation")
+        if report["correction"]["reason"] and not report["corrected"]:
+            show.say(f"correction: not possible; {report['correction']['reason']}")
     if "variables" in report:
+        for name, what in {"source": "recorded table", "camera_uncertainty": "uncertainty of the camera"}.items():
+            if report["attributes"].get(name):
+                show.say(f"{what}: {report['attributes'][name]}")
         own = [name for name, variable in report["variables"].items() if list(variable["shape"]) != [name]]
         show.say("variables: " + ", ".join(own))
 
@@ -116,6 +135,73 @@ def _print_cells(cells: dict[str, Any]) -> None:
     show.say(f"cells: {how} ({share}, {cells['distinct_values']:.0f} values a slice); {where}")
 
 
+def _print_image(report: dict[str, Any]) -> None:
+    height, width, *channels = report["shape"]
+    low, high = report["range"]
+    show.say(f"{report['file']}: {report['holds']} of {width} x {height} px, {(*channels, 1)[0]} channels of floats")
+    show.say(f"values: {low:.6g} to {high:.6g}; missing: {report['missing_share']:.2%}")
+
+
+def _print_photograph(report: dict[str, Any]) -> None:
+    (width, height), channels = report["size_px"], " ".join(report["channels"])
+    (low, high), exposure = report["range"], report["exposure_time_s"]
+    show.say(f"{report['file']}: a photograph of {width} x {height} px, {report['bits']} bits, channels {channels}")
+    show.say(f"values: {low:.6g} to {high:.6g}")
+    if report["saturated_share"] is not None:
+        show.say(f"saturated: {report['saturated_share']:.2%} of the values are {report['saturation']:.6g} or more")
+    show.say(
+        "encoding: linear, as the format specifies"
+        if report["linear"]
+        else "encoding: the file does not specify it; edge and calibrate assume sRGB for 8 bits and linear codes for 16 bits"
+    )
+    settings = [
+        report["camera"],
+        "" if report["f_number"] is None else f"f/{report['f_number']:g}",
+        "" if exposure is None else f"{exposure:g} s",
+    ]
+    show.say(f"camera: {', '.join(filter(None, settings)) or 'not specified in the file'}")
+    show.say(
+        "matcam edge measures the blur of the camera across one edge of a photograph, and matcam calibrate across all"
+    )
+
+
+def _print_result(report: dict[str, Any]) -> None:
+    show.say(f"{report['file']}: {report['holds']}")
+    show.say(report["verdict"])
+    if report["supported_share"] is not None:
+        show.say(
+            f"supported: {report['supported_share']:.0%} of the entries; the others are uncertain by more than 5 %"
+        )
+    rows = [
+        [name, _plain(one["value"]), "-" if one["std"] is None else f"{one['std']:.2g}"]
+        for name, one in report["parameters"].items()
+    ]
+    show.table(["parameter", "value", "std"], rows, f"Lobe of the family {report['family']}")
+    if report.get("left_out"):
+        show.say(f"images that were left out: {', '.join(report['left_out'])}")
+    show.notes(report["remarks"])
+
+
+def _print_folder(report: dict[str, Any]) -> None:
+    show.say(f"{report['file']}: {report['holds']}")
+    if "lamp_positions" in report:
+        images = ", ".join(f"{count} {kind}" for kind, count in report["images"].items() if count)
+        exposures = ", ".join(report["exposures"])
+        show.say(f"images: {images}; {report['lamp_positions']} lamp positions; exposures {exposures}")
+        show.say(f"camera profile: {report['camera_profile'] or 'none, so the lens is estimated from the photographs'}")
+        show.notes(report["problems"])
+    elif "corrected" in report:
+        show.say(f"{report['corrected']} tables were corrected, {len(report['failed'])} failed; see index.html")
+        show.notes(report["failed"])
+    else:
+        show.say(f"tables (.binary): {report['tables']}; images: {report['photographs']}")
+        if report["photographs"]:
+            show.say(
+                "matcam calibrate measures a camera from photographs of a chart in a folder, and matcam capture init --from "
+                "lists photographs of a sample"
+            )
+
+
 def _print_remainder(report: dict[str, Any]) -> None:
     show.say(f"{report['file']}: {report.get('holds', report['format'])} ({report['format']})")
     for name, value in report.items():
@@ -153,6 +239,8 @@ def _print_table(report: dict[str, Any]) -> None:
         f"channels {' '.join(report['channels'])}, "
         f"sampled at each cell's {report['sampling']}"
     )
+    if report["rig"]:
+        show.say(f"recorded by {report['rig']}")
     show.say(
         f"missing: {report['missing_share']:.1%} of all values, "
         f"{report['missing_above_horizon_share']:.2%} of those above the horizon"

@@ -8,10 +8,12 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from matcam.core.errors import FileFormatError, FitError
 from matcam.core.io import where_written
 from matcam.core.readers.names import is_folder, is_there
-from matcam.files.formats import MEASUREMENTS, format_named, identify, suffixes_for
+from matcam.files.formats import MEASUREMENTS, suffixes_for
+
+_OF_MERL = 3
+"""Number of channels of a MERL file."""
 
 
 def after(name: str, values: dict[str, Any]) -> str | None:
@@ -54,13 +56,9 @@ def _of_table(values: dict[str, Any], file: Path | None) -> list[Any] | None:
 def _correct(file: Path, values: dict[str, Any]) -> list[Any]:
     """Correct a table; without a MERL file if the table has other channels."""
     words = ["matcam", "correct", file, *_camera(values)]
-    if not is_there(file) or identify(file) == "merl":
+    if values.get("channels", _OF_MERL) == _OF_MERL:
         return words
-    from matcam.core.grid import CHANNELS
-    from matcam.exchange.contents import read_table
-
-    stored = read_table(file).sizes["channel"] == len(CHANNELS)
-    return words if stored else [*words, "-o", _unused(Path(f"{file.stem}-corrected.nc"))]
+    return [*words, "-o", _unused(Path(f"{file.stem}-corrected.nc"))]
 
 
 def _after_predict(values: dict[str, Any]) -> list[Any] | None:
@@ -106,39 +104,20 @@ def _after_simulate(values: dict[str, Any]) -> list[Any] | None:
 
 def _after_inspect(values: dict[str, Any]) -> list[Any] | None:
     """Correct a recorded table with enough values; convert a corrected one for a renderer."""
-    file = values["file"]
-    kind = identify(file)
-    if kind == "camera profile":
+    file, report = values["file"], values["report"]
+    if report["format"] == "camera profile":
         return ["matcam", "predict", "--camera", file]
-    if "table" not in format_named(kind).holds:
+    if "lamp_positions" in report:
+        return ["matcam", "capture", "check", file]
+    if report.get("tables"):
+        return ["matcam", "correct", file, "-o", _unused(Path(f"{file.resolve().name}-corrected"))]
+    if "correction" not in report or "variables" in report or "own_grid" in report:  # not a recorded or corrected table
         return None
-    from matcam.core.grid import CORRECTED
-    from matcam.exchange.contents import read_contents
-
-    try:
-        table = read_contents(file).table
-    except FileFormatError:  # a CSV file may contain other data
-        return None
-    if table is None:
-        return None
-    if table.attrs.get(CORRECTED):
+    if report["corrected"]:
         return ["matcam", "convert", file, _unused(file.with_suffix(".bsdf"))]
-    return _correct(file, values) if _is_recorded_on_curve(table) else None
-
-
-def _is_recorded_on_curve(table: Any) -> bool:
-    """Check that a fit accepts the table: a curved sample, and enough values in every channel."""
-    from matcam.core.grid import sample_of, sampling_of
-    from matcam.inverse.fit.fit_data import fit_data
-    from matcam.inverse.fit.fit_setup import SEARCH_STEP
-    from matcam.inverse.operator.chosen_cells import chosen_cells
-    from matcam.inverse.operator.sample_view import FAR_AWAY
-
-    try:
-        fit_data((table,), chosen_cells(FAR_AWAY, sampling_of(table), SEARCH_STEP))
-    except FitError:
-        return False
-    return sample_of(table) != "flat"
+    if not report["correction"]["possible"]:
+        return None
+    return _correct(file, values | {"channels": len(report["channels"])})
 
 
 def _after_convert(values: dict[str, Any]) -> list[Any] | None:

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import dataclasses
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
+from matcam.calibration.chart.chart import Chart
+from matcam.calibration.chart.chart_file import read_chart
 from matcam.camera.camera import Camera
 from matcam.camera.kernel import mtf50
 from matcam.core import checks
 from matcam.core.grid import Sampling
+from matcam.core.readers.names import is_folder
+from matcam.exchange.overviews import folder_overview, is_photograph, photograph_overview, result_overview
 from matcam.files.formats import identify
 
 
@@ -19,15 +24,16 @@ def inspect(source: Any, *, sampling: Sampling = "centre", radius: float = 256.0
     `matcam inspect` prints the same report.
 
     Args:
-        source: path of a file of any format that matcam reads; or a table, a result, an image or a `Camera`.
+        source: path of a file of any format that matcam reads, of a photograph, or of a folder: a capture, the results of a
+            run, tables or photographs; or a table, a result, an image or a `Camera`.
         sampling: position in a cell at which a MERL value was sampled, "centre" or "edge" (see `read_merl`).
             Default: "centre".
         radius: radius of the sphere from which a table was recorded, px. Default: 256, as in the MERL rig.
 
     Returns:
         Plain values that JSON can represent; the names contain units. The report of a file has `file` and `format`,
-        that of a BRDF the grid, missing shares, range, reciprocity, albedo, lobe widths and the trace of a camera, and
-        that of a camera its parameters and MTF50.
+        that of a BRDF the grid, missing shares, range, reciprocity, albedo, lobe widths and the trace of a camera,
+        that of a camera its parameters and MTF50, and that of a photograph its size, range and share of saturated values.
 
     Raises:
         FileFormatError: the format of the file is not supported, or the file is damaged.
@@ -46,21 +52,32 @@ def inspect(source: Any, *, sampling: Sampling = "centre", radius: float = 256.0
         from matcam.exchange.inspection import inspect_contents
 
         return inspect_contents(contents_of(source), radius)
-    kind = identify(source)
-    return {"file": str(source), "format": kind, **_file_report(source, kind, sampling, radius)}
+    return {"file": str(source), **_file_report(Path(source), sampling, radius)}
 
 
-def _file_report(path: str | Path, kind: str, sampling: Sampling, radius: float) -> dict[str, Any]:
+def _file_report(path: Path, sampling: Sampling, radius: float) -> dict[str, Any]:
+    if is_folder(path):
+        return folder_overview(path)
+    if is_photograph(path):
+        return photograph_overview(path)
+    kind = identify(path)
     if kind == "camera profile":
-        return _camera_report(Camera.load(path))
+        return result_overview(path) or {"format": kind, **_camera_report(Camera.load(path))}
     if kind == "picture sidecar":
         from matcam.files.sidecar import read_sidecar
 
-        return read_sidecar(path)
+        return {"format": kind, **read_sidecar(path)}
+    if kind == "chart":
+        return {"format": kind, "holds": "a chart's description", **_chart_report(read_chart(path))}
     from matcam.exchange.contents import read_contents
     from matcam.exchange.inspection import inspect_contents
 
-    return inspect_contents(read_contents(path, sampling), radius)
+    return {"format": kind, **inspect_contents(read_contents(path, sampling), radius)}
+
+
+def _chart_report(chart: Chart) -> dict[str, Any]:
+    counts = Counter(type(element).__name__.lower() for element in chart.elements)
+    return {"page_mm": list(chart.page), "elements": dict(counts)}
 
 
 def _camera_report(camera: Camera) -> dict[str, Any]:

@@ -14,12 +14,24 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from matcam.core.errors import ArgumentError
-from matcam.core.grid import DIMS, GRID_SHAPE, Sampling, below_horizon, checked_table, merl_grid, sampling_of
+from matcam.core.errors import ArgumentError, FitError
+from matcam.core.grid import (
+    CORRECTED,
+    DIMS,
+    GRID_SHAPE,
+    Sampling,
+    below_horizon,
+    brdf_table,
+    check_recorded,
+    checked_table,
+    merl_grid,
+    sample_of,
+    sampling_of,
+)
 from matcam.exchange.contents import Contents
-from matcam.forward.measurement import true_table
+from matcam.inverse.fit.fit_data import check_values
 from matcam.inverse.operator.pixel_phase import cell_rule
-from matcam.material.material import albedo_and_missing
+from matcam.material.material import albedo_and_missing, cell_values
 from matcam.material.measured import Adaptive, Tabulated
 
 SPHERE_RADIUS = 256.0
@@ -188,6 +200,7 @@ def inspect_table(table: xr.DataArray, radius: float = SPHERE_RADIUS) -> dict[st
         - `lobe`: half width at half maximum in theta_h, degrees, in the plane of light and view and across it, mean
           over channels; None where there is no lobe.
         - `camera`: see `camera_trace`.
+        - `correction`: `possible`, and the `reason` if a correction does not accept the table.
         - `cells`: `rule` by which cells were read from real pixels, "nearest", "bilinear" or "mean", None if there
           is no evidence; `phase_px` of the pixels, or one per slice, with `phase_std_px`, None if no grid on a sphere of
           `radius_px` fits; the share of neighbours near the highlight with equal values, `repeated_share`; and
@@ -203,6 +216,8 @@ def inspect_table(table: xr.DataArray, radius: float = SPHERE_RADIUS) -> dict[st
         "grid": dict(zip(("theta_h", "theta_d", "phi_d"), GRID_SHAPE, strict=True)),
         "channels": [str(c) for c in table["channel"].values],
         "sampling": sampling,
+        "corrected": bool(table.attrs.get(CORRECTED)),
+        "rig": str(table.attrs.get("rig", "")),
         "missing_share": float(missing.mean()),
         "missing_above_horizon_share": float(missing[~below].mean()),
         "valid_below_horizon_share": float((~missing[below]).mean()),
@@ -219,7 +234,19 @@ def inspect_table(table: xr.DataArray, radius: float = SPHERE_RADIUS) -> dict[st
         ],
         "camera": camera_trace(table),
         "cells": _cells_report(table, radius),
+        "correction": _correction_report(table),
     }
+
+
+def _correction_report(table: xr.DataArray) -> dict[str, Any]:
+    try:
+        check_recorded(table, "the table")
+        if sample_of(table) == "flat":
+            raise FitError("the sample is flat, so its table is not blurred")
+        check_values((table,), None)
+    except (ArgumentError, FitError) as error:
+        return {"possible": False, "reason": str(error)}
+    return {"possible": True, "reason": None}
 
 
 def _cells_report(table: xr.DataArray, radius: float) -> dict[str, Any]:
@@ -276,7 +303,8 @@ def _fields_report(fields: xr.Dataset) -> dict[str, Any]:
     if material.mirrored or colour == "spectra":
         channels = [f"{w:g} nm" for w in fields["wavelengths"].values] if colour == "spectra" else ["R", "G", "B"]
         return {"own_grid": own, "albedo": _albedo(material, channels)}
-    return {"own_grid": own, "resampled": "to the MERL grid", **inspect_table(true_table(material))}
+    table = brdf_table(np.maximum(np.asarray(cell_values(material, "centre")), 0.0), "centre")
+    return {"own_grid": own, "resampled": "to the MERL grid", **inspect_table(table)}
 
 
 def _samples_report(samples: xr.DataArray) -> dict[str, Any]:
@@ -299,6 +327,9 @@ def _result_report(data: xr.Dataset, radius: float) -> dict[str, Any]:
         for name, v in data.variables.items()
     }
     brdf = inspect_table(data["brdf"], radius) if "brdf" in data and data["brdf"].dims == DIMS else {}
+    if brdf and "supported" in data and "brdf_std" in data:
+        known = np.isfinite(data["brdf_std"].values)
+        brdf["supported_share"] = float(data["supported"].values[known].mean()) if known.any() else 0.0
     return {**brdf, "variables": variables, "attributes": {str(k): str(v)[:200] for k, v in data.attrs.items()}}
 
 

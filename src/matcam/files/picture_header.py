@@ -28,6 +28,7 @@ LARGEST = 1 << 29
 DEFLATE_LIMIT = 1032
 """Largest ratio of the sizes after and before decompression by deflate: 258 bytes for every 2 bits."""
 _MAKE, _MODEL, _EXIF, _DNG = 0x010F, 0x0110, 0x8769, 0xC612
+_SAMPLE_FORMAT, _FLOATS = 0x0153, 3
 _WIDTH, _HEIGHT, _LONG = 0x0100, 0x0101, 4
 _TIFF = {b"II*\0": "<", b"MM\0*": ">", b"IIRO": "<", b"IIU\0": "<"}
 """Byte order by the first four bytes of a file. The last two entries are those of Olympus and Panasonic."""
@@ -131,6 +132,7 @@ class Exif(NamedTuple):
         dng: True if the file is a digital negative (camera raw in a TIFF container).
         size: width and height in the first directory of a TIFF, px; None: unknown.
         time: exposure time, s (CIPA DC-008-2023, 4.6.5); None: unknown.
+        integers: True if the first image of a TIFF has integer values (TIFF 6.0, SampleFormat).
     """
 
     camera: str = ""
@@ -138,6 +140,7 @@ class Exif(NamedTuple):
     dng: bool = False
     size: tuple[int, int] | None = None
     time: float | None = None
+    integers: bool = False
 
 
 def read_exif(path: str | Path) -> Exif:
@@ -188,7 +191,19 @@ def _directory(file: BinaryIO, base: int) -> Exif:
     f_number, time = (_ratio(file, base, found.get(tag), order) for tag in (0x829D, 0x829A))  # FNumber, ExposureTime
     # the names of many models begin with the name of their maker
     named = model if model.lower().startswith(make.lower()) else f"{make} {model}"
-    return Exif(named.strip(), f_number, _DNG in first, _size(first, order), time)
+    integers = base == 0 and _WIDTH in first and not _is_float(file, base, first.get(_SAMPLE_FORMAT), order)
+    return Exif(named.strip(), f_number, _DNG in first, _size(first, order), time, integers)
+
+
+def _is_float(file: BinaryIO, base: int, entry: tuple[int, int, bytes] | None, order: str) -> bool:
+    """Check whether SampleFormat, which has an entry for each channel, is floating point. Default: unsigned integers."""
+    if entry is None:
+        return False
+    _, count, value = entry
+    if count > 2:  # the entry contains the offset of the values
+        file.seek(base + struct.unpack(order + "I", value)[0])
+        value = file.read(2)
+    return bool(struct.unpack(order + "H", value[:2])[0] == _FLOATS)
 
 
 def _ratio(file: BinaryIO, base: int, entry: tuple[int, int, bytes] | None, order: str) -> float | None:

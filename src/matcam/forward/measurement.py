@@ -26,7 +26,6 @@ from matcam.core.grid import (
     GRID_SHAPE,
     Sampling,
     azimuth_of,
-    below_horizon,
     brdf_table,
     checked_table,
     merl_grid,
@@ -50,7 +49,7 @@ from matcam.forward.sampler.plan import RecordPlan, graded_for, record_plan
 from matcam.forward.sampler.record import record
 from matcam.forward.sampler.under_lamp import record_under_lamp
 from matcam.lamp.lamps import disc_of
-from matcam.material.material import Material, check_material
+from matcam.material.material import Material, cell_values, check_material
 from matcam.material.microfacet import Microfacet
 from matcam.material.ndf.gaussian_lobe import GaussianNDF
 from matcam.material.optical_constants import metal
@@ -283,11 +282,7 @@ def _flat_values(material: Material, rig: Rig) -> jax.Array:
     """
     if rig.cell_value not in ("centre", "edge", UNKNOWN):
         raise ArgumentError("all pixels of a flat sample belong to one cell: cell_value must be 'centre' or 'edge'")
-    sampling = cell_sampling(rig.cell_value)
-    theta_h, theta_d, phi_d = np.meshgrid(*merl_grid(sampling), indexing="ij")
-    values = (material.brdf(theta_h, theta_d, phi_d) + material.brdf(theta_h, theta_d, phi_d + np.pi)) / 2
-    values = values if values.ndim == 4 else values[..., None]
-    return jnp.where(below_horizon(sampling)[..., None], jnp.nan, values)
+    return jnp.asarray(cell_values(material, cell_sampling(rig.cell_value)))
 
 
 CHROMIUM_WIDTH = 0.002

@@ -12,15 +12,17 @@ their centres are integers plus the phase, px.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from jax.typing import ArrayLike
 from scipy.sparse import csr_matrix
 
 from matcam.core.grid import GRID_SHAPE, merl_grid
 from matcam.rigs import ON_REAL_PIXELS, CellValue, PixelPhase, Rig
+
+if TYPE_CHECKING:
+    from jax.typing import ArrayLike
 
 _SMALLEST = 1e-12
 """Weight up to which a pixel is omitted from an interpolation, no unit. Such weights are rounding errors."""

@@ -3,26 +3,27 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from typing import TYPE_CHECKING
 
-import equinox as eqx
 import numpy as np
-from jax.typing import ArrayLike
 
 from matcam.core import checks
-from matcam.core.arrays.module import constructor_call
+from matcam.core.arrays import xp
+from matcam.core.arrays.module import Module
 from matcam.core.errors import ArgumentError
-from matcam.core.grid import cosines
-from matcam.core.jax import jax, jnp
+from matcam.core.grid import Sampling, below_horizon, cosines, merl_grid
 from matcam.core.shading import Shading, local_shading, vector
+
+if TYPE_CHECKING:
+    from jax.typing import ArrayLike
+
+    from matcam.core.jax import jax
 
 _NODES, _AZIMUTHS = 720, 64  # numbers of theta_h and phi_h of the half vectors of the albedo
 
 
-class Material(eqx.Module):
+class Material(Module):
     """Opaque surface with a BRDF. Channels, if any, are the last axis of every result."""
-
-    def __repr__(self) -> str:
-        return constructor_call(self)
 
     @abstractmethod
     def reflected(self, shading: Shading) -> jax.Array:
@@ -72,10 +73,10 @@ class Material(eqx.Module):
         shading = shading_at(theta_h, theta_d, phi_d, phi_h)
         reflected = self.reflected(shading)
         above = (shading.cos_i > 0) & (shading.cos_o > 0)
-        foreshortening = jnp.where(above, shading.cos_i * shading.cos_o, 1.0)
+        foreshortening = xp.where(above, shading.cos_i * shading.cos_o, 1.0)
         if reflected.ndim > above.ndim:
             above, foreshortening = above[..., None], foreshortening[..., None]
-        return jnp.where(above, reflected / foreshortening, jnp.nan)
+        return xp.where(above, reflected / foreshortening, xp.nan)
 
 
 def check_material(material: Material) -> None:
@@ -87,9 +88,20 @@ def shading_at(theta_h: ArrayLike, theta_d: ArrayLike, phi_d: ArrayLike, phi_h: 
     """Compute the shading at half and difference angles, rad, which broadcast."""
     theta_h, theta_d, phi_d, phi_h = checks.broadcastable(theta_h=theta_h, theta_d=theta_d, phi_d=phi_d, phi_h=phi_h)
     cos_i, cos_o = cosines(theta_h, theta_d, phi_d)
-    slope = jnp.tan(theta_h)
-    along, across = jnp.broadcast_arrays(slope * jnp.cos(phi_h), slope * jnp.sin(phi_h), cos_i)[:2]
+    slope = xp.tan(theta_h)
+    along, across = xp.broadcast_arrays(slope * xp.cos(phi_h), slope * xp.sin(phi_h), cos_i)[:2]
     return Shading(cos_i, cos_o, along, across, theta_d, phi_d)
+
+
+def cell_values(material: Material, sampling: Sampling) -> jax.Array:
+    """Evaluate a BRDF at the cells of the MERL grid, mean of both reciprocal directions.
+
+    Returns: 1/sr, (90, 90, 180, channels); NaN below the horizon.
+    """
+    theta_h, theta_d, phi_d = np.meshgrid(*merl_grid(sampling), indexing="ij")
+    values = (material.brdf(theta_h, theta_d, phi_d) + material.brdf(theta_h, theta_d, phi_d + np.pi)) / 2
+    values = values if values.ndim == 4 else values[..., None]
+    return xp.where(below_horizon(sampling)[..., None], xp.nan, values)
 
 
 def above_horizon(shading: Shading) -> tuple[Shading, jax.Array]:
@@ -99,8 +111,8 @@ def above_horizon(shading: Shading) -> tuple[Shading, jax.Array]:
     derivatives.
     """
     above = (shading.cos_i > 0) & (shading.cos_o > 0)
-    cos_i, cos_o = (jnp.where(above, c, 0.5) for c in (shading.cos_i, shading.cos_o))
-    along, across = (jnp.where(above, s, 0.0) for s in (shading.slope_along, shading.slope_across))
+    cos_i, cos_o = (xp.where(above, c, 0.5) for c in (shading.cos_i, shading.cos_o))
+    along, across = (xp.where(above, s, 0.0) for s in (shading.slope_along, shading.slope_across))
     return shading._replace(cos_i=cos_i, cos_o=cos_o, slope_along=along, slope_across=across), above
 
 
@@ -108,7 +120,7 @@ def theta_h_of(shading: Shading) -> jax.Array:
     """Compute the angle of the half vector to the normal, rad."""
     slope2 = shading.slope_along**2 + shading.slope_across**2
     mirror = slope2 == 0  # the derivative of the root is infinite there
-    return jnp.where(mirror, 0.0, jnp.arctan(jnp.sqrt(jnp.where(mirror, 1.0, slope2))))
+    return xp.where(mirror, 0.0, xp.arctan(xp.sqrt(xp.where(mirror, 1.0, slope2))))
 
 
 def albedo(material: Material, theta: ArrayLike) -> np.ndarray:

@@ -19,20 +19,24 @@ as in Mitsuba's `Marginal2D`, so that positions on the flattened square agree wi
 
 from __future__ import annotations
 
+from functools import partial
 from itertools import product
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
-import equinox as eqx
 import numpy as np
+import numpy.typing as npt
 import xarray as xr
-from jax.typing import ArrayLike
 
+from matcam.core.arrays import compiled_by_jax, entries, xp
+from matcam.core.arrays.module import Module, static_field
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import GRID_SHAPE, checked_table, sampling_of, theta_h_edges
-from matcam.core.jax import jax, jnp
 from matcam.core.shading import Shading
 from matcam.material.material import Material, above_horizon, theta_h_of
 from matcam.numerics.elementary import plane_length
+
+if TYPE_CHECKING:
+    from matcam.core.jax import jax
 
 _HALF_PI = np.pi / 2
 
@@ -71,53 +75,53 @@ class Tabulated(Material):
     """
 
     values: jax.Array
-    shift: float = eqx.field(static=True)
+    shift: float = static_field()
 
     def __init__(self, table: xr.DataArray):
         checked = checked_table(table)
-        self.values = jnp.asarray(checked.values, dtype=jnp.float64)
+        self.values = xp.array(checked.values, dtype=np.float64)
         self.shift = {"centre": 0.5, "edge": 0.0}[sampling_of(checked)]
 
-    @eqx.filter_jit
+    @compiled_by_jax
     def reflected(self, shading: Shading) -> jax.Array:
         """Return the interpolated BRDF times both cosines, 1/sr."""
         shading, above = above_horizon(shading)
-        brdf = self._interpolate(theta_h_of(shading), jnp.asarray(shading.theta_d), jnp.asarray(shading.phi_d))
-        return jnp.where(above[..., None], brdf * (shading.cos_i * shading.cos_o)[..., None], 0.0)
+        brdf = self._interpolate(theta_h_of(shading), xp.asarray(shading.theta_d), xp.asarray(shading.phi_d))
+        return xp.where(above[..., None], brdf * (shading.cos_i * shading.cos_o)[..., None], 0.0)
 
     @property
     def finest(self) -> jax.Array:
         """Width of the first theta_h cell, rad."""
-        return jnp.asarray(theta_h_edges()[1])
+        return xp.asarray(theta_h_edges()[1])
 
     def _interpolate(self, theta_h: jax.Array, theta_d: jax.Array, phi_d: jax.Array) -> jax.Array:
         n_h, n_d, n_p = GRID_SHAPE
         peak = theta_h == 0
-        root = jnp.where(peak, 0.0, jnp.sqrt(jnp.where(peak, 1.0, theta_h / (np.pi / 2))))
-        position_h = jnp.clip(root * n_h - self.shift, 0, n_h - 1)
-        position_d = jnp.clip(theta_d * n_d / (np.pi / 2) - self.shift, 0, n_d - 1)
-        position_p = jnp.mod(phi_d / np.pi, 1.0) * n_p - self.shift
+        root = xp.where(peak, 0.0, xp.sqrt(xp.where(peak, 1.0, theta_h / (np.pi / 2))))
+        position_h = xp.clip(root * n_h - self.shift, 0, n_h - 1)
+        position_d = xp.clip(theta_d * n_d / (np.pi / 2) - self.shift, 0, n_d - 1)
+        position_p = xp.mod(phi_d / np.pi, 1.0) * n_p - self.shift
         positions = [_whole_where_close(position) for position in (position_h, position_d, position_p)]
-        low = [jnp.floor(position) for position in positions]
+        low = [xp.floor(position) for position in positions]
         fractions = [position - floor for position, floor in zip(positions, low, strict=True)]
         i_h, i_d, i_p = (floor.astype(int) for floor in low)
 
-        total = weights = missing = jnp.zeros(())
+        total = weights = missing = xp.zeros(())
         for up in product((0, 1), repeat=3):
             # out-of-range neighbours have weight 0, with an arbitrary entry
-            at = jnp.minimum(i_h + up[0], n_h - 1), jnp.minimum(i_d + up[1], n_d - 1), jnp.mod(i_p + up[2], n_p)
-            value = self.values[at]
-            share = jnp.ones(())
-            nearest = jnp.ones((), dtype=bool)
+            at = xp.minimum(i_h + up[0], n_h - 1), xp.minimum(i_d + up[1], n_d - 1), xp.mod(i_p + up[2], n_p)
+            value = entries(self.values, *at)
+            share = xp.ones(())
+            nearest = xp.ones((), dtype=bool)
             for fraction, above in zip(fractions, up, strict=True):
                 share = share * (fraction if above else 1 - fraction)
                 nearest = nearest & ((fraction > 0.5) if above else (fraction <= 0.5))
-            known = jnp.isfinite(value)
-            share = jnp.where(known, share[..., None], 0.0)
-            total = total + share * jnp.where(known, value, 0.0)
+            known = xp.isfinite(value)
+            share = xp.where(known, share[..., None], 0.0)
+            total = total + share * xp.where(known, value, 0.0)
             weights = weights + share
-            missing = missing + jnp.where(nearest[..., None] & ~known, 1.0, 0.0)
-        return jnp.where(missing > 0, jnp.nan, total / jnp.where(weights > 0, weights, 1.0))
+            missing = missing + xp.where(nearest[..., None] & ~known, 1.0, 0.0)
+        return xp.where(missing > 0, xp.nan, total / xp.where(weights > 0, weights, 1.0))
 
     def __repr__(self) -> str:
         sampling = "edge" if self.shift == 0 else "centre"
@@ -129,8 +133,8 @@ def _whole_where_close(position: jax.Array) -> jax.Array:
 
     A compiler may compute a position twice with different rounding: for its cell and for its fraction of the cell.
     """
-    whole = jnp.round(position)
-    return jnp.where(jnp.abs(position - whole) < 1e-9, whole, position)
+    whole = xp.round(position)
+    return xp.where(xp.abs(position - whole) < 1e-9, whole, position)
 
 
 class Blend(NamedTuple):
@@ -146,8 +150,8 @@ class Blend(NamedTuple):
 
     def of(self, grids: jax.Array, *at: jax.Array) -> jax.Array:
         """Return the sum of weight * grids[slices, ..., *at], shape (points,) and the remaining axes of the grid."""
-        values = grids[(self.slices, *(a[:, None] for a in at))]
-        return jnp.sum(self.weight.reshape(*self.weight.shape, *(1,) * (values.ndim - 2)) * values, axis=1)
+        values = entries(grids, self.slices, *(a[:, None] for a in at))
+        return xp.sum(self.weight.reshape(*self.weight.shape, *(1,) * (values.ndim - 2)) * values, axis=1)
 
 
 def blend(axes: tuple[jax.Array, jax.Array], azimuth: jax.Array, theta: jax.Array) -> Blend:
@@ -163,10 +167,11 @@ def blend(axes: tuple[jax.Array, jax.Array], azimuth: jax.Array, theta: jax.Arra
 
 def _between(axis: jax.Array, value: jax.Array) -> tuple[jax.Array, jax.Array]:
     if axis.size == 1:
-        return jnp.zeros((value.size, 1), dtype=int), jnp.ones((value.size, 1))
-    low = jnp.clip(jnp.searchsorted(axis, value, side="right") - 1, 0, axis.size - 2)
-    share = jnp.clip((value - axis[low]) / (axis[low + 1] - axis[low]), 0, 1)
-    return jnp.stack([low, low + 1], axis=-1), jnp.stack([1 - share, share], axis=-1)
+        return xp.zeros((value.size, 1), dtype=int), xp.ones((value.size, 1))
+    low = xp.clip(xp.searchsorted(axis, value, side="right") - 1, 0, axis.size - 2)
+    first, second = entries(axis, low), entries(axis, low + 1)
+    share = xp.clip((value - first) / (second - first), 0, 1)
+    return xp.stack([low, low + 1], axis=-1), xp.stack([1 - share, share], axis=-1)
 
 
 def bilinear(slices: jax.Array, chosen: Blend | None, x: jax.Array, y: jax.Array) -> jax.Array:
@@ -177,7 +182,7 @@ def bilinear(slices: jax.Array, chosen: Blend | None, x: jax.Array, y: jax.Array
     """
     rows, columns = slices.shape[:2] if chosen is None else slices.shape[1:3]
     (i_x, t_x), (i_y, t_y) = _cell(x, columns), _cell(y, rows)
-    look = (lambda r, c: slices[r, c]) if chosen is None else (lambda r, c: chosen.of(slices, r, c))
+    look = partial(entries if chosen is None else chosen.of, slices)
     if slices.ndim == 4:
         t_x, t_y = t_x[:, None], t_y[:, None]
     upper = (1 - t_x) * look(i_y, i_x) + t_x * look(i_y, i_x + 1)
@@ -186,12 +191,12 @@ def bilinear(slices: jax.Array, chosen: Blend | None, x: jax.Array, y: jax.Array
 
 
 def _cell(position: jax.Array, nodes: int) -> tuple[jax.Array, jax.Array]:
-    scaled = jnp.clip(position, 0, 1) * (nodes - 1)
-    low = jnp.minimum(jnp.floor(scaled).astype(int), nodes - 2)
+    scaled = xp.clip(position, 0, 1) * (nodes - 1)
+    low = xp.minimum(xp.floor(scaled).astype(int), nodes - 2)
     return low, scaled - low
 
 
-class Warp(eqx.Module):
+class Warp(Module):
     """Map of the unit square that makes densities on it uniform.
 
     Attributes:
@@ -205,14 +210,14 @@ class Warp(eqx.Module):
     conditional: jax.Array
     marginal: jax.Array
 
-    def __init__(self, density: ArrayLike):
+    def __init__(self, density: npt.ArrayLike):
         raw = np.asarray(density, dtype=np.float64)
         along = _running(raw)
         down = _running(along[..., -1])
         total = down[..., -1]
-        self.density = jnp.asarray(raw / total[:, None, None])
-        self.conditional = jnp.asarray(along / total[:, None, None])
-        self.marginal = jnp.asarray(down / total[:, None])
+        self.density = raw / total[:, None, None]
+        self.conditional = along / total[:, None, None]
+        self.marginal = down / total[:, None]
 
     def flatten(self, chosen: Blend, x: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Map (x, y), shape (points,) each, to the flattened square.
@@ -228,7 +233,7 @@ class Warp(eqx.Module):
         part = t_x * (left + t_x * (right - left) / 2) + (1 - t_y) * before[0] + t_y * before[1]
         row = (1 - t_y) * whole[0] + t_y * whole[1]
         above = t_y * (whole[0] + t_y * (whole[1] - whole[0]) / 2) + chosen.of(self.marginal, i_y)
-        return jnp.where(row > 0, part / jnp.where(row > 0, row, 1.0), 0.0), above
+        return xp.where(row > 0, part / xp.where(row > 0, row, 1.0), 0.0), above
 
     def inverse(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Map a grid of the flattened square back, for every slice.
@@ -309,8 +314,8 @@ class Adaptive(Material):
     sigma: jax.Array
     warp: Warp
     values: jax.Array
-    jacobian: bool = eqx.field(static=True)
-    mirrored: int = eqx.field(static=True)
+    jacobian: bool = static_field()
+    mirrored: int = static_field()
 
     def __init__(self, fields: xr.Dataset):
         if not isinstance(fields, xr.Dataset) or "vndf" not in fields:
@@ -319,11 +324,11 @@ class Adaptive(Material):
         def array(name: str) -> np.ndarray:
             return fields[name].values.astype(np.float64)
 
-        self.azimuths, self.angles = jnp.asarray(array("phi_i")), jnp.asarray(array("theta_i"))
-        self.ndf, self.sigma = jnp.asarray(array("ndf")), jnp.asarray(array("sigma"))
+        self.azimuths, self.angles = xp.asarray(array("phi_i")), xp.asarray(array("theta_i"))
+        self.ndf, self.sigma = xp.asarray(array("ndf")), xp.asarray(array("sigma"))
         vndf, values = array("vndf"), array("spectra" if "spectra" in fields else "rgb")
         self.warp = Warp(vndf.reshape(-1, *vndf.shape[2:]))
-        self.values = jnp.moveaxis(jnp.asarray(values.reshape(-1, *values.shape[2:])), 1, -1)
+        self.values = xp.moveaxis(values.reshape(-1, *values.shape[2:]), 1, -1)
         self.jacobian = bool(fields["jacobian"].values[0])
         span = float(self.azimuths[-1] - self.azimuths[0])
         self.mirrored = 0 if self.azimuths.size <= 2 else round(2 * np.pi / span)
@@ -332,52 +337,52 @@ class Adaptive(Material):
                 f"field phi_i must span a full, half or quarter turn (the others follow by symmetry), got {span:.4g} rad"
             )
 
-    @eqx.filter_jit
+    @compiled_by_jax
     def reflected(self, shading: Shading) -> jax.Array:
         """Return the interpolated BRDF times both cosines, 1/sr."""
         shading, above = above_horizon(shading)
         shape = above.shape
-        flat = Shading(*(jnp.broadcast_to(jnp.asarray(a, dtype=jnp.float64), shape).ravel() for a in shading))
+        flat = Shading(*(xp.broadcast_to(xp.asarray(a, dtype=xp.float64), shape).ravel() for a in shading))
         theta_i, phi_i, theta_m, phi_m = self._directions(flat)
         azimuth = phi_m if self.mirrored else phi_m - phi_i
         position = (azimuth + np.pi) / (2 * np.pi)
-        u, v = jnp.sqrt(theta_m / _HALF_PI), position - jnp.floor(position)
+        u, v = xp.sqrt(theta_m / _HALF_PI), position - xp.floor(position)
         light = blend((self.azimuths, self.angles), phi_i, theta_i)
         outgoing = bilinear(self.values, light, *self.warp.flatten(light, u, v))
         if self.jacobian:
             facets = bilinear(self.ndf, None, u, v)
-            area = bilinear(self.sigma, None, jnp.sqrt(theta_i / _HALF_PI), (phi_i + np.pi) / (2 * np.pi))
-            outgoing = outgoing * (facets / (4 * jnp.where(area > 0, area, 1.0)))[:, None]
+            area = bilinear(self.sigma, None, xp.sqrt(theta_i / _HALF_PI), (phi_i + np.pi) / (2 * np.pi))
+            outgoing = outgoing * (facets / (4 * xp.where(area > 0, area, 1.0)))[:, None]
         outgoing = (outgoing * flat.cos_i[:, None]).reshape(*shape, -1)
-        return jnp.where(above[..., None], outgoing, 0.0)
+        return xp.where(above[..., None], outgoing, 0.0)
 
     def _directions(self, shading: Shading) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
         """Compute angles and azimuths of light and half vector, within the tabulated range."""
         slope = plane_length(shading.slope_along, shading.slope_across)
         none = slope == 0
-        safe = jnp.where(none, 1.0, slope)
-        c, s = jnp.where(none, 1.0, shading.slope_along / safe), jnp.where(none, 0.0, shading.slope_across / safe)
-        theta_m = jnp.arctan(slope)
+        safe = xp.where(none, 1.0, slope)
+        c, s = xp.where(none, 1.0, shading.slope_along / safe), xp.where(none, 0.0, shading.slope_across / safe)
+        theta_m = xp.arctan(slope)
         # the light, first with the half vector in the x-z plane (angles.azimuth_difference), then rotated to its
         # azimuth
-        x = jnp.cos(theta_m) * jnp.sin(shading.theta_d) * jnp.cos(shading.phi_d) + jnp.sin(theta_m) * jnp.cos(
+        x = xp.cos(theta_m) * xp.sin(shading.theta_d) * xp.cos(shading.phi_d) + xp.sin(theta_m) * xp.cos(
             shading.theta_d
         )
-        y = jnp.sin(shading.theta_d) * jnp.sin(shading.phi_d)
+        y = xp.sin(shading.theta_d) * xp.sin(shading.phi_d)
         i_x, i_y, m_x, m_y = c * x - s * y, s * x + c * y, c, s
         if self.mirrored >= 2:
-            flip_y = jnp.where(i_y < 0, 1.0, -1.0)
-            flip_x = jnp.where(i_x < 0, 1.0, -1.0) if self.mirrored == 4 else flip_y
+            flip_y = xp.where(i_y < 0, 1.0, -1.0)
+            flip_x = xp.where(i_x < 0, 1.0, -1.0) if self.mirrored == 4 else flip_y
             i_x, i_y, m_x, m_y = i_x * flip_x, i_y * flip_y, m_x * flip_x, m_y * flip_y
-        theta_i = jnp.arctan2(plane_length(i_x, i_y), shading.cos_i)
-        return theta_i, jnp.arctan2(i_y, i_x), theta_m, jnp.arctan2(m_y, m_x)
+        theta_i = xp.arctan2(plane_length(i_x, i_y), shading.cos_i)
+        return theta_i, xp.arctan2(i_y, i_x), theta_m, xp.arctan2(m_y, m_x)
 
     @property
     def finest(self) -> jax.Array:
         """Half width of the mean lobe, rad, at least one grid step."""
-        profile = jnp.mean(self.ndf, axis=0)
-        below = jnp.argmax(jnp.append(profile, 0.0) < profile.max() / 2)
-        return jnp.maximum(below / (profile.size - 1), 1 / (profile.size - 1)) ** 2 * _HALF_PI
+        profile = xp.mean(self.ndf, axis=0)
+        below = xp.argmax(xp.append(profile, 0.0) < profile.max() / 2)
+        return xp.maximum(below / (profile.size - 1), 1 / (profile.size - 1)) ** 2 * _HALF_PI
 
     def __repr__(self) -> str:
         p, t = self.azimuths.size, self.angles.size

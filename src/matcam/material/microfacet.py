@@ -6,6 +6,7 @@ import equinox as eqx
 from jax.typing import ArrayLike
 
 from matcam.core import checks
+from matcam.core.arrays.module import static_field
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import azimuth_difference
 from matcam.core.jax import jax, jnp
@@ -45,7 +46,7 @@ class Microfacet(Material):
     ndf: SlopeDistribution
     fresnel: Reflectance
     diffuse: jax.Array
-    masking: Masking = eqx.field(static=True)
+    masking: Masking = static_field()
 
     def __init__(
         self,

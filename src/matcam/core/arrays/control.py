@@ -74,6 +74,13 @@ def changed(array: Any, where: Any, value: Any) -> Any:
     return copy
 
 
+def entries(array: Any, *at: Any) -> Any:
+    """Select entries of an array at arrays of indices, one for each of the first axes."""
+    if has_jax(array, *at):
+        array = import_module("jax").numpy.asarray(array)
+    return array[at]
+
+
 def evenly(count: int, most: int) -> np.ndarray:
     """Select at most `most` of `count` indices, evenly spaced, with both ends."""
     return np.unique(np.linspace(0, count - 1, min(most, count)).round().astype(int))

@@ -10,13 +10,10 @@ import xarray as xr
 
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import azimuth_of, check_recorded, sample_of
-from matcam.core.jax import jax, jnp
-from matcam.forward.integral.scene import highlight_x
 from matcam.forward.sampler.windows import SphereView
 from matcam.lamp.lamps import closeness
 from matcam.rigs import Rig
 from matcam.sample.curved import Cylinder, Sphere
-from matcam.sample.positions import positions_of
 from matcam.sample.shape import Position
 
 BOTH_DIRECTIONS = np.array([0.0, np.pi])
@@ -65,6 +62,8 @@ class SampleView(NamedTuple):
 
     def position(self, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> Position:
         """Compute image position and lamp angle of half and difference angles, rad."""
+        from matcam.sample.positions import positions_of
+
         nearness = np.array(self.lamp) if self.lamp else None
         return Position(*positions_of(self.sphere, theta_h, theta_d, phi_d, nearness))  # type: ignore[arg-type]
 
@@ -82,14 +81,14 @@ class SampleView(NamedTuple):
 
         cos_i: cosine of the angle of incidence on the sphere at the position of the surface.
         """
-        return 1.0 if self.lamp == 0 else np.asarray(closeness(self.lamp, jnp.asarray(cos_i))) ** 2  # type: ignore[return-value]
+        return 1.0 if self.lamp == 0 else np.asarray(closeness(self.lamp, np.asarray(cos_i))) ** 2  # type: ignore[return-value]
 
     def highlight(self, lamp_angle: np.ndarray) -> np.ndarray:
         """Compute the angle from optical axis to normal of the highlight, rad.
 
         lamp_angle: lamp angle, rad.
         """
-        return np.asarray(_highlight(self.sphere, lamp_angle, self.lamp))
+        return np.asarray(self.sphere.highlight(np.asarray(lamp_angle), self.lamp))
 
     def from_highlight(
         self, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray
@@ -108,7 +107,9 @@ class SampleView(NamedTuple):
 
     def at_highlight(self, lamp_angle: np.ndarray) -> np.ndarray:
         """Compute the position of the highlight in the image, px along x."""
-        return np.asarray(highlight_x(self.sphere, jnp.asarray(lamp_angle), jnp.asarray(self.lamp)))
+        from matcam.forward.integral.scene import highlight_x
+
+        return np.asarray(highlight_x(self.sphere, np.asarray(lamp_angle), np.asarray(self.lamp)))  # type: ignore[arg-type]
 
     def highlight_area(self, theta_d: np.ndarray) -> np.ndarray:
         """Compute four times the integral of a highlight over the image, px^2.
@@ -117,7 +118,7 @@ class SampleView(NamedTuple):
         """
         if self.distant:
             return np.full(np.shape(theta_d), self.radius**2)
-        along, across = (np.asarray(a) for a in self.sphere.px_per_rad(jnp.asarray(theta_d), self.lamp))
+        along, across = (np.asarray(a) for a in self.sphere.px_per_rad(np.asarray(theta_d), self.lamp))
         return along * across * self.irradiance(np.cos(theta_d)) / np.cos(theta_d)
 
     @property
@@ -170,8 +171,3 @@ def rig_behind(table: xr.DataArray, rig: Rig) -> Rig:
             f"lamp_azimuth must be that of the table, attrs['lamp_azimuth'] = {stated:g} rad, or None, got {own:g} rad"
         )
     return rig
-
-
-@jax.jit
-def _highlight(sphere: Sphere, lamp_angle: jax.Array, lamp: jax.Array) -> jax.Array:
-    return sphere.highlight(jnp.asarray(lamp_angle), lamp)

@@ -1,0 +1,128 @@
+"""Overviews of photographs, of folders and of the JSON files of results, as plain values."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from matcam.core.errors import FileFormatError
+from matcam.core.readers.names import is_file
+from matcam.core.readers.texts import read_json
+from matcam.files.capture import KINDS, SETTINGS, read_capture
+from matcam.files.photographs import PICTURES, SUFFIXES, open_photograph
+from matcam.files.picture_header import read_exif
+
+_RUN_SETTINGS, _RUN_FAILURES = "settings.json", "failed.json"
+"""Files in the folder of a run of `matcam correct` (`batch/folder.py`)."""
+_RUN = "matcam run"
+_CODED = (b"\x89PNG", b"\xff\xd8\xff")
+"""First bytes of PNG and JPEG, whose values are always integers."""
+
+
+def is_photograph(path: Path) -> bool:
+    """Check whether a file is an image of integers as a camera stores it: PNG, JPEG, TIFF or camera raw."""
+    if not is_file(path):
+        return False
+    with path.open("rb") as file:
+        coded = file.read(4).startswith(_CODED)
+    exif = read_exif(path)
+    return coded or exif.dng or path.suffix.lower() in SUFFIXES or exif.integers
+
+
+def photograph_overview(path: Path) -> dict[str, Any]:
+    """Report size, channels, range, saturation and camera of a photograph."""
+    photograph = open_photograph(path)
+    values, exif = photograph.values, photograph.exif
+    colour = values.ndim == 3
+    saturation = photograph.saturation if np.isfinite(photograph.saturation) else None
+    return {
+        "format": path.suffix.lower().lstrip(".") or "image",
+        "holds": "a photograph",
+        "size_px": [values.shape[1], values.shape[0]],
+        "channels": ["R", "G", "B"] if colour else [photograph.cfa or "grey"],
+        "bits": 8 * values.dtype.itemsize,
+        "range": [float(values.min()), float(values.max())],
+        "saturation": saturation,
+        "saturated_share": None if saturation is None else float((values >= saturation).mean()),
+        "linear": photograph.linear,
+        "camera": exif.camera,
+        "f_number": exif.f_number,
+        "exposure_time_s": exif.time,
+    }
+
+
+def result_overview(path: Path) -> dict[str, Any] | None:
+    """Report the JSON file of a correction or a reconstruction; None for any other JSON file."""
+    document = read_json(path, "a result")
+    if not isinstance(document, dict) or not isinstance(document.get("verdict"), str):
+        return None
+    of_fit = document.get("fit") if isinstance(document.get("fit"), dict) else {}
+    known = {**of_fit, **document}
+    try:
+        if "params" in known:  # a correction
+            about = {"holds": "the result of a correction", "table": known["file"], "family": known["ndf"]}
+            pairs = {name: [value, known["std"][name]] for name, value in known["params"].items()}
+        else:
+            about = {
+                "holds": f"the result of a reconstruction from photographs of a {known['sample']}",
+                "family": known["lobe"]["family"],
+                "images": len(known["pictures"]),
+                "left_out": known["left_out"],
+            }
+            pairs = known["parameters"]
+        return {
+            "format": "result (JSON)",
+            **about,
+            "verdict": known["verdict"],
+            "supported_share": known.get("supported_share"),
+            "parameters": {name: {"value": value, "std": std} for name, (value, std) in pairs.items()},
+            "remarks": [remark["text"] for remark in known["remarks"]],
+        }
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise FileFormatError(f"{path}: damaged result: field {error} is missing or wrong") from None
+
+
+def folder_overview(folder: Path) -> dict[str, Any]:
+    """Report the contents of a folder: a capture, the results of a run, tables or photographs."""
+    if is_file(folder / SETTINGS):
+        return _capture_overview(folder)
+    if is_file(folder / _RUN_SETTINGS):
+        settings = read_json(folder / _RUN_SETTINGS, "the settings of a run")
+        if isinstance(settings, dict) and settings.get("format") == _RUN:
+            return _run_overview(folder, settings)
+    suffixes = Counter(path.suffix.lower() for path in folder.iterdir() if is_file(path))
+    tables, photographs = suffixes[".binary"], sum(suffixes[suffix] for suffix in PICTURES)
+    if not tables and not photographs:
+        raise FileFormatError(
+            f"{folder}: the folder contains neither a capture ({SETTINGS}), nor tables (.binary), nor photographs: give a file"
+        )
+    return {"format": "folder", "holds": "a folder of files", "tables": tables, "photographs": photographs}
+
+
+def _capture_overview(folder: Path) -> dict[str, Any]:
+    capture = read_capture(folder)
+    kinds = Counter(frame.kind for frame in capture.frames)
+    return {
+        "format": "folder",
+        "holds": f"a capture of a {capture.settings['sample']['kind']}",
+        "lamp_positions": len(capture.lamps),
+        "exposures": capture.exposures,
+        "images": {kind: kinds[kind] for kind in KINDS},
+        "camera_profile": None if capture.profile is None else str(capture.profile),
+        "problems": [str(problem) for problem in capture.problems],
+    }
+
+
+def _run_overview(folder: Path, settings: dict[str, Any]) -> dict[str, Any]:
+    failed = folder / _RUN_FAILURES
+    listed = read_json(failed, "the failures of a run")["failed"] if is_file(failed) else []
+    return {
+        "format": "folder",
+        "holds": "the results of a run of matcam correct",
+        "corrected": len([path for path in folder.glob("*.nc") if is_file(path)]),
+        "failed": [one["reason"] for one in listed],
+        "rig": settings.get("rig"),
+    }
