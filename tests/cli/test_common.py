@@ -280,6 +280,32 @@ def test_a_correction_is_suggested_for_a_table_that_it_accepts(tmp_path, monkeyp
     assert _after_inspect(Path("a.nc")) == next_one
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("correct", "none.binary"),
+        ("fit", "none.binary"),
+        ("fresnel", "none.binary"),
+        ("convert", "none.binary", "a.bsdf"),
+        ("convert", "a.csv", "a.xyz"),
+        ("render", "none.binary"),
+        ("reconstruct", "none"),
+        ("reconstruct", "."),
+    ],
+    ids=" ".join,
+)
+def test_a_missing_input_is_refused_before_jax_is_loaded(tmp_path, words):
+    (tmp_path / "a.csv").touch()
+    code = f"import sys\nfrom matcam.cli import _run\nassert _run({list(words)}) == 2\nassert 'jax' not in sys.modules"
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=tmp_path)
+
+
+def test_a_converted_container_is_inspected_next(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("a.zarr.zip").touch()
+    assert suggestions.after("convert", {"target": Path("a.zarr.zip")}) == "matcam inspect a.zarr.zip"
+
+
 def test_inspect_reads_a_table_once(tmp_path, monkeypatch, capsys):
     path = tmp_path / "a.nc"
     io.write_netcdf(

@@ -11,8 +11,8 @@ from matcam.cli import show
 from matcam.cli.options import AsJson, Force, Sampling, option, use_caches
 from matcam.cli.rig_options import DistantRig, RigOptions
 from matcam.core.errors import OutputError
-from matcam.core.io import check_output, write_json
-from matcam.files.formats import MEASUREMENTS, suffixes_for, titles_for
+from matcam.core.io import check_inputs, check_output, write_json
+from matcam.files.formats import MEASUREMENTS, format_for, suffixes_for, titles_for
 
 
 def command(
@@ -57,6 +57,9 @@ def command(
 
     if ".zarr" in (*source.suffixes, *target.suffixes):
         checks.extra("Zarr", "scale", "zarr")
+    format_for(target, *MEASUREMENTS, "surface")
+    check_output(target, force=force, inputs=[source])
+    check_inputs([source])
     from matcam.exchange.conversion import convert
     from matcam.exchange.receiver import metadata as about
 

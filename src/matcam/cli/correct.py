@@ -23,7 +23,7 @@ from matcam.cli.options import (
 )
 from matcam.cli.rig_options import RigOptions, TableRig
 from matcam.core.errors import ArgumentError
-from matcam.core.io import check_outputs, where_written
+from matcam.core.io import check_inputs, check_outputs, where_written
 from matcam.core.readers.names import is_folder
 
 
@@ -132,6 +132,7 @@ def command(
         raise ArgumentError(
             "--device gpu is for one table: omit it for several, because a process on each core is as fast"
         )
+    check_inputs(paths)
     choose_device(device)
     workspace = use_caches()
     recorded = rig.of_table()

@@ -21,7 +21,7 @@ from matcam.cli.options import (
 )
 from matcam.cli.rig_options import RigOptions, TableRig
 from matcam.core.errors import ArgumentError
-from matcam.core.io import check_outputs, plain, write_json
+from matcam.core.io import check_inputs, check_outputs, plain, write_json
 
 
 def command(
@@ -73,6 +73,7 @@ def command(
             "--rival compares the camera of one table with free shadowing: give one file, and omit --no-camera"
         )
     inputs = [*files, *rig.files]
+    check_inputs(inputs, "a table")
     check_outputs([output], force=force, inputs=inputs)
     if budget:
         check_budget(budget, force=force, inputs=inputs)

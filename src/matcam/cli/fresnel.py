@@ -21,7 +21,7 @@ from matcam.cli.options import (
 )
 from matcam.cli.rig_options import RigOptions, TableRig
 from matcam.core.errors import ArgumentError
-from matcam.core.io import check_outputs, check_picture, write_columns
+from matcam.core.io import check_inputs, check_outputs, check_picture, write_columns
 
 _ANGLES = (10, 30, 45, 60, 70, 75, 80, 85)
 
@@ -77,6 +77,7 @@ def command(
         raise ArgumentError(f"--normalise must be LOW HIGH with 0 <= LOW < HIGH < 90 degrees, got {low:g} {high:g}")
     output = output or Path(f"{file.stem}-fresnel.png")
     inputs = [file, *rig.files]
+    check_inputs(inputs, "a table")
     check_picture(output, force=force, inputs=inputs)
     check_outputs([output.with_suffix(".csv"), output.with_suffix(".nc")], force=force, inputs=inputs)
     if budget:

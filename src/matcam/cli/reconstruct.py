@@ -75,12 +75,15 @@ def command(
     check_outputs(files.values(), force=force)
     if budget:
         check_budget(budget, force=force)
+    from matcam.files.capture import read_capture
+
+    described = read_capture(capture)
     use_caches()
     from matcam.reconstruction.from_capture import reconstruct
 
     with show.stepping() as watch:
         result: Any = reconstruct(
-            capture,
+            described,
             ndf,
             masking=masking,
             diffuse=diffuse,

@@ -11,7 +11,7 @@ import typer
 from matcam.cli import show
 from matcam.cli.options import AsJson, Force, Sampling, option, use_caches
 from matcam.core.errors import ArgumentError
-from matcam.core.io import check_output, check_picture
+from matcam.core.io import check_inputs, check_output, check_picture
 
 
 def command(
@@ -48,12 +48,6 @@ def command(
     from matcam.core import checks
 
     checks.extra("rendering", "render", "mitsuba")
-    from matcam.exchange.contents import material_of, read_contents
-    from matcam.exchange.renderers import rendered_sphere
-    from matcam.figures.spheres import spheres_figure
-    from matcam.figures.style import save
-    from matcam.files.float_pictures import write_exr
-
     if len(files) > 2:
         raise ArgumentError(f"give one file, or two files to show side by side, got {len(files)}")
     if not (exposure > 0 and math.isfinite(exposure)):
@@ -64,6 +58,13 @@ def command(
     if linear and len(files) > 1:
         raise ArgumentError("an .exr contains one sphere: render the files one by one")
     (check_output if linear else check_picture)(target, force=force, inputs=inputs)
+    check_inputs(inputs)
+    from matcam.exchange.contents import material_of, read_contents
+    from matcam.exchange.renderers import rendered_sphere
+    from matcam.figures.spheres import spheres_figure
+    from matcam.figures.style import save
+    from matcam.files.float_pictures import write_exr
+
     use_caches()
     pictures = {}
     for number, file in enumerate(files):

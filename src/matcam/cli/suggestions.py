@@ -123,7 +123,7 @@ def _after_inspect(values: dict[str, Any]) -> list[Any] | None:
 def _after_convert(values: dict[str, Any]) -> list[Any] | None:
     """Inspect the new file; a file without a measurement, such as a fitted surface, cannot be inspected."""
     target = values["target"]
-    return ["matcam", "inspect", target] if target.suffix.lower() in suffixes_for(*MEASUREMENTS) else None
+    return ["matcam", "inspect", target] if target.name.lower().endswith(suffixes_for(*MEASUREMENTS)) else None
 
 
 def _after_correct(values: dict[str, Any]) -> list[Any] | None:

@@ -179,7 +179,8 @@ def read_contents(path: str | Path, sampling: Sampling = "centre") -> Contents:
     """
     form = format_named(identify(path))
     if not set(form.holds) & set(MEASUREMENTS):
-        raise FileFormatError(f"{path}: the file is a {form.name}, which contains no measurement")
+        kind = "JSON document" if ".json" in form.suffixes else form.name
+        raise FileFormatError(f"{path}: the file is a {kind}, which contains no measurement")
     if form.name == "merl":
         return Contents("table", _read_merl(Path(path), sampling), form.name)
     data = form.read(path)

@@ -242,7 +242,7 @@ def _correction_report(table: xr.DataArray) -> dict[str, Any]:
     try:
         check_recorded(table, "the table")
         if sample_of(table) == "flat":
-            raise FitError("the sample is flat, so its table is not blurred")
+            raise FitError("the sample is flat, so its table is not blurred: use the table as it is")
         check_values((table,), None)
     except (ArgumentError, FitError) as error:
         return {"possible": False, "reason": str(error)}

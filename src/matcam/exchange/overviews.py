@@ -59,8 +59,8 @@ def result_overview(path: Path) -> dict[str, Any] | None:
     document = read_json(path, "a result")
     if not isinstance(document, dict) or not isinstance(document.get("verdict"), str):
         return None
-    of_fit = document.get("fit") if isinstance(document.get("fit"), dict) else {}
-    known = {**of_fit, **document}
+    fit = document.get("fit")
+    known = {**fit, **document} if isinstance(fit, dict) else document
     try:
         if "params" in known:  # a correction
             about = {"holds": "the result of a correction", "table": known["file"], "family": known["ndf"]}

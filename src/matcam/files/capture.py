@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 
 from matcam.core.errors import FileFormatError
-from matcam.core.readers.names import check_folder, check_within, is_file, is_folder, listed_file
+from matcam.core.readers.names import check_folder, check_within, is_file, is_folder, is_there, listed_file
 from matcam.core.readers.schemas import validated
 from matcam.core.readers.texts import checked_version, read_lines, read_toml
 from matcam.core.registry import CFAS
@@ -222,6 +222,8 @@ def read_capture(folder: str | Path) -> Capture:
     """
     folder = Path(folder)
     check_folder(folder, ": give the folder of a capture")
+    if not is_there(folder / SETTINGS):
+        raise FileFormatError(f"{folder}: no {SETTINGS}, so it is not a capture: `matcam capture init` creates one")
     settings = read_settings(folder / SETTINGS)
     if settings["camera"]["profile"] is not None:
         _inside(folder, settings["camera"]["profile"])

@@ -106,7 +106,9 @@ def decode_lines(path: Path, *, title: str) -> np.ndarray:
 def _bytes_of(path: Path, what: str, largest: int) -> bytes:
     size = path.stat().st_size
     if size > largest:
-        raise FileFormatError(f"{path}: {size} bytes exceed the limit of {largest} for {what}: give a smaller file")
+        raise FileFormatError(
+            f"{path}: {size} bytes exceed the limit of {largest} for {what}: check that it is {what}, or give a smaller file"
+        )
     with path.open("rb") as file:
         return file.read(size)  # the file may have grown since then
 

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 
+from matcam.core.arrays import xp
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import azimuth_of, check_recorded, sample_of
 from matcam.forward.sampler.windows import SphereView
@@ -81,14 +82,14 @@ class SampleView(NamedTuple):
 
         cos_i: cosine of the angle of incidence on the sphere at the position of the surface.
         """
-        return 1.0 if self.lamp == 0 else np.asarray(closeness(self.lamp, np.asarray(cos_i))) ** 2  # type: ignore[return-value]
+        return 1.0 if self.lamp == 0 else np.asarray(closeness(self.lamp, xp.asarray(cos_i))) ** 2  # type: ignore[return-value]
 
     def highlight(self, lamp_angle: np.ndarray) -> np.ndarray:
         """Compute the angle from optical axis to normal of the highlight, rad.
 
         lamp_angle: lamp angle, rad.
         """
-        return np.asarray(self.sphere.highlight(np.asarray(lamp_angle), self.lamp))
+        return np.asarray(self.sphere.highlight(xp.asarray(lamp_angle), self.lamp))
 
     def from_highlight(
         self, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray
@@ -109,7 +110,7 @@ class SampleView(NamedTuple):
         """Compute the position of the highlight in the image, px along x."""
         from matcam.forward.integral.scene import highlight_x
 
-        return np.asarray(highlight_x(self.sphere, np.asarray(lamp_angle), np.asarray(self.lamp)))  # type: ignore[arg-type]
+        return np.asarray(highlight_x(self.sphere, xp.asarray(lamp_angle), xp.asarray(self.lamp)))
 
     def highlight_area(self, theta_d: np.ndarray) -> np.ndarray:
         """Compute four times the integral of a highlight over the image, px^2.
@@ -118,7 +119,7 @@ class SampleView(NamedTuple):
         """
         if self.distant:
             return np.full(np.shape(theta_d), self.radius**2)
-        along, across = (np.asarray(a) for a in self.sphere.px_per_rad(np.asarray(theta_d), self.lamp))
+        along, across = (np.asarray(a) for a in self.sphere.px_per_rad(xp.asarray(theta_d), self.lamp))
         return along * across * self.irradiance(np.cos(theta_d)) / np.cos(theta_d)
 
     @property
