@@ -131,12 +131,11 @@ class Outline:
         return self.row + length * np.sin(azimuth), self.column + length * np.cos(azimuth)
 
 
-def stacked(pictures: Sequence[MergedPicture], name: str = "all lamps") -> MergedPicture:
+def stacked(pictures: Sequence[MergedPicture]) -> MergedPicture:
     """Average several images, so that all lamps together light the whole limb.
 
     Args:
         pictures: images of one sphere at one position, of one shape and origin.
-        name: name of the result.
 
     Returns:
         The mean over the images that have a value, pixel by pixel. Pixels that are clipped in any image are clipped.
@@ -157,7 +156,11 @@ def stacked(pictures: Sequence[MergedPicture], name: str = "all lamps") -> Merge
     some = np.maximum(number, 1)
     nothing = np.where(number > 0, 0.0, np.nan)
     return replace(
-        pictures[0], name=name, values=total / some + nothing, std=np.sqrt(variance) / some + nothing, clipped=clipped
+        pictures[0],
+        name="all lamps",
+        values=total / some + nothing,
+        std=np.sqrt(variance) / some + nothing,
+        clipped=clipped,
     )
 
 

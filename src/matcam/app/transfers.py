@@ -27,14 +27,14 @@ class Downloads:
     def __init__(self) -> None:
         self._files: dict[str, tuple[str, bytes]] = {}
 
-    def offer(self, name: str, content: bytes, words: str = "") -> str:
+    def offer(self, name: str, content: bytes) -> str:
         """Register a file, and return an HTML link that saves it."""
         key = secrets.token_urlsafe(16)
         self._files[key] = (name, content)
         # all pages together offer at most 64 files, which limits the memory of the app
         while len(self._files) > 64:
             del self._files[next(iter(self._files))]
-        return f'<a href="/save/{key}" download="{escape(name, quote=True)}">{escape(words or name)}</a>'
+        return f'<a href="/save/{key}" download="{escape(name, quote=True)}">{escape(name)}</a>'
 
     def get(self, key: str) -> tuple[str, bytes] | None:
         """Return name and content of a file, or None if unknown."""

@@ -129,11 +129,6 @@ class MaterialFit(Summarised):
         return self._solution.problem.of_units("diffuse", self._solution.p)
 
     @property
-    def diffuse_std(self) -> np.ndarray:
-        """Return the standard deviation of `diffuse` (no unit), (channels,)."""
-        return np.sqrt(self._solution.problem.of_units("diffuse", np.diag(self._solution.covariance)))
-
-    @property
     def diffuse_part(self) -> DiffusePart:
         """Diffuse part of the body, with albedo 0 without one."""
         coated = self._solution.problem.layout.coated_share(self._solution.p)
