@@ -92,7 +92,7 @@ def _print_brdf(report: dict[str, Any]) -> None:
         if report["correction"]["reason"] and not report["corrected"]:
             show.say(f"correction: not possible; {report['correction']['reason']}")
     if "variables" in report:
-        for name, what in {"source": "recorded table", "camera_uncertainty": "uncertainty of the camera"}.items():
+        for name, what in {"source": "recorded table", "camera_uncertainty": "blur of the camera"}.items():
             if report["attributes"].get(name):
                 show.say(f"{what}: {report['attributes'][name]}")
         own = [name for name, variable in report["variables"].items() if list(variable["shape"]) != [name]]
@@ -168,10 +168,6 @@ def _print_photograph(report: dict[str, Any]) -> None:
 def _print_result(report: dict[str, Any]) -> None:
     show.say(f"{report['file']}: {report['holds']}")
     show.say(report["verdict"])
-    if report["supported_share"] is not None:
-        show.say(
-            f"supported: {report['supported_share']:.0%} of the entries; the others are uncertain by more than 5 %"
-        )
     rows = [
         [name, _plain(one["value"]), "-" if one["std"] is None else f"{one['std']:.2g}"]
         for name, one in report["parameters"].items()
