@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import typer
+import xarray as xr
 
 from matcam import BoxPixel, Camera, DiffractionOptics, GaussianOptics, inspect, io
 from matcam.cli import _run, show, suggestions
@@ -304,6 +305,13 @@ def test_a_converted_container_is_inspected_next(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("a.zarr.zip").touch()
     assert suggestions.after("convert", {"target": Path("a.zarr.zip")}) == "matcam inspect a.zarr.zip"
+
+
+def test_the_columns_of_a_result_are_not_inspected(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    io.write_netcdf("a.nc", xr.Dataset({"corrected": ("theta_d", np.ones(3))}, {"theta_d": np.arange(3.0)}))
+    assert _run(["convert", "a.nc", "a.csv"]) == 0
+    assert "next" not in capsys.readouterr().out
 
 
 def test_inspect_reads_a_table_once(tmp_path, monkeypatch, capsys):

@@ -66,12 +66,13 @@ def test_a_reconstruction(tmp_path):
 
 def test_a_correction(tmp_path):
     fit = {"ndf": "epd", "params": {"beta": 0.01}, "std": {"beta": 1e-4}}
-    document = {"file": "a.binary", "camera": {"format": "matcam camera profile"}, "fit": fit}
+    document = {"file": "a.binary", "camera": {"optics": {"model": "gaussian", "sigma_px": 0.5}}, "fit": fit}
     document |= {"supported_share": 0.9, "verdict": "it is corrected", "remarks": []}
     write_json(tmp_path / "r.json", document)
     report = inspect(tmp_path / "r.json")
     assert (report["holds"], report["table"]) == ("the result of a correction", "a.binary")
     assert (report["family"], report["supported_share"]) == ("epd", 0.9)
+    assert report["lens"] == "gaussian, sigma_px 0.5"
 
 
 @pytest.mark.parametrize(
@@ -110,9 +111,14 @@ def test_other_folders(tmp_path, codes):
     tifffile.imwrite(tmp_path / "p.tif", codes)
     report = inspect(tmp_path)
     assert (report["tables"], report["photographs"]) == (1, 1)
-    write_json(tmp_path / "settings.json", {"format": "matcam run", "rig": {"sample": "a sphere"}})
+    rig = {"sample": {"kind": "sphere", "radius_px": 256.0}, "camera": {"optics": {"model": "gaussian"}}}
+    write_json(tmp_path / "settings.json", {"format": "matcam run", "rig": rig})
     write_json(tmp_path / "failed.json", {"failed": [{"file": "b", "reason": "b: it is damaged"}]})
     (tmp_path / "a.nc").touch()
     report = inspect(tmp_path)
     assert report["holds"] == "the results of a run of matcam correct"
-    assert (report["corrected"], report["failed"]) == (1, ["b: it is damaged"])
+    assert (report["corrected"], report["failed"]) == (["a"], ["b: it is damaged"])
+    assert (report["sample"], report["lens"], report["page"]) == ("sphere, radius_px 256", "gaussian", None)
+    write_json(tmp_path / "settings.json", {"format": "matcam run"}, force=True)
+    with pytest.raises(FileFormatError, match="damaged settings of a run: field 'rig'"):
+        inspect(tmp_path)

@@ -48,7 +48,7 @@ def command(
     rig: DistantRig = RigOptions(),
     force: Force = False,
     json: AsJson = False,
-) -> None:
+) -> dict[str, Any]:
     """Convert data to another format; if they must be resampled, print the method and the differences.
 
     Example: `matcam convert chrome.binary chrome.bsdf`
@@ -78,6 +78,7 @@ def command(
         show.as_json(report)
     else:
         _print(report)
+    return {"content": report["content"]}
 
 
 def _print(report: dict[str, Any]) -> None:

@@ -9,6 +9,7 @@ import typer
 
 from matcam.cli import show
 from matcam.cli.options import AsJson, Sampling, option
+from matcam.core.remark import some_of
 from matcam.files.formats import CONTENTS, titles_for
 
 
@@ -168,6 +169,8 @@ def _print_photograph(report: dict[str, Any]) -> None:
 def _print_result(report: dict[str, Any]) -> None:
     show.say(f"{report['file']}: {report['holds']}")
     show.say(report["verdict"])
+    if "lens" in report:
+        show.say(f"table: {report['table']}; lens {report['lens']}")
     rows = [
         [name, _plain(one["value"]), "-" if one["std"] is None else f"{one['std']:.2g}"]
         for name, one in report["parameters"].items()
@@ -187,7 +190,12 @@ def _print_folder(report: dict[str, Any]) -> None:
         show.say(f"camera profile: {report['camera_profile'] or 'none, so the lens is estimated from the photographs'}")
         show.notes(report["problems"])
     elif "corrected" in report:
-        show.say(f"{report['corrected']} tables were corrected, {len(report['failed'])} failed; see index.html")
+        show.say(
+            f"corrected: {len(report['corrected'])} ({some_of(report['corrected'])}); failed: {len(report['failed'])}"
+        )
+        show.say(f"rig: {report['sample']}; lens {report['lens']}")
+        if report["page"]:
+            show.say(f"pages of the results: {report['page']}")
         show.notes(report["failed"])
     else:
         show.say(f"tables (.binary): {report['tables']}; images: {report['photographs']}")

@@ -114,15 +114,18 @@ def _after_inspect(values: dict[str, Any]) -> list[Any] | None:
     if "correction" not in report or "variables" in report or "own_grid" in report:  # not a recorded or corrected table
         return None
     if report["corrected"]:
-        return ["matcam", "convert", file, _unused(file.with_suffix(".bsdf"))]
+        stem = file.stem.removesuffix(".zarr")
+        return ["matcam", "convert", file, _unused(file.with_name(f"{stem}.bsdf"))]
     if not report["correction"]["possible"]:
         return None
     return _correct(file, values | {"channels": len(report["channels"])})
 
 
 def _after_convert(values: dict[str, Any]) -> list[Any] | None:
-    """Inspect the new file; a file without a measurement, such as a fitted surface, cannot be inspected."""
+    """Inspect the new file; neither a fitted surface nor the columns of a result can be inspected."""
     target = values["target"]
+    if values.get("content") == "result" and target.suffix.lower() == ".csv":
+        return None
     return ["matcam", "inspect", target] if target.name.lower().endswith(suffixes_for(*MEASUREMENTS)) else None
 
 

@@ -58,7 +58,7 @@ def convert(
         force: True to replace an existing output. Default: False.
 
     Returns:
-        Report as plain values: `input`, `output`, `format` and `holds` of the input, and `resampled`, None if every
+        Report as plain values: `input`, `output`, `format`, `content` and `holds` of the input, and `resampled`, None if every
         value is kept. If resampled: `missing_share` of interpolated values, and `error`, relative to the value or to
         1e-6 of the peak, whichever is larger: at 4096 random pairs of directions (`median`, `p99`, `largest`, and
         `known`, the share of pairs with a value) and in mirror directions (`peak`).
@@ -88,6 +88,7 @@ def convert(
         "input": str(source),
         "output": str(target),
         "format": contents.format,
+        "content": contents.content,
         "holds": contents.kind,
     }
     if form.name == "materialx":

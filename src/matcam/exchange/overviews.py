@@ -15,7 +15,7 @@ from matcam.files.capture import KINDS, SETTINGS, read_capture
 from matcam.files.photographs import PICTURES, SUFFIXES, open_photograph
 from matcam.files.picture_header import read_exif
 
-_RUN_SETTINGS, _RUN_FAILURES = "settings.json", "failed.json"
+_RUN_SETTINGS, _RUN_FAILURES, _RUN_PAGES = "settings.json", "failed.json", "index.html"
 """Files in the folder of a run of `matcam correct` (`batch/folder.py`)."""
 _RUN = "matcam run"
 _CODED = (b"\x89PNG", b"\xff\xd8\xff")
@@ -64,6 +64,7 @@ def result_overview(path: Path) -> dict[str, Any] | None:
     try:
         if "params" in known:  # a correction
             about = {"holds": "the result of a correction", "table": known["file"], "family": known["ndf"]}
+            about["lens"] = _in_words(known["camera"]["optics"])
             pairs = {name: [value, known["std"][name]] for name, value in known["params"].items()}
         else:
             about = {
@@ -117,12 +118,23 @@ def _capture_overview(folder: Path) -> dict[str, Any]:
 
 
 def _run_overview(folder: Path, settings: dict[str, Any]) -> dict[str, Any]:
-    failed = folder / _RUN_FAILURES
-    listed = read_json(failed, "the failures of a run")["failed"] if is_file(failed) else []
-    return {
-        "format": "folder",
-        "holds": "the results of a run of matcam correct",
-        "corrected": len([path for path in folder.glob("*.nc") if is_file(path)]),
-        "failed": [one["reason"] for one in listed],
-        "rig": settings.get("rig"),
-    }
+    failed, pages = folder / _RUN_FAILURES, folder / _RUN_PAGES
+    try:
+        listed = read_json(failed, "the failures of a run")["failed"] if is_file(failed) else []
+        return {
+            "format": "folder",
+            "holds": "the results of a run of matcam correct",
+            "corrected": sorted(path.stem for path in folder.glob("*.nc") if is_file(path)),
+            "failed": [str(one["reason"]) for one in listed],
+            "sample": _in_words(settings["rig"]["sample"]),
+            "lens": _in_words(settings["rig"]["camera"]["optics"]),
+            "page": str(pages) if is_file(pages) else None,
+        }
+    except (KeyError, TypeError, AttributeError) as error:
+        raise FileFormatError(f"{folder}: damaged settings of a run: field {error} is missing or wrong") from None
+
+
+def _in_words(description: dict[str, Any]) -> str:
+    """Format the single values of a description, such as "gaussian, sigma_px 0.5"."""
+    single = {name: value for name, value in description.items() if isinstance(value, str | float | int)}
+    return ", ".join(str(value) if isinstance(value, str) else f"{name} {value:g}" for name, value in single.items())
