@@ -19,7 +19,7 @@ from scipy.ndimage import maximum_filter, minimum_filter
 from matcam.camera.sensor import Seed, Sensor
 from matcam.core import checks
 from matcam.core.errors import ArgumentError
-from matcam.core.jax import jax, jnp
+from matcam.core.jax import jax, jnp, transferred
 from matcam.core.results.labelled import named
 from matcam.forward.integral.blur import kernel_error
 from matcam.forward.integral.blur_groups import groups_of
@@ -100,6 +100,7 @@ def picture(
     if error is not None:
         error = float(checks.within("error", error, 1e-6, 0.1, "of the image's peak"))
     view = view_of(material, rig, (lamp_angle, azimuth), shape, error)
+    material = transferred(material)  # once, not at each call of a compiled program
     offset = np.asarray(checks.within("shift", shift, -1e4, 1e4, "px"))  # type: ignore[arg-type]
     if offset.shape != (2,):
         raise ArgumentError(f"shift must be two numbers, columns to the right and rows down, got shape {offset.shape}")
@@ -169,7 +170,7 @@ def picture_values(
         >>> matcam.forward.picture_values(matcam.Microfacet(matcam.GGX(0.1), 0.9), rig, lamp_angle=1.0, shape=(3, 5)).shape
         (3, 5, 1)
     """
-    return exact_record(material, view_of(material, rig, (lamp_angle, azimuth), shape))
+    return exact_record(transferred(material), view_of(material, rig, (lamp_angle, azimuth), shape))
 
 
 def _record_within(error: float, material: Material, view: View) -> jax.Array:

@@ -163,6 +163,7 @@ def table_values(
         ((90, 90, 180, 1), (90, 90, 180))
     """
     check_material(material)
+    material = transferred(material)  # once, not at each call of a compiled program
     checks.instance("rig", rig, Rig, "rigs.merl()")
     workspace = checks.instance("workspace", default_workspace() if workspace is None else workspace, Workspace)
     if isinstance(rig.sample, Flat):
