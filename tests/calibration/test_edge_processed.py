@@ -216,6 +216,18 @@ def test_noise_of_flat_parts():
     )
 
 
+def test_the_ratio_of_noise_variances_states_its_error():
+    rng = np.random.default_rng(72)
+    dark = np.zeros((120, 100), bool)
+    dark[:, :50] = True
+    light = np.where(dark, 1000.0, 4000.0)
+    found = [flat_noise(rng.poisson(light).astype(float), dark, ~dark) for _ in range(60)]
+    # a standard error of 9 %
+    assert np.mean([noise.tilt_std for noise in found]) == pytest.approx(
+        np.std([noise.tilt for noise in found]), rel=0.3
+    )
+
+
 def compressed(rng, snr, quality):
     """A picture after JPEG, its sRGB undone, and MTF50 before."""
     counts, half, level = next(drawn(rng, 1, snrs=(snr,)))

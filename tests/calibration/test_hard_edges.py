@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 
 from matcam import edge_mtf
-from matcam.calibration.photograph.linear_filters import correlations, filter_uncertainty
+from matcam.calibration.photograph.linear_filters import LAGS, Correlations, correlations, filter_uncertainty
 from matcam.core.errors import FitError
 from matcam.numerics.crossing import first_fall
 from tests.oracle import hard_edges as oracle
 from tests.oracle import local_regression as rival
 from tests.oracle import processed_pictures as software
 from tests.oracle import real_edges
+from tests.oracle.slanted_edge import bound_of_half
 
 PROCESSED = {*oracle.SOFTWARE}
 
@@ -131,6 +132,13 @@ def test_a_filter_is_known_by_the_noise_behind_it():
         assert found.probability > 0.99, name
         assert found.smooths == (name == "smooth")
         assert found.share == pytest.approx(abs(effect), rel=0.6), name
+
+
+def test_white_noise_adds_little_to_the_error():
+    """Less than a tenth of what the noise of an edge at SNR 100 does to MTF50."""
+    count = len(LAGS)
+    white = Correlations(np.zeros(count), np.full(count, 1e4))
+    assert filter_uncertainty(white, FREQUENCY, MTF).share < 0.1 * bound_of_half(0.5, 100)
 
 
 def test_light_that_is_left_is_no_filter():

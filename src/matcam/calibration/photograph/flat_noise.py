@@ -178,9 +178,9 @@ def flat_noise(
     result = result._replace(
         neighbour_ratio=neighbour_ratio, neighbour_ratio_std=float(neighbour_ratio * np.sqrt(_LOSS / weight.sum()))
     )
-    if min(n) > _FEWEST and variance[1] > 0:
+    if min(n) > _FEWEST and min(variance) > 0:
         tilt = float(variance[0] / variance[1])
-        result = result._replace(tilt=tilt, tilt_std=float(max(tilt, 1.0) * np.sqrt(_LOSS / n[0] + _LOSS / n[1])))
+        result = result._replace(tilt=tilt, tilt_std=float(tilt * np.sqrt(_LOSS / n[0] + _LOSS / n[1])))
     if not result.smoothed:
         return result
     three, _ = at(3)

@@ -91,7 +91,7 @@ class FilterUncertainty(NamedTuple):
     """Uncertainty of an MTF due to filters that may have been applied.
 
     Attributes:
-        share: relative error of MTF50: probability of any filter times the rms error over all filters.
+        share: relative error of MTF50: mean of the absolute errors by all filters, weighted with their probabilities.
         probability: probability that any filter was applied.
         smooths: whether the most probable filter decreases MTF50.
     """
@@ -252,10 +252,9 @@ def filter_uncertainty(
     probability /= max(float(probability.sum()), 1e-300)
     likeliest = int(np.argmax(probability[1:])) + 1
     filtered = float(probability[1:].sum())
-    # Two standard deviations need not include an improbable value: the share is proportional to the probability, and not
-    # to its square root.
-    share = filtered * np.sqrt(probability[1:] @ effect[1:] ** 2 / max(filtered, 1e-300))
-    return FilterUncertainty(float(share), filtered, bool(effect[likeliest] < 0))
+    # Two standard deviations need not include an improbable value: the share is proportional to the probability of each
+    # filter, and not to its square root. Filters without an effect, such as narrow Gaussians, do not change it.
+    return FilterUncertainty(float(probability @ np.abs(effect)), filtered, bool(effect[likeliest] < 0))
 
 
 def _effects(frequency: FloatArray, mtf: FloatArray) -> FloatArray:
