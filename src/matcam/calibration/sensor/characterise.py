@@ -92,7 +92,19 @@ def characterise_sensor(
         remarks += [one for one in transfer_remarks if one not in remarks]
     remarks += _dark_times(lit, dark)
     gain = fit_gain(planes)
-    read_noise, hidden = _read_noise(dark, gain)
+    level = [float(one.mean.mean()) for one in dark]
+    level_std = [math.sqrt(one.variance.mean() / (one.pixels * len(one.mean))) for one in dark]
+    black_level, level_growth = _over_time(dark, level, level_std)
+    dark_current = _per_gain(level_growth, gain)
+    variance = [float(one.variance.mean()) for one in dark]
+    variance_std = [
+        v * one.variance_error / math.sqrt(len(one.variance)) for v, one in zip(variance, dark, strict=True)
+    ]
+    temporal, variance_growth = _over_time(dark, variance, variance_std)
+    hidden = temporal.value < _HIDDEN
+    # The variance of a rounded code is 1/12 DN^2.
+    noise = math.sqrt(max(temporal.value, _HIDDEN) - 1 / 12)
+    read_noise = _per_gain(Stated(noise, temporal.std / (2 * noise)), gain)
     if hidden:
         text = f"rounding hides the read noise, which is at most {read_noise.value:.3g} e-"
         remarks.append(Remark("read-noise-hidden", text))
@@ -117,10 +129,10 @@ def characterise_sensor(
         gain=gain,
         read_noise=read_noise,
         read_noise_hidden=hidden,
-        black_level=_black_level(dark),
-        dark_current=_growth(dark, gain, lambda one: one.mean, 1),
-        dark_current_by_variance=_growth(dark, gain, lambda one: one.variance, 2),
-        dark_nonuniformity=_dark_nonuniformity(reader, dark, gain),
+        black_level=black_level,
+        dark_current=dark_current,
+        dark_current_by_variance=_per_gain(variance_growth, gain, 2),
+        dark_nonuniformity=_dark_nonuniformity(reader, dark, dark_current),
         saturation=saturation,
         saturated=saturated,
         full_well=full_well,
@@ -151,49 +163,19 @@ def _dark_times(lit: Sequence[ExposureStatistics], dark: Sequence[ExposureStatis
     return [Remark("dark-missing", text)]
 
 
-def _read_noise(dark: Sequence[ExposureStatistics], gain: Stated) -> tuple[Stated, bool]:
-    """Estimate the temporal noise of a dark pixel at exposure time 0, e-, and detect whether rounding hides it."""
-    variance = [float(one.variance.mean()) for one in dark]
-    error = [v * one.variance_error / math.sqrt(len(one.variance)) for v, one in zip(variance, dark, strict=True)]
-    found = _at_time_zero(dark, variance, error)
-    hidden = found.value < _HIDDEN
-    # The variance of a rounded code is 1/12 DN^2.
-    noise = math.sqrt(max(found.value, _HIDDEN) - 1 / 12)
-    return _per_gain(Stated(noise, found.std / (2 * noise)), gain), hidden
+def _over_time(dark: Sequence[ExposureStatistics], values: list[float], errors: list[float]) -> tuple[Stated, Stated]:
+    """Fit a line to a statistic of the dark frames: its value at exposure time 0, and its increase per second.
 
-
-def _black_level(dark: Sequence[ExposureStatistics]) -> Stated:
-    level = [float(one.mean.mean()) for one in dark]
-    error = [math.sqrt(one.variance.mean() / (one.pixels * len(one.mean))) for one in dark]
-    return _at_time_zero(dark, level, error)
-
-
-def _at_time_zero(dark: Sequence[ExposureStatistics], values: Sequence[float], errors: Sequence[float]) -> Stated:
-    """Extrapolate a statistic of the dark frames to exposure time 0; with fewer than three times, that of the shortest.
-
-    errors: standard deviations of the values due to temporal noise.
+    With fewer than three exposure times, the value is that of the shortest, and the increase is unknown. `errors`: standard
+    deviations of the values due to temporal noise.
     """
-    times = [one.exposure.time for one in dark]
-    if len(set(times)) < _TIMES:
-        first = int(np.argmin(times))
-        return Stated(values[first], errors[first])
-    _, offset = _line(np.array(times), np.array(values))
-    return Stated(offset.value, max(offset.std, min(errors) / math.sqrt(len(dark))))
-
-
-def _growth(dark, gain, of, power):  # type: ignore[no-untyped-def]
-    """Compute the slope of a statistic of the dark frames over exposure time, electrons per second."""
     times = np.array([one.exposure.time for one in dark])
     if len(np.unique(times)) < _TIMES:
-        return _UNKNOWN
-    return _per_gain(_line(times, np.array([float(of(one).mean()) for one in dark]))[0], gain, power)
-
-
-def _line(x: np.ndarray, y: np.ndarray) -> tuple[Stated, Stated]:
-    """Fit slope and offset of a straight line by ordinary least squares, with standard deviations from the scatter."""
-    parameters, covariance = np.polyfit(x, y, 1, cov=True)
+        first = int(np.argmin(times))
+        return Stated(values[first], errors[first]), _UNKNOWN
+    parameters, covariance = np.polyfit(times, np.array(values), 1, cov=True)
     slope, offset = (Stated(float(p), float(s)) for p, s in zip(parameters, np.sqrt(np.diag(covariance)), strict=True))
-    return slope, offset
+    return Stated(offset.value, max(offset.std, min(errors) / math.sqrt(len(dark)))), slope
 
 
 def _per_gain(value: Stated, gain: Stated, power: int = 1) -> Stated:
@@ -227,14 +209,13 @@ def _chosen(lit: Sequence[ExposureStatistics], planes: Sequence[Transfer]) -> Ex
     return max(good, key=lambda one: (len(one.exposure.files), -abs(share(one) - 0.5)), default=None)
 
 
-def _dark_nonuniformity(reader: FrameReader, dark: Sequence[ExposureStatistics], gain: Stated) -> Stated:
+def _dark_nonuniformity(reader: FrameReader, dark: Sequence[ExposureStatistics], current: Stated) -> Stated:
     """Estimate the relative standard deviation of the dark currents of pixels, from two independent differences of long
     and short exposures.
 
     The temporal noise of the differences is independent. Their covariance is therefore the variance of the dark signals.
     """
     short, long = (pick(dark, key=lambda one: one.exposure.time) for pick in (min, max))
-    current = _growth(dark, gain, lambda one: one.mean, 1)
     if not current.value > SIGNIFICANT * current.std:
         return _UNKNOWN
     frames = [list(reader.read(one.exposure))[:2] for one in (short, long)]
