@@ -135,8 +135,8 @@ def _patches(left: float, top: float, width: float, height: float) -> Iterator[P
         )
 
 
-def _positions(corner: Point, size: Point, pitch: float) -> Iterator[tuple[int, int, float, float]]:
-    """Yield row, column and centre of the cells of a regular grid that fills the panel and is centred in it."""
+def _positions(corner: Point, size: Point, pitch: float) -> Iterator[Point]:
+    """Yield the centres of the cells of a regular grid that fills the panel and is centred in it."""
     columns, rows = (int(side / pitch + 1e-9) for side in size)
     # More than 200,000 elements of a panel are assumed to be a mistake.
     if columns * rows > 200_000:
@@ -144,7 +144,7 @@ def _positions(corner: Point, size: Point, pitch: float) -> Iterator[tuple[int, 
     first = [c + (s - n * pitch) / 2 + pitch / 2 for c, s, n in zip(corner, size, (columns, rows), strict=True)]
     for row in range(rows):
         for column in range(columns):
-            yield row, column, first[0] + column * pitch, first[1] + row * pitch
+            yield first[0] + column * pitch, first[1] + row * pitch
 
 
 def _fitting_side(size: Point, usual: float, pitch: float, least: int) -> float:
@@ -162,8 +162,8 @@ def _fitting_side(size: Point, usual: float, pitch: float, least: int) -> float:
 
 def _squares(corner: Point, size: Point, pixel: float) -> Iterator[Square]:
     side = _fitting_side(size, 80.0 * pixel, _SPACING, 1)  # 80 px if there is space
-    for _, _, x, y in _positions(corner, size, _SPACING * side):
-        points = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * side / 2 @ _SLANTED.T + (x, y)
+    for centre in _positions(corner, size, _SPACING * side):
+        points = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * side / 2 @ _SLANTED.T + centre
         a, b, c, d = ((float(px), float(py)) for px, py in points)
         yield Square((a, b, c, d), _DARK)
 
@@ -180,10 +180,10 @@ def _gratings(profile: str) -> Callable[[Point, Point, float], Iterator[Grating]
         first = 0 if count > 1 else len(_FREQUENCIES) // 2 - 1
         chosen = [_FREQUENCIES[i] for i in np.linspace(first, len(_FREQUENCIES) - 1, count).round().astype(int)]
         wanted = [(f, angle) for f in chosen for angle in (_TILT, _TILT + math.pi / 2)]
-        for (_, _, x, y), (frequency, angle) in zip(positions, wanted, strict=False):
+        for centre, (frequency, angle) in zip(positions, wanted, strict=False):
             period = pixel / frequency
             across = max(1, round(side / period)) * period  # with whole periods, the mean is that of one period
-            yield Grating(profile, (x, y), (across, side), angle, period, 0.0, _DARK, bright, duty)
+            yield Grating(profile, centre, (across, side), angle, period, 0.0, _DARK, bright, duty)
 
     return panel
 
@@ -203,8 +203,8 @@ def _dots(corner: Point, size: Point, pixel: float) -> Iterator[Dots]:
     middle = np.array(corner) + np.array(size) / 2
     inner = tuple(s / (np.cos(_SLANT) + np.sin(_SLANT) * max(size) / min(size)) for s in size)
     points = [
-        tuple(float(v) for v in _SLANTED @ (x, y) + middle)
-        for _, _, x, y in _positions((-inner[0] / 2, -inner[1] / 2), (inner[0], inner[1]), _PITCH * pixel)
+        tuple(float(v) for v in _SLANTED @ centre + middle)
+        for centre in _positions((-inner[0] / 2, -inner[1] / 2), (inner[0], inner[1]), _PITCH * pixel)
     ]
     if len(points) >= 9:
         yield Dots(tuple((x, y) for x, y in points), 1.3 * pixel, _PITCH * pixel, _INK)

@@ -179,7 +179,7 @@ def radial_distortion(positions: FloatArray, seen: FloatArray, shape: tuple[int,
     size = np.append(np.maximum(np.abs(start[:8]), 1e-6), 0.01)
 
     def off(p: FloatArray) -> FloatArray:
-        return (_project(np.append(p * size, 0.0), at, (shape[0], shape[1])) - seen).ravel()
+        return (_project(np.append(p * size, np.zeros(6)), at, (shape[0], shape[1])) - seen).ravel()
 
     plain = least_squares(off, start / size, x_scale="jac")
     # Wrong positions have little weight.
@@ -254,15 +254,14 @@ def _project(
 ) -> FloatArray:
     """Project points on the page (mm) to the image (px).
 
-    `parameters`: eight of the homography, two of the distortion, and optionally five of the curvature: three of a quadratic
-    height relative to that of the camera, and the camera's foot point, all in widths of the page from its centre.
+    `parameters`: eight of the homography, two of the distortion, and five of the curvature: three of a quadratic height
+    relative to that of the camera, and the camera's foot point, all in widths of the page from its centre.
     """
-    if len(parameters) > 10 and np.any(parameters[10:13]):
-        xx, xy, yy, foot_x, foot_y = parameters[10:15]
-        x, y = ((points - np.array(page) / 2) / page[0]).T
-        height = xx * x * x + xy * x * y + yy * y * y
-        # A raised point appears at the intersection of its ray with the plane.
-        points = points + page[0] * np.stack([height * (x - foot_x), height * (y - foot_y)], axis=-1)
+    xx, xy, yy, foot_x, foot_y = parameters[10:]
+    x, y = ((points - np.array(page) / 2) / page[0]).T
+    height = xx * x * x + xy * x * y + yy * y * y
+    # A raised point appears at the intersection of its ray with the plane.
+    points = points + page[0] * np.stack([height * (x - foot_x), height * (y - foot_y)], axis=-1)
     h = np.append(parameters[:8], 1.0).reshape(3, 3)
     u, v, w = h @ np.stack([points[:, 0], points[:, 1], np.ones(len(points))])
     u, v = u / w, v / w
