@@ -64,7 +64,7 @@ def test_all_targets_tell_of_one_camera(tmp_path, size, cfa):
         chi2, count = agree(of_kind(found, kind), shot, 0.001)
         assert abs(chi2 / count - 1) < 4.5 * np.sqrt(2 / count), (kind, chi2, count)
     assert found.grids[0].sigma.mean() == pytest.approx(0.5, rel=0.01)
-    field = lens_over_field(dot_positions(chart, found), size[::-1])
+    field = lens_over_field(dot_positions(found.grids), size[::-1])
     # the drawing states where the pinhole saw what is seen at r: r (1 + 0.02 r^2), the other way round
     seen = 0.6
     pinhole = field.true_position(field.centre[0] + seen * field.unit, field.centre[1])[0] - field.centre[0]

@@ -7,13 +7,12 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from matcam.calibration.camera.consensus import in_consensus, refuse_too_few
 from matcam.calibration.camera.joint_fit import Measurements, edge_measurements, value_measurements
 from matcam.calibration.camera.lens_over_field import BlurSamples, lens_over_field
 from matcam.calibration.camera.processed_pictures import Processed, processed
-from matcam.calibration.chart.chart import Chart, Dots, Grating, Star
+from matcam.calibration.chart.chart import Chart, Grating, Star
 from matcam.calibration.chart.marks import balanced
 from matcam.calibration.chart.registration import Projection, pixel_box, register_chart
 from matcam.calibration.edge.edge_result import EdgeStack
@@ -23,8 +22,9 @@ from matcam.calibration.photograph.tone import Tone
 from matcam.calibration.photograph.unnamed_mosaic import refuse_unnamed_mosaic
 from matcam.calibration.search.edge_search import described_edges, find_edges
 from matcam.calibration.search.photograph_edges import edge_remarks, plane_edge_stack
+from matcam.calibration.targets.grid import DotGrid
 from matcam.calibration.targets.mtf_samples import MTFSamples
-from matcam.calibration.targets.targets import Targets, measure_targets
+from matcam.calibration.targets.targets import measure_targets
 from matcam.camera.lens_field import LensField
 from matcam.core.errors import ArgumentError, FitError
 from matcam.core.remark import Remark
@@ -226,7 +226,7 @@ def measure_picture(
             seen = balanced(values) if mosaic else plane.values
             registration = register_chart(seen, chart)
             edges = described_edges(seen, chart, registration)
-        even = plane if registration is None else _without_waves(plane, chart, registration)
+        even = plane if chart is None or registration is None else _without_waves(plane, chart, registration)
         software = processed(even, accept=accept_sharpened)
         remarks += [r.about(plane.channel) for r in software.remarks]
         result: EdgeStack | None = None
@@ -235,7 +235,7 @@ def measure_picture(
         if chart is not None:
             targets = measure_targets(plane, chart, registration=registration, half_width=half_width)
             samples = targets.samples
-            dots = dot_positions(chart, targets)
+            dots = dot_positions(targets.grids)
             assumed = any(remark.code == "tone-assumed" for remark in plane.remarks)
             printed_remarks = [targets.printed.remark(assumed=assumed)] if targets.printed is not None else []
             remarks += [r.about(plane.channel) for r in (*targets.problems, *printed_remarks) if r]
@@ -253,11 +253,11 @@ def measure_picture(
     return findings, remarks
 
 
-def _without_waves(plane: LinearImage, chart: Chart | None, registration: Projection) -> LinearImage:
+def _without_waves(plane: LinearImage, chart: Chart, registration: Projection) -> LinearImage:
     """Remove gratings and stars from a plane, because their finest waves would increase the noise estimate."""
     values, turn = plane.values.copy(), np.linspace(0, 2 * np.pi, 33)
     rim = np.stack([np.cos(turn), np.sin(turn)], axis=-1)
-    for element in chart.elements if chart is not None else ():
+    for element in chart.elements:
         if isinstance(element, Star | Grating):
             round_it = element.corners if isinstance(element, Grating) else element.centre + element.outer * rim
             # The margin of 6 px includes the blur of a grating or star.
@@ -277,18 +277,10 @@ def _nothing_measured(chart: Chart, registration: Projection) -> FitError:
     )
 
 
-def dot_positions(chart: Chart, targets: Targets) -> tuple[BlurSamples, ...]:
-    """List the positions of all measured dots in the image and on the page, assigned with the registration."""
-    printed = [np.array(one.centres, dtype=float) for one in chart.elements if isinstance(one, Dots)]
-    if not printed or not targets.grids:
-        return ()
-    page = np.concatenate(printed)
-    expected = cKDTree(targets.registration(page))
-    positions = []
-    for grid in targets.grids:
-        seen = np.column_stack([grid.x, grid.y])
-        positions.append((seen, grid.sigma, grid.sigma_std, page[expected.query(seen)[1]]))
-    return (BlurSamples(*(np.concatenate(column) for column in zip(*positions, strict=True))),)
+def dot_positions(grids: Sequence[DotGrid]) -> tuple[BlurSamples, ...]:
+    """List the positions of all measured dots in the image and on the page as one group; empty without grids."""
+    columns = [(np.column_stack([grid.x, grid.y]), grid.sigma, grid.sigma_std, grid.printed) for grid in grids]
+    return (BlurSamples(*map(np.concatenate, zip(*columns, strict=True))),) if columns else ()
 
 
 def _group(samples: MTFSamples) -> str:
@@ -328,18 +320,15 @@ class Evidence:
         """Convert all measurements to the form of the joint fit."""
         groups = [f"{source} (edges)" for edges, source, _ in self._stacks for _ in edges.good]
         groups += [_group(samples) for samples in self._samples]
+        # Targets in images that also have edges may be excluded, because edges are more reliable.
+        seen = {source for edges, source, _ in self._stacks if edges.good.size}
+        own = [s for f in self._findings if f.shape is not None and f.source in seen for s in f.samples]
         return Measurements(
             edge_measurements([(edges, lens_at(f_number)) for edges, _, f_number in self._stacks]),
             value_measurements([(s, lens_at(s.f_number)) for s in self._samples]),
             tuple(groups),
-            self._replaceable(),
+            frozenset(map(_group, own)),
         )
-
-    def _replaceable(self) -> frozenset[str]:
-        """List the groups of targets in images that also have edges, which are more reliable."""
-        seen = {source for edges, source, _ in self._stacks if edges.good.size}
-        own = [s for f in self._findings if f.shape is not None and f.source in seen for s in f.samples]
-        return frozenset(_group(s) for s in own)
 
     @property
     def software(self) -> list[Processed]:

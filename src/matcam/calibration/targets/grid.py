@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from matcam.calibration.chart.chart import Dots
 from matcam.calibration.chart.registration import Projection, check_projection_given, pixel_box
-from matcam.calibration.photograph.linear_image import LinearImage, measurable_region, region_of
+from matcam.calibration.photograph.linear_image import LinearImage, measurable_region, usable_region
 from matcam.calibration.photograph.tone import Tone
 from matcam.calibration.targets.dot_fit import FEWEST, SHARED, DotFit, DotLattice, find_dots, fit_dots, square_lattice
 from matcam.calibration.targets.mtf_samples import MTFSamples, with_units
@@ -107,6 +107,7 @@ class DotGrid:
         y: (n,) y of the dots in the image, px.
         sigma: (n,) lens width at each dot for the given half width of the pixel, px.
         sigma_std: (n,) standard deviation of `sigma`, px.
+        printed: (n, 2) positions (x, y) on the page, mm; in pitches if no chart describes the dots.
         samples: MTF of lens and pixel in zones of the field, not restricted to a Gaussian.
         field: smooth blur over the field.
         radius: mean radius of the dots in the image without blur, px.
@@ -128,6 +129,7 @@ class DotGrid:
     y: FloatArray
     sigma: FloatArray
     sigma_std: FloatArray
+    printed: FloatArray
     samples: tuple[MTFSamples, ...]
     field: BlurField
     radius: float
@@ -229,7 +231,7 @@ def dot_grid(
                 "radius of the dots relative to their pitch must be given: it cannot be distinguished from the blur"
             )
         size = float(checks.scalar("radius", checks.within("radius", radius, 0, 0.5, open_low=True, open_high=True)))
-        picture = measurable_region(image, roi, channel=channel, cfa=cfa, tone=tone)
+        picture = measurable_region(LinearImage.of(image, channel, cfa, tone, roi))
         lattice = square_lattice(*find_dots(picture.values))
     return _grid_result(picture, fit_dots(picture.values, lattice, size, half_width), half_width)
 
@@ -242,7 +244,7 @@ def _expected_dots(whole: LinearImage, dots: Dots, projection: Projection) -> tu
         raise FitError("the grid of dots lies outside the image: give an image that contains the whole grid")
     box = pixel_box(seen[inside], whole.shape, 8)
     x, y = (seen[inside] - box[:2]).T
-    return region_of(whole, box), DotLattice(x, y, *printed[inside].T)
+    return usable_region(whole.cut(box)), DotLattice(x, y, *printed[inside].T)
 
 
 def _grid_result(picture: LinearImage, fit: DotFit, half_width: float) -> DotGrid:
@@ -259,6 +261,7 @@ def _grid_result(picture: LinearImage, fit: DotFit, half_width: float) -> DotGri
         y + top,
         sigma,
         fit.std[:, 6] / (2 * sigma),
+        np.column_stack([fit.lattice.u, fit.lattice.v]),
         tuple(_zone_samples(picture, dots, half_width) for dots in zones),
         BlurField.through(x + left, y + top, variance, fit.std[:, 6]),
         fit.radius,
