@@ -33,9 +33,9 @@ def test_the_clearance_is_a_quantile_of_the_rows_with_samples():
     value[0, 3], value[1, 2:9], value[2] = np.nan, np.nan, np.nan
     curve, sigma = rng.normal(size=(3, 6)) * [1, 0.1, 0, 0, 0, 0], np.array([0.5, 0.8, 1.0])
     shape = CoreShape(sigma, np.zeros(3), np.full(3, 0.5), np.ones(3), np.ones(3))
-    found = SimpleNamespace(slope=curve[:, 1], free=SimpleNamespace(shape=shape))
+    found = SimpleNamespace(curve=curve, length=np.ones(3), slope=curve[:, 1], free=SimpleNamespace(shape=shape))
     rows = EdgeRegions(value, np.tile(y, (3, 1)), np.full((3, 30), x[0]), 1, None, 2)
     known, position = np.where(np.isfinite(value), x, np.nan), curve[:, :1] + curve[:, 1:2] * y
     ends = np.stack([position - np.nanmin(known, 2), np.nanmax(known, 2) - position])
     expected = np.nanquantile(ends, 0.1, axis=2).min(0) / np.hypot(1, curve[:, 1]) / np.sqrt(sigma**2 + 1 / 12)
-    np.testing.assert_allclose(clearance(found, rows, position), expected, rtol=1e-12, equal_nan=True)
+    np.testing.assert_allclose(clearance(found, rows), expected, rtol=1e-12, equal_nan=True)

@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 
 SIGNIFICANT = 5.0
 """Number of standard deviations above which a deviation is not noise. A normal value exceeds it with probability 6e-7."""
+IMPROBABLE = 1e-3
+"""Probability of the data under a model below which the model is rejected."""
 _ROBUST = 1.4826
 """Standard deviation of normal values divided by their median absolute value."""
 _FAR = 4.0

@@ -24,9 +24,7 @@ from matcam.core.errors import FitError
 from matcam.core.jax import AnyArray, jax, jnp
 from matcam.core.programs import kept_program
 from matcam.numerics.linalg import FLOOR, least_eigenvalue, scaled_inverse
-
-_IMPROBABLE = 1e-3
-"""Probability below which noise does not explain the scatter of the measurements."""
+from matcam.numerics.normal import IMPROBABLE
 
 
 class EdgeMeasurements(NamedTuple):
@@ -130,27 +128,20 @@ class JointFit(NamedTuple):
     shares: Shares
     precision: np.ndarray
 
-    def excess(self) -> tuple[float, float]:
-        """Compute the scatter of the blur between measurements: chi-square per degree of freedom, and its p-value."""
-        from scipy.special import chdtrc
-
-        information, score = self.shares.information[:, 0, 0], self.shares.score[:, 0]
-        known = information > 0
-        degrees = max(int(known.sum()) - 1, 1)
-        chi2 = float((score[known] ** 2 / information[known]).sum())
-        return chi2 / degrees, float(chdtrc(degrees, chi2))
-
     def observed_covariance(self) -> np.ndarray:
         """Compute the covariance of the parameters (k, k) from the scatter of the measurements.
 
         If noise explains the scatter, the result is the covariance from the noise. Otherwise the sandwich estimator is used,
         which treats the measurements as independent draws.
         """
-        _, probability = self.excess()
-        count = len(self.shares.score)
-        if probability > _IMPROBABLE or count < 4:
+        from scipy.special import chdtrc
+
+        information, score = self.shares.information[:, 0, 0], self.shares.score
+        known, count = information > 0, len(score)
+        chi2 = float((score[known, 0] ** 2 / information[known]).sum())
+        if chdtrc(max(int(known.sum()) - 1, 1), chi2) > IMPROBABLE or count < 4:
             return self.covariance
-        score = self.shares.score - self.shares.score.mean(0)
+        score = score - score.mean(0)
         spread = score.T @ score * count / (count - 1)
         wide = self.covariance @ (spread + np.diag(self.precision)) @ self.covariance
         # The result is never smaller than the covariance from the noise.

@@ -12,6 +12,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from matcam.calibration.camera.evidence import EdgeTable
+from matcam.calibration.chart.registration import FEWEST_POSITIONS
 from matcam.core.remark import Remark
 from matcam.numerics.normal import SIGNIFICANT, robust_fit
 
@@ -19,8 +20,6 @@ _SAME = 2.0
 """Largest distance between the centres of one edge in two colours, px."""
 _SAME_DIRECTION = np.radians(3.0)
 """Largest angle between the normals of one edge in two colours, rad."""
-_FEWEST, _MANY = 12, 24
-"""Smallest number of edges for a constant magnification, and for one that changes over the field."""
 _REMARKABLE = 0.1
 """Displacement in the corners above which a remark is given, px."""
 
@@ -65,13 +64,14 @@ def lateral_colour(of: EdgeTable, reference: EdgeTable, shape: tuple[int, int]) 
         positions.append(there[nearest][same])
         normals.append(normal)
         moved.append(((here - there[nearest])[same] * normal).sum(1))
-    if sum(map(len, positions)) < _FEWEST:
+    if sum(map(len, positions)) < FEWEST_POSITIONS:
         return None
     at, normal, off = (np.concatenate(parts) for parts in (positions, normals, moved))
     from_middle = (at - middle) / unit
     out = (from_middle * normal).sum(1)
     columns = [normal[:, 0], normal[:, 1], out]
-    if len(off) >= _MANY:
+    # A magnification that changes over the field requires twice as many edges.
+    if len(off) >= 2 * FEWEST_POSITIONS:
         columns.append(out * (from_middle**2).sum(1))
     fit = robust_fit(np.column_stack(columns), off)
     covariance, corner = fit.covariance * fit.chi2, (np.arange(len(columns)) >= 2).astype(float)

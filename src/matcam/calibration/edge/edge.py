@@ -232,9 +232,8 @@ def edge_stack(
         if settings.lens.name != "gaussian":
             of_lens = lambda edge: lens_fit(edge, np.float64(settings.half_width), settings.lens)  # noqa: E731
             fits = fits._replace(parametric=_of_each(len(fits.outliers), of_lens, fits))
-        crossings = given.crossings(fits)
-        clear = clearance(fits, given, crossings)
-        refused = refusals(fits, given, crossings, clear, accept_sharpened=settings.accept_sharpened)
+        clear = clearance(fits, given)
+        refused = refusals(fits, given, clear, accept_sharpened=settings.accept_sharpened)
         problems += [before or refusal for before, refusal in zip(known, refused, strict=True)]
         frame = RegionFrame(*(np.broadcast_to(column, len(rows.value)) for column in rows.frame))
         chunks.append((fits, frame, clear))

@@ -23,7 +23,7 @@ from matcam.calibration.edge.parametric_result import (
     with_nan,
 )
 from matcam.calibration.edge.profiles import LensModel
-from matcam.calibration.edge.rows import MISFIT, SHARPENED, RegionFrame
+from matcam.calibration.edge.rows import MISFIT, RegionFrame
 from matcam.calibration.photograph.linear_filters import BareEdge
 from matcam.core import checks
 from matcam.core.arrays import tuple_map
@@ -127,11 +127,6 @@ class EdgeMTF(Summarised, EdgeValues[float]):
     def remarks(self) -> tuple[Remark, ...]:
         """Remarks on this edge."""
         remarks = list(self.given)
-        # If the levels are uncertain, a lens may seem to overshoot them.
-        narrow = any(remark.code == "narrow-region" for remark in self.given)
-        if self.overshoot > SHARPENED and not narrow:
-            text = f"the edge overshoots by {self.overshoot:.1%}: the image is sharpened, and the MTF includes the sharpening"
-            remarks.append(Remark("sharpened", text))
         if self.excess > 1:
             raised = np.sqrt(self.excess)
             text = f"the scatter of the pixels exceeds their noise: standard deviations were multiplied by {raised:.1f}"
@@ -272,11 +267,9 @@ class EdgeMTF(Summarised, EdgeValues[float]):
         return BareEdge(distance, spread, value, std, parametric, light, blur)
 
     def _curve(self, function: Any, distance: ArrayLike) -> SampledCurve:
-        at = checks.number("distance", np.asarray(distance))
-        # The padded length is a multiple of 512, so that one compiled program serves most calls.
-        padded = np.pad(np.asarray(at).ravel(), (0, -at.size % 512))
-        found = function(self.fits.free, padded)
-        return SampledCurve(*(np.asarray(a)[: at.size].reshape(at.shape) for a in found))
+        at = np.asarray(checks.number("distance", np.asarray(distance)))
+        found = function(self.fits.free, at.ravel())
+        return SampledCurve(*(np.reshape(a, at.shape) for a in found))
 
 
 @dataclass(frozen=True, eq=False, repr=False)

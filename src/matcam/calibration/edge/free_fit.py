@@ -20,6 +20,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from scipy.special import chdtri
 
 from matcam.calibration.edge.free_curve import (
     CENTRES,
@@ -40,7 +41,7 @@ from matcam.calibration.edge.maximum_likelihood import ADDED, SHIFT, EdgeModel, 
 from matcam.calibration.photograph.uneven_light import GLARE_STD
 from matcam.core.arrays import changed, first_axis_map, last_of, linalg, slope_along, special, xp
 from matcam.numerics.linalg import lifted_inverse
-from matcam.numerics.normal import SIGNIFICANT
+from matcam.numerics.normal import IMPROBABLE, SIGNIFICANT
 
 if TYPE_CHECKING:
     from matcam.core.jax import jax
@@ -58,8 +59,6 @@ _VEIL_COST = 4.0
 
 Such glare resembles uneven light, which is more frequent.
 """
-_LEAST_COST = 10.8
-"""Smallest increase of 2 ln likelihood that a parameter of the light requires. Noise exceeds it with probability 1e-3."""
 _COLUMN = SHIFT + GLARE
 """Index of the column of the glare. The column is 0 until glare is tested."""
 
@@ -240,7 +239,8 @@ def _chosen_light(
     degrees = xp.maximum((cells.pixels > 0).sum() - len(_PRECISIONS), 1.0)
     scatter = xp.maximum(xp.min(chi2 - rise) / degrees, 1.0)
     chi2, rise = chi2 / scatter, rise / scatter
-    by_parameter = xp.maximum(per_parameter, _LEAST_COST) * LIGHTS.sum(1)
+    # Noise increases 2 ln likelihood by more than the smallest cost with probability `IMPROBABLE`.
+    by_parameter = xp.maximum(per_parameter, chdtri(1, IMPROBABLE)) * LIGHTS.sum(1)
     cost = chi2 + by_parameter - xp.where(rise > FOUND, rise - 2 * per_parameter, 0.0)
     return xp.asarray(xp.take(LIGHTS, xp.argmin(cost), axis=0))
 

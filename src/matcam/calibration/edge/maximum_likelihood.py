@@ -19,6 +19,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from scipy.special import chdtri
 
 from matcam.calibration.edge.geometry import (
     CURVE,
@@ -30,6 +31,7 @@ from matcam.calibration.edge.geometry import (
 )
 from matcam.core.arrays import changed, linalg, xp
 from matcam.numerics.linalg import lifted_inverse
+from matcam.numerics.normal import IMPROBABLE
 
 if TYPE_CHECKING:
     from matcam.core.jax import AnyArray, jax
@@ -175,8 +177,6 @@ _CLEAR = 4.0
 """Significance above which an edge is reported as rough, in standard deviations."""
 _BOWS = 3
 """Number of coefficients of an edge that is straight or bowed. Higher orders describe an S shape, dirt or a torn border."""
-_HIGHER_ORDERS = 16.3
-"""Increase of 2 ln likelihood above which the three higher orders are free. Noise exceeds it with probability 1e-3."""
 
 
 def curve_step(phased: PhasedRows, cells: EdgeCells, at: EdgeModel, noise: Noise) -> CurveStep:
@@ -235,7 +235,7 @@ def _of_seen_orders(normal: jax.Array, score: jax.Array, curve: jax.Array) -> tu
     change = free @ score
     # The inverse covariance of the higher orders is a Schur complement.
     beyond, inverse = (curve + change)[_BOWS:], (normal - normal @ bow @ normal)[_BOWS:, _BOWS:]
-    seen = beyond @ inverse @ beyond > _HIGHER_ORDERS
+    seen = beyond @ inverse @ beyond > chdtri(CURVE - _BOWS, IMPROBABLE)
     # Change of the coefficients that sets the higher orders to 0.
     without = xp.where(np.arange(CURVE) < _BOWS, 0.0, -curve)
     bowed = without + bow @ (score - normal @ without)

@@ -29,7 +29,6 @@ from matcam.calibration.edge.unexplained import estimated_noise, misfit_of, with
 from matcam.core import checks
 from matcam.core.arrays import (
     changed,
-    compiled_by_jax,
     either,
     jacobian,
     last_of,
@@ -38,22 +37,20 @@ from matcam.core.arrays import (
     xp,
 )
 from matcam.numerics.linalg import lifted_inverse
+from matcam.numerics.normal import SIGNIFICANT
 
 if TYPE_CHECKING:
     from matcam.core.jax import AnyArray, jax
 
 _STEPS = 3
 """Number of steps of Fisher scoring for the Gaussian lens in each turn."""
-_EXPECTED = 1.4
-"""Chi-square per degree of freedom above which the variances are scaled: 4 sigma for about 200 bins."""
 
 
 class LensFit(NamedTuple):
     """Maximum likelihood fit of a lens model.
 
     Attributes:
-        state: fitted parameters.
-        covariance: covariance matrix of size LINEAR + k.
+        profile: (k,) fitted parameters of the lens.
         chi2: chi-square of the bins for the given noise.
         degrees: degrees of freedom: number of bins minus number of parameters.
         misfit_probability: probability of the residuals, from a test by the free curve.
@@ -64,8 +61,7 @@ class LensFit(NamedTuple):
         mtf50: MTF50, cycles/px.
     """
 
-    state: State
-    covariance: jax.Array
+    profile: jax.Array
     chi2: jax.Array
     degrees: jax.Array
     misfit_probability: jax.Array
@@ -196,9 +192,10 @@ def edge_fits(
     glares = rise > free_fit.FOUND * xp.where(known, 1.0, xp.maximum(left / linear.degrees, 1.0))
     plain = lambda fit, _: free_fit.curve_without_glare(fit)  # noqa: E731
     free = either(glares, free_fit.curve_with_glare, plain, linear, log_radius)
-    # An estimate of the noise from neighbours may be incomplete: the scatter about the free curve then scales the variances.
+    # An estimate of the noise from neighbours may be incomplete: a significant scatter about the free curve then scales the
+    # variances.
     scatter = (linear.chi2 - xp.where(glares, rise, 0.0)) / linear.degrees
-    excess = xp.where(scatter < _EXPECTED, 1.0, scatter)
+    excess = xp.where(scatter < 1 + SIGNIFICANT * xp.sqrt(2 / linear.degrees), 1.0, scatter)
     free = free._replace(covariance=free.covariance * excess)
     misfit = misfit_of(linear, free, excess)
     widened = partial(with_unexplained, roughness=moved.roughness, misfit=misfit)
@@ -233,7 +230,6 @@ def edge_fits(
     )
 
 
-@compiled_by_jax
 @checks.trusted()
 def lens_fit(found: EdgeFits, half_width: AnyArray | np.float64, lens: LensModel) -> LensFit:
     """Compute the parametric estimate for another lens model."""
@@ -268,10 +264,8 @@ def _fits_of_stack(
 ) -> EdgeFits:
     from matcam.core.jax import jax
 
-    def of_one(value: jax.Array, y: jax.Array, start: jax.Array) -> EdgeFits:
-        return edge_fits(value, y, start, noise, half_width, step, turns)
-
-    return jax.vmap(of_one)(values, y, start)
+    fit = partial(edge_fits, noise=noise, half_width=half_width, step=step, turns=turns)
+    return jax.vmap(fit)(values, y, start)
 
 
 def _climb(cells: EdgeCells, state: State, lens: LensModel, profile: Profile, noise: Noise, steps: int) -> State:
@@ -301,9 +295,7 @@ def _lens_fit(
     """Compute the result of a fit of a lens model, `at`. `widened`: `with_unexplained` for this edge."""
     parameters = at.state.profile
     weight = cells.pixels / noise.variance(at.value, cells.dim)
-    covariance = excess * lifted_inverse((at.design * weight) @ at.design.T)
-    lens_covariance = covariance[LINEAR:, LINEAR:]
-
+    lens_covariance = excess * lifted_inverse((at.design * weight) @ at.design.T)[LINEAR:, LINEAR:]
     numbers, by = _with_slopes(lens.numbers, parameters)
 
     def response(f: jax.Array) -> SampledCurve:
@@ -313,8 +305,7 @@ def _lens_fit(
 
     mtf = response(xp.asarray(FREQUENCIES))
     return LensFit(
-        state=at.state,
-        covariance=covariance,
+        profile=parameters,
         chi2=(weight * (cells.value - at.value) ** 2).sum(),
         degrees=(cells.pixels > 0).sum() - parameters.size - LINEAR,
         misfit_probability=free_fit.misfit_probability(free, at),

@@ -16,12 +16,10 @@ from matcam.camera.pixel import BoxPixel
 from matcam.core.arrays import xp
 from matcam.core.io import plain
 from matcam.core.results.summary import Quantity, Summarised, Summary, correlations, parameters
+from matcam.numerics.normal import IMPROBABLE
 
 if TYPE_CHECKING:
     from matcam.core.jax import AnyArray
-
-_WRONG = 1e-3
-"""Probability of the residuals under a lens model below which the model is rejected."""
 
 Number = TypeVar("Number", float, np.ndarray)
 """Type of a value: a float for one edge, an array (n,) for a stack."""
@@ -90,7 +88,7 @@ class _LensNumbers(Generic[Number]):
 
         The significance level is 0.1 %. For a stack, the result is a mask (n,).
         """
-        return self.misfit_probability > _WRONG
+        return self.misfit_probability > IMPROBABLE
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -212,7 +210,7 @@ def parametric_stack(
     NaN.
     """
     probability = fit.misfit_probability
-    wrong = ~(probability > _WRONG)
+    wrong = ~(probability > IMPROBABLE)
 
     def std(own: SampledCurve, other: SampledCurve) -> np.ndarray:
         off = own.value - other.value
@@ -234,7 +232,7 @@ def parametric_stack(
         **{name: with_nan(value, bad) for name, value in numbers.items()},
         degrees=np.asarray(fit.degrees),
         lens=lens,
-        fitted=np.asarray(fit.state.profile),
+        fitted=np.asarray(fit.profile),
         half_width=half_width,
     )
 

@@ -44,6 +44,7 @@ from matcam.calibration.photograph.uneven_light import LightField
 from matcam.core.arrays import FloatArray
 from matcam.core.remark import Remark
 from matcam.numerics.crossing import first_fall
+from matcam.numerics.normal import SIGNIFICANT
 
 _SIDE = 40.0
 """Largest distance from the edge at which its response is sampled, px."""
@@ -251,13 +252,18 @@ def _sharpened(region: _EdgeRegion) -> list[Trace]:
     noise = region.noise
     over, std = region.edge.overshoot, max(region.edge.overshoot_std, 1e-4)
     apart = 0.0 if noise.smoothed else noise.apart
+    sure = over > max(SHARPENED, SIGNIFICANT * std)
     # JPEG causes ringing next to an edge
-    if over < (SHARPENED if noise.compressed else _OVERSHOOT) or (over / std + apart) / np.sqrt(2) < _SURE:
+    if not sure and (noise.compressed or over < _OVERSHOOT or (over / std + apart) / np.sqrt(2) < _SURE):
         return []
     # An unsharp mask increases MTF50 by 12 times its overshoot.
     share = 12.0 * over
-    text = f"the edge overshoots by {over:.1%}, as in a sharpened image: MTF50 may be too high by {share:.0%}"
-    return [Trace(share, Remark("sharpened", text) if over <= SHARPENED else None)]
+    text = f"the edge overshoots by {over:.1%}"
+    if sure:
+        text += ": the image is sharpened, and the MTF includes the sharpening"
+    else:
+        text += f", as in a sharpened image: MTF50 may be too high by {share:.0%}"
+    return [Trace(share, Remark("sharpened", text))]
 
 
 def _slightly_sharpened(region: _EdgeRegion) -> list[Trace]:

@@ -127,8 +127,8 @@ class EdgeRegions(NamedTuple):
 
         `curve`, `length`: as in `EdgeFits`.
         """
-        x = self.start[i][:, None] + self.step * np.arange(self.value.shape[2])
-        return np.asarray(edge_distance(curve, x, legendre(self.y[i] / length, CURVE), length))
+        x, _ = self.coordinates()
+        return np.asarray(edge_distance(curve, x[i], legendre(self.y[i] / length, CURVE), length))
 
     def crossings(self, fits: EdgeFits) -> np.ndarray:
         """Compute the positions at which the edges of all regions cross the rows (n, rows), px."""
@@ -145,9 +145,9 @@ def edge_region(
 ) -> tuple[LinearImage, EdgeRegions]:
     """Convert the region of an image that contains one edge to a linear plane and to rows.
 
-    The arguments are those of `region_of`. A RegionError is raised if the region is too large.
+    The arguments are those of `LinearImage.of`. A RegionError is raised if the region cannot be measured.
     """
-    region = measurable_region(image, roi, channel=channel, cfa=cfa, tone=tone)
+    region = measurable_region(LinearImage.of(image, channel, cfa, tone, roi))
     height, width = region.values.shape
     if height * width > _LARGEST:
         raise RegionError(
@@ -210,12 +210,10 @@ def program_size(size: int) -> int:
         power *= 2
 
 
-def refusals(
-    found: EdgeFits, region: EdgeRegions, crossings: np.ndarray, clear: np.ndarray, *, accept_sharpened: bool
-) -> list[Remark | None]:
+def refusals(found: EdgeFits, region: EdgeRegions, clear: np.ndarray, *, accept_sharpened: bool) -> list[Remark | None]:
     """List the reasons for which edges of a stack are rejected; None for an edge that was measured.
 
-    `crossings`: positions at which the edges cross the rows. `clear`: `clearance` of the edges.
+    `clear`: `clearance` of the edges.
     """
     dark, bright = found.state.linear[:, 0], found.state.linear[:, 1]
     contrast = (bright - dark) / np.maximum(found.residual, 1e-300)
@@ -223,7 +221,7 @@ def refusals(
     over, least = found.overshoot.value, np.maximum(SHARPENED, SIGNIFICANT * found.overshoot.std)
     width = region.step * (region.value.shape[2] - 1)
     lost = ~np.isfinite(contrast + blur + over + least) | (found.crossing < _LEAST_ROWS)
-    gap = _largest_gap(region, crossings, np.nan_to_num(found.slope))
+    gap = _largest_gap(found, region)
 
     glare = found.free.coefficients[:, GLARE]
     veiled = (glare > _VEILED) & (found.free.shape.radius > VEIL * width) & (found.misfit > MISFIT)
@@ -308,12 +306,9 @@ def describe_content(value: np.ndarray) -> str:
     return ""
 
 
-def clearance(found: EdgeFits, region: EdgeRegions, position: np.ndarray) -> np.ndarray:
-    """Compute the distance of edges from the borders of their regions (n,), in standard deviations of their blur.
-
-    `position`: positions at which the edges cross the rows.
-    """
-    there = np.isfinite(region.value)
+def clearance(found: EdgeFits, region: EdgeRegions) -> np.ndarray:
+    """Compute the distance of edges from the borders of their regions (n,), in standard deviations of their blur."""
+    there, position = np.isfinite(region.value), region.crossings(found)
     first, last = there.argmax(2), region.value.shape[2] - 1 - there[:, :, ::-1].argmax(2)
     off = np.stack([position - region.start - region.step * first, region.start + region.step * last - position])
     known = there.any(2)
@@ -324,12 +319,9 @@ def clearance(found: EdgeFits, region: EdgeRegions, position: np.ndarray) -> np.
     return nearest / np.hypot(1.0, np.nan_to_num(found.slope)) / line_width(found.free.shape)
 
 
-def _largest_gap(region: EdgeRegions, position: np.ndarray, slopes: np.ndarray) -> np.ndarray:
-    """Compute the largest gap between the distances of samples from the edge, px (n,).
-
-    `position`: positions at which the edges cross the rows. `slopes`: slopes of the edges.
-    """
-    offset = (position - region.start) / region.step
+def _largest_gap(found: EdgeFits, region: EdgeRegions) -> np.ndarray:
+    """Compute the largest gap between the distances of samples from the edge, px (n,)."""
+    offset = (region.crossings(found) - region.start) / region.step
     nearest = np.clip(np.rint(offset), 0, region.value.shape[2] - 1).astype(int)
     there = np.isfinite(np.take_along_axis(region.value, nearest[..., None], axis=2)[..., 0])
     crossed = there & (np.abs(offset - nearest) <= 0.5)
@@ -337,7 +329,7 @@ def _largest_gap(region: EdgeRegions, position: np.ndarray, slopes: np.ndarray) 
     for phases, seen in zip(offset % 1.0, crossed, strict=True):
         phase = np.sort(phases[seen])
         gaps.append(np.diff(phase, append=phase[:1] + 1).max(initial=0.0) if phase.size else np.inf)
-    return np.array(gaps) * region.step / np.hypot(1, slopes)
+    return np.array(gaps) * region.step / np.hypot(1, np.nan_to_num(found.slope))
 
 
 def _difference(values: np.ndarray, axis: int) -> np.ndarray:

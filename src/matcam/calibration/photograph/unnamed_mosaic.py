@@ -11,14 +11,14 @@ import numpy as np
 from matcam.calibration.photograph.linear_image import LinearImage
 from matcam.core.arrays import FloatArray
 from matcam.core.errors import FitError
-from matcam.numerics.normal import robust_std
+from matcam.numerics.normal import SIGNIFICANT, robust_std
 
 _LARGEST = 1024
 """Largest side of the central area that is tested, px. It limits the computing time."""
 _DARK = 0.2
 """Level relative to the bright parts of the image below which pixels are ignored, because noise dominates."""
-_ALTERNATING, _SIGNIFICANT = 0.03, 6.0
-"""Relative difference of alternating pixels above which an image is a mosaic; significance, standard deviations."""
+_ALTERNATING = 0.03
+"""Relative difference of alternating pixels above which an image is a mosaic."""
 _FEWEST = 30
 """Smallest number of pixels for a median."""
 
@@ -67,6 +67,6 @@ def _of_lines(values: FloatArray, dark: float) -> float:
             # Standard deviation of a median.
             std = max(1.25 * robust_std(part - end) / np.sqrt(part.size) for part, end in zip(parts, ends, strict=True))
             least = min(map(abs, ends))
-            if ends[0] * ends[1] > 0 and least > max(_ALTERNATING / 2, _SIGNIFICANT * std):
+            if ends[0] * ends[1] > 0 and least > max(_ALTERNATING / 2, SIGNIFICANT * std):
                 found = max(found, 2 * least)
     return found

@@ -17,6 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from matcam.calibration.chart.registration import FEWEST_POSITIONS
 from matcam.calibration.edge.edge import AT_ONCE, EdgeSettings, edge_stack
 from matcam.calibration.edge.edge_result import EdgeStack
 from matcam.calibration.edge.rows import EdgeRegions, RegionFrame, turns_for
@@ -34,8 +35,6 @@ _COLUMNS = (32, 48)
 """Possible lengths of the rows of a strip, px."""
 _LEAST_ROWS = 20
 """Smallest number of rows of a strip, px."""
-_FEWEST = 12
-"""Smallest number of edges for the estimate of the light, which has six parameters."""
 _RANGE = 20.0
 """Ratio of brightest and darkest light above which the estimate of the light is discarded as implausible."""
 _CONTRAST = 0.2
@@ -191,7 +190,7 @@ def regions_in_even_light(regions: Sequence[EdgeRegions]) -> list[EdgeRegions]:
     x, y = (np.concatenate([getattr(r.frame, axis) for r in regions]) for axis in "xy")
     bright = np.concatenate([_bright(r.value) for r in regions])
     good = bright > 0
-    if good.sum() < _FEWEST:
+    if good.sum() < FEWEST_POSITIONS:
         return list(regions)
     middle, scale = (x.mean(), y.mean()), max(float(np.ptp(x)), float(np.ptp(y)), 1.0)
 
@@ -201,7 +200,7 @@ def regions_in_even_light(regions: Sequence[EdgeRegions]) -> list[EdgeRegions]:
     design = powers(x, y)[good]
     # The bright sides scatter by at least 0.2 % about the light.
     light = robust_fit(design, np.log(bright[good]), least=0.002)
-    if light.kept.sum() < _FEWEST or np.ptp(design[light.kept] @ light.parameters) > np.log(_RANGE):
+    if light.kept.sum() < FEWEST_POSITIONS or np.ptp(design[light.kept] @ light.parameters) > np.log(_RANGE):
         return list(regions)
 
     def even(region: EdgeRegions) -> EdgeRegions:
