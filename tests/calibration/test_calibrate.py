@@ -344,7 +344,7 @@ def test_bad_arguments():
         calibrate([], samples=star, model="measured")
     mosaic = Photograph(picture, "RGGB", 1.0, True, Exif())
     with pytest.raises(ArgumentError, match="camera raw is linear"):
-        planes_of(mosaic, None, "srgb")
+        list(planes_of(mosaic, None, "srgb"))
     with pytest.raises(ArgumentError, match="channel 'Y' is not in this image; it has R, G, B"):
         planes_of(mosaic, ["Y"], None)
 

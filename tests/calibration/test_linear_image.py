@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from matcam import LinearImage
-from matcam.calibration.photograph.linear_image import planes_of, region_of
+from matcam.calibration.photograph.linear_image import planes_of, usable_region
 from matcam.core.errors import ArgumentError, FitError
 from matcam.files.photographs import Photograph
 from matcam.files.picture_header import Exif
@@ -70,7 +70,7 @@ def test_what_a_photograph_says_of_itself():
 def test_a_plane_goes_through_unchanged():
     plane = LinearImage(MOSAIC, source="a")
     assert LinearImage.of(plane) is plane
-    assert region_of(plane, (2, 4, 20, 30)).corner == (2, 4)
+    assert usable_region(plane.cut((2, 4, 20, 30))).corner == (2, 4)
     for options in ({"channel": "G"}, {"cfa": "RGGB"}, {"tone": "srgb"}):
         with pytest.raises(ArgumentError, match="already specified by the LinearImage"):
             LinearImage.of(plane, **options)
@@ -95,10 +95,10 @@ def test_what_is_refused():
         with pytest.raises(ArgumentError, match=words):
             LinearImage.of(MOSAIC, **options)
     with pytest.raises(ArgumentError, match="at least 16 x 16 px, got 8 x 20"):
-        region_of(MOSAIC, (0, 0, 8, 20))
+        usable_region(LinearImage.of(MOSAIC, roi=(0, 0, 8, 20)))
     white = np.where(np.arange(30) > 20, 255, 40).astype(np.uint8) * np.ones((40, 1), np.uint8)
     with pytest.raises(FitError, match="region is saturated: 30% of its samples are at 255, the end of their range"):
-        region_of(white)
-    assert region_of(white, (0, 0, 20, 20)).shape == (20, 20)
+        usable_region(LinearImage.of(white))
+    assert usable_region(LinearImage.of(white, roi=(0, 0, 20, 20))).shape == (20, 20)
     with pytest.raises(ArgumentError, match="camera raw is linear"):
         LinearImage.of(Photograph(MOSAIC, "RGGB", 1000.0, True, Exif()), "R", tone="srgb")

@@ -1,7 +1,7 @@
 """Linear colour plane of a photograph: the input of every estimator of this package.
 
 A mosaic is not demosaiced: the sites of a colour keep their positions, with NaN between them. A colour image provides one
-channel or its luminance. All estimators convert their argument `image` to such a plane with `region_of`, and `flaw` tests
+channel or its luminance. All estimators convert their argument `image` to such a plane with `LinearImage.of`, and `flaw` tests
 whether the region can be measured.
 """
 
@@ -230,19 +230,13 @@ class LinearImage:
         )
 
 
-def region_of(
-    image: ArrayLike | Photograph | LinearImage, roi: Sequence[int] | None = None, *, channel: str | None = None,
-    cfa: str | None = None, tone: Tone = "linear",
-) -> LinearImage:  # fmt: skip
-    """Convert the region of an image to a linear plane.
-
-    The arguments are those of `LinearImage.of`.
+def usable_region(region: LinearImage) -> LinearImage:
+    """Check the size and the exposure of a region, and return it.
 
     Raises:
-        ArgumentError: as in `LinearImage.of`, or the region is smaller than 16 x 16 px.
+        ArgumentError: the region is smaller than 16 x 16 px.
         FitError: more than 2 % of the samples of the region are saturated.
     """
-    region = LinearImage.of(image, channel, cfa, tone, roi)
     height, width = region.shape
     if min(height, width) < SMALLEST:
         raise ArgumentError(f"roi must be at least {SMALLEST} x {SMALLEST} px, got {width} x {height}")
@@ -256,13 +250,9 @@ def region_of(
     return region
 
 
-def measurable_region(
-    image: ArrayLike | Photograph | LinearImage, roi: Sequence[int] | None = None, *, channel: str | None = None,
-    cfa: str | None = None, tone: Tone = "linear",
-) -> LinearImage:  # fmt: skip
-    """Convert a region as `region_of`, and raise FitError if it has a `flaw`."""
-    region = region_of(image, roi, channel=channel, cfa=cfa, tone=tone)
-    if problem := flaw(region.values):
+def measurable_region(region: LinearImage) -> LinearImage:
+    """Check a region as `usable_region`, and raise FitError if it has a `flaw`."""
+    if problem := flaw(usable_region(region).values):
         raise FitError(problem.text)
     return region
 
@@ -314,7 +304,7 @@ def planes_of(
     `cfa`: colours of its first 2 x 2 px, if it is a mosaic whose file does not specify them.
 
     Raises:
-        ArgumentError: the photograph lacks one of the channels, or a tone curve is given for camera raw, which is linear.
+        ArgumentError: the photograph lacks one of the channels.
     """
     there: tuple[str, ...] = ("R", "G", "B")
     if (cfa or photograph.cfa) is None and photograph.values.ndim == 2:
@@ -322,8 +312,6 @@ def planes_of(
     for channel in channels or ():
         if channel not in there and not (channel == "Y" and photograph.values.ndim == 3):
             raise ArgumentError(f"channel {channel!r} is not in this image; it has {', '.join(there)}")
-    if photograph.cfa is not None and not is_named(tone, "linear", "auto"):
-        raise ArgumentError("camera raw is linear and has no tone curve: omit tone")
     names = there if channels is None else channels
     return (LinearImage.of(photograph, name, cfa, tone, f_number=f_number, source=source) for name in names)
 

@@ -16,7 +16,7 @@ from scipy.spatial import ConvexHull
 
 from matcam.calibration.chart.chart import PROFILES, Grating
 from matcam.calibration.chart.registration import Projection, check_projection_given, pixel_box
-from matcam.calibration.photograph.linear_image import SMALLEST, LinearImage, measurable_region, region_of
+from matcam.calibration.photograph.linear_image import SMALLEST, LinearImage, measurable_region, usable_region
 from matcam.calibration.photograph.tone import Tone
 from matcam.calibration.targets.mtf_samples import MTFSamples, with_units
 from matcam.calibration.targets.wave_fit import WaveFit, WavePixels, fit_wave, local_wave
@@ -25,11 +25,10 @@ from matcam.core import checks
 from matcam.core.arrays import FloatArray
 from matcam.core.errors import ArgumentError, FitError
 from matcam.files.photographs import Photograph
+from matcam.numerics.normal import SIGNIFICANT
 
 _USEFUL = 0.1
 """Standard deviation above which an MTF value is discarded."""
-_CLEAR = 6.0
-"""Smallest significance of the wave, standard deviations."""
 _LEFT = 0.05
 """Share of the variance in the residual above which the residual is tested for other structure."""
 _WHITE = 40.0
@@ -140,7 +139,7 @@ def grating_mtf(
     if grating is not None and projection is not None:
         whole = LinearImage.of(image, channel, cfa, tone)
         found, box = _expected_grating(grating, projection, whole.shape)
-        picture, printed = region_of(whole, box), grating
+        picture, printed = usable_region(whole.cut(box)), grating
     else:
         if contrast is None:
             raise ArgumentError(
@@ -152,7 +151,7 @@ def grating_mtf(
         # The sum of bright and dark level is arbitrary, because only ratios are used.
         duty = duty if profile == "lines" else 0.5
         printed = Grating(profile, (0, 0), (1, 1), 0.0, 1.0, 0.0, 1 - contrast, 1 + contrast, duty)
-        picture = measurable_region(image, roi, channel=channel, cfa=cfa, tone=tone)
+        picture = measurable_region(LinearImage.of(image, channel, cfa, tone, roi))
         found = find_grating(picture.values, near)
     fit, orders, *wave = _fit_grating(picture.values, found, printed)
     # The positions of the bright lines may be unknown. The MTF is then assumed to be positive at the first harmonic.
@@ -244,13 +243,13 @@ def _fit_grating(
     # The fundamental is fitted first. It determines the phase approximately.
     fit = None
     if pixels.value.size:
-        fit = fit_wave(pixels, found.phase, found.parameters, _constant, steps=4, rough=True)
+        fit = fit_wave(pixels, found.phase, found.parameters, _constant, steps=4)
     fit = fit and fit_wave(pixels, found.phase, fit.parameters, _constant, orders)
     if not fit:
         raise FitError(
             "the pixels of the grating do not determine its contrast: photograph the grating at a larger scale"
         )
-    if not fit.signal > _CLEAR:
+    if not fit.signal > SIGNIFICANT:
         raise FitError(
             f"region contains no grating that can be measured: the wave exceeds the noise by only {fit.signal:.1f} standard "
             "deviations; give a region with more contrast"

@@ -22,7 +22,7 @@ from matcam.calibration.photograph.linear_image import SMALLEST, LinearImage, me
 from matcam.calibration.photograph.tone import Tone
 from matcam.calibration.targets.mtf_samples import MTFSamples, with_units
 from matcam.calibration.targets.wave_fit import WaveFit, WavePixels, fit_wave, local_wave
-from matcam.calibration.targets.wave_search import FoundStar, StarPhase, find_star
+from matcam.calibration.targets.wave_search import MARGIN, FoundStar, StarPhase, find_star
 from matcam.core import checks
 from matcam.core.arrays import FloatArray
 from matcam.core.errors import FitError
@@ -33,8 +33,6 @@ _HIGHEST = 0.75
 """Highest frequency of the fit, cycles/px. Above it, the MTF of cameras is too small to be measured."""
 _FIRST = 0.2
 """Highest frequency of the first fit, before the phase is accurate, cycles/px."""
-_RIM = 4.0
-"""Width of the zones at both rims that are excluded, because blur mixes star and paper, px."""
 _OTHER = 0.05
 """Relative change of the mean level of a ring above which the ring does not belong to the star."""
 _DIRECTIONS = np.radians([0.0, 45.0, 90.0, 135.0])
@@ -43,8 +41,6 @@ _EXTRAPOLATED = 0.35
 """Highest frequency that is used to extrapolate an unknown contrast to frequency 0, cycles/px."""
 _LEFT = 0.5
 """Unexplained share of the variance at low frequencies above which the region is assumed to contain no star."""
-_CLEAR = 20.0
-"""Smallest significance of the wave, standard deviations."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,10 +144,10 @@ def star_mtf(
     if star is not None and projection is not None:
         whole = LinearImage.of(image, channel, cfa, tone)
         found, box = _expected_star(star, projection, whole.shape)
-        picture = measurable_region(whole, box)
+        picture = measurable_region(whole.cut(box))
         contrast = star.contrast if contrast is None else contrast
     else:
-        picture = measurable_region(image, roi, channel=channel, cfa=cfa, tone=tone)
+        picture = measurable_region(LinearImage.of(image, channel, cfa, tone, roi))
         found = find_star(picture.values, cycles)
     fit, edges = _fit_star(picture.values, found)
     return _star_result(picture, found, fit, edges, contrast)
@@ -201,7 +197,7 @@ def _fit_star(values: FloatArray, found: FoundStar) -> tuple[WaveFit, tuple[floa
     for highest in (_FIRST, 0.4, _HIGHEST):
         frequency = local_wave(phase, parameters, x, y).frequency
         radius = np.hypot(x - parameters[0], y - parameters[1])
-        mask = known & (radius < phase.outer - _RIM) & (radius > inner + _RIM) & (frequency < highest)
+        mask = known & (radius < phase.outer - MARGIN) & (radius > inner + MARGIN) & (frequency < highest)
         if mask.sum() < 500:
             continue
         # The first estimates of the phase use 20,000 pixels.
@@ -218,7 +214,11 @@ def _fit_star(values: FloatArray, found: FoundStar) -> tuple[WaveFit, tuple[floa
                 f"region contains no Siemens star: a star leaves {left:.0%} of its variance unexplained; "
                 "give a region of one star"
             )
-    if fit is None or not fit.signal > _CLEAR or np.hypot(*(parameters[:2] - found.parameters[:2])) > phase.outer / 4:
+    if (
+        fit is None
+        or not fit.signal > SIGNIFICANT
+        or np.hypot(*(parameters[:2] - found.parameters[:2])) > phase.outer / 4
+    ):
         raise FitError(
             "region contains no Siemens star that can be measured: photograph the star at a larger scale, or with more contrast"
         )
@@ -231,7 +231,7 @@ def _inner_rim(radius: FloatArray, value: FloatArray, found: FoundStar) -> float
     count = np.maximum(np.bincount(ring), 1)
     mean = np.bincount(ring, value) / count
     inside = np.arange(len(mean)) <= found.inner
-    known = mean[(np.arange(len(mean)) > found.inner) & (np.arange(len(mean)) < found.phase.outer - _RIM)].mean()
+    known = mean[(np.arange(len(mean)) > found.inner) & (np.arange(len(mean)) < found.phase.outer - MARGIN)].mean()
     other = inside & (np.abs(mean / known - 1) > _OTHER)
     return float(np.flatnonzero(other).max(initial=0))
 

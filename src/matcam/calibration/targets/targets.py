@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from matcam.calibration.chart.chart import Chart, Dots, Grating, Star
 from matcam.calibration.chart.printed_levels import PrintedLevels, printed_levels
 from matcam.calibration.chart.registration import Projection, register_chart
-from matcam.calibration.photograph.linear_image import LinearImage, region_of
+from matcam.calibration.photograph.linear_image import LinearImage, usable_region
 from matcam.calibration.photograph.tone import Tone
 from matcam.calibration.targets.gratings import grating_mtf
 from matcam.calibration.targets.grid import DotGrid, dot_grid
@@ -117,9 +117,8 @@ def measure_targets(
     if registration is None:
         # All pixels of a mosaic are used to find the chart, because its position hardly depends on the colour.
         mosaic = cfa is not None
-        registration = register_chart(
-            region_of(image, tone=tone) if mosaic else region_of(picture), chart, mosaic=mosaic
-        )
+        whole = usable_region(LinearImage.of(image, tone=tone) if mosaic else picture)
+        registration = register_chart(whole, chart, mosaic=mosaic)
     samples: list[MTFSamples] = []
     grids: list[DotGrid] = []
     unmeasured: dict[str, dict[int, str]] = {}

@@ -115,12 +115,11 @@ def fit_wave(
     orders: tuple[int, ...] = (1,),
     *,
     steps: int = 8,
-    rough: bool = False,
 ) -> WaveFit | None:
     """Fit a wave to pixels, or return None if they do not determine it.
 
     `start`: initial parameters of the phase. `basis`: functions b_k. `orders`: orders h_k of the harmonics. `steps`: largest
-    number of steps with a free phase. `rough`: stop at a phase error of 0.01 rad.
+    number of steps with a free phase.
     """
     (value, x, y), scale = pixels, phase.scale
     u, v = ((c - c.mean()) / max(float(np.ptp(c)) / 2, 1.0) for c in (x, y))
@@ -160,9 +159,9 @@ def fit_wave(
         parameters = parameters + shift
         if not (np.isfinite(change).all() and np.isfinite(parameters).all()):
             return None
-        # The fit has converged if the phase changes by less than 1e-4 rad, or 0.01 rad in a preliminary fit. At least 4
-        # steps are made, so that the weights follow from the noise.
-        if np.abs(shift / scale).max() < (1e-2 if rough else 1e-4) and step > (1 if rough else 4):
+        # The fit has converged if the phase changes by less than 1e-4 rad. At least 4 steps are made, so that the weights
+        # follow from the noise.
+        if np.abs(shift / scale).max() < 1e-4 and step > 4:
             break
     last = inverse[light.size + coefficients.size :, light.size + coefficients.size :]
     std = np.sqrt(np.maximum(np.diag(last), 0))

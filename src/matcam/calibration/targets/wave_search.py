@@ -23,7 +23,7 @@ from matcam.core.errors import FitError
 from matcam.numerics.polynomials import plane_orders, plane_powers
 
 MARGIN = 4.0
-"""Distance from the border of a grating within which its surroundings affect the pixels, px."""
+"""Distance from the border of a grating or star within which blur mixes it with its surroundings, px."""
 _CLEAR_IN_RING = 0.5
 """Smallest share of the power on a ring that belongs to its wave."""
 _KEPT = 0.8
