@@ -159,6 +159,13 @@ def test_slight_sharpening_at_length():
             assert min(seen[name] for name in ("gaussian 0.7", "disc 3.0")) >= 0.4
 
 
+def test_an_overshoot_within_its_noise_is_no_sharpening():
+    counts = oracle.exposed(oracle.levels(oracle.response(0.5, 6.0)), 8, np.random.default_rng(26))
+    edge = edge_mtf_stack(counts[None])[0]
+    assert 0.02 < edge.overshoot < 5 * edge.overshoot_std
+    assert edge.remarks == ()
+
+
 def test_noise_behind_a_mask_errs_apart():
     rng = np.random.default_rng(71)
     dark = np.zeros((100, 120), bool)
