@@ -39,6 +39,8 @@ _DIRECTIONS = np.radians([0.0, 45.0, 90.0, 135.0])
 """Directions of the reported MTF, rad. They determine the four functions of direction."""
 _EXTRAPOLATED = 0.35
 """Highest frequency that is used to extrapolate an unknown contrast to frequency 0, cycles/px."""
+_CLEAR = 20.0
+"""Smallest significance of the wave, standard deviations. The centre of a star is searched, which increases chance."""
 _LEFT = 0.5
 """Unexplained share of the variance at low frequencies above which the region is assumed to contain no star."""
 
@@ -214,11 +216,7 @@ def _fit_star(values: FloatArray, found: FoundStar) -> tuple[WaveFit, tuple[floa
                 f"region contains no Siemens star: a star leaves {left:.0%} of its variance unexplained; "
                 "give a region of one star"
             )
-    if (
-        fit is None
-        or not fit.signal > SIGNIFICANT
-        or np.hypot(*(parameters[:2] - found.parameters[:2])) > phase.outer / 4
-    ):
+    if fit is None or not fit.signal > _CLEAR or np.hypot(*(parameters[:2] - found.parameters[:2])) > phase.outer / 4:
         raise FitError(
             "region contains no Siemens star that can be measured: photograph the star at a larger scale, or with more contrast"
         )
