@@ -8,10 +8,11 @@ from typing import Annotated, Any
 import typer
 
 from matcam.cli import show
+from matcam.cli.inputs import check_inputs
 from matcam.cli.options import AsJson, Force, Sampling, option, use_caches
 from matcam.cli.rig_options import DistantRig, RigOptions
 from matcam.core.errors import OutputError
-from matcam.core.io import check_inputs, check_output, write_json
+from matcam.core.io import check_output, write_json
 from matcam.files.formats import MEASUREMENTS, format_for, suffixes_for, titles_for
 
 

@@ -9,6 +9,7 @@ import typer
 
 from matcam.cli import show
 from matcam.cli.fit import print_fit
+from matcam.cli.inputs import check_inputs
 from matcam.cli.options import (
     AsJson,
     Budget,
@@ -23,7 +24,7 @@ from matcam.cli.options import (
 )
 from matcam.cli.rig_options import RigOptions, TableRig
 from matcam.core.errors import ArgumentError
-from matcam.core.io import check_inputs, check_outputs, where_written
+from matcam.core.io import check_outputs, where_written
 from matcam.core.readers.names import is_folder
 
 

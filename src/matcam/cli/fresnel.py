@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from matcam.cli import show
+from matcam.cli.inputs import check_inputs
 from matcam.cli.options import (
     AsJson,
     Budget,
@@ -21,7 +22,7 @@ from matcam.cli.options import (
 )
 from matcam.cli.rig_options import RigOptions, TableRig
 from matcam.core.errors import ArgumentError
-from matcam.core.io import check_inputs, check_outputs, check_picture, write_columns
+from matcam.core.io import check_outputs, check_picture, write_columns
 
 _ANGLES = (10, 30, 45, 60, 70, 75, 80, 85)
 

@@ -9,9 +9,10 @@ from typing import Annotated
 import typer
 
 from matcam.cli import show
+from matcam.cli.inputs import check_inputs
 from matcam.cli.options import AsJson, Force, Sampling, option, use_caches
 from matcam.core.errors import ArgumentError
-from matcam.core.io import check_inputs, check_output, check_picture
+from matcam.core.io import check_output, check_picture
 
 
 def command(

@@ -353,13 +353,6 @@ def reading(path: Path, what: str = "") -> Iterator[None]:
         raise FileFormatError(f"{path}: cannot be read: {error.strerror or error}") from None
 
 
-def check_inputs(paths: Iterable[Path], what: str = "") -> None:
-    """Raise FileFormatError for files that are missing, before any work. what: expected content, as for `reading`."""
-    for path in paths:
-        with reading(path, what):
-            pass
-
-
 def write_columns(path: str | Path, data: xr.Dataset | dict[str, Sequence[Any]], *, force: bool = False) -> None:
     """Write columns, or a Dataset, as CSV.
 

@@ -1,0 +1,15 @@
+"""Check of the input files of a command, before its heavy imports."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from matcam.core.io import reading
+
+
+def check_inputs(paths: Iterable[Path], what: str = "") -> None:
+    """Raise FileFormatError for files that are missing, before any work. what: expected content, as for `reading`."""
+    for path in paths:
+        with reading(path, what):
+            pass
