@@ -14,7 +14,6 @@ import json
 import math
 import os
 import re
-import secrets
 import signal
 import stat
 import sys
@@ -125,7 +124,7 @@ class Outputs:
         """Create an empty file beside `path`. An OSError is raised if that fails."""
         stem = path.stem if len(os.fsencode(path.name)) <= _LONGEST_NAME else path.stem[: _LONGEST_NAME // 8]
         while True:
-            temporary = path.with_name(f".{stem}-{secrets.token_hex(4)}{path.suffix}")
+            temporary = path.with_name(f".{stem}-{os.urandom(4).hex()}{path.suffix}")
             self._temporaries.append(
                 temporary
             )  # registered before it exists, because an interruption may come at any time

@@ -9,10 +9,12 @@ import os
 import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
 from contextvars import copy_context
 from itertools import islice
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
+
+if TYPE_CHECKING:
+    from concurrent.futures import Future
 
 T = TypeVar("T")
 U = TypeVar("U")
@@ -96,6 +98,8 @@ def in_order(work: Callable[[T], U], items: Sequence[T], workers: int) -> Iterat
             _check_wanted()
             yield work(item)
         return
+    from concurrent.futures import ThreadPoolExecutor  # a command that only prints its help does not need it
+
     with ThreadPoolExecutor(workers) as pool:
         waiting: list[Future[U]] = []
         left = iter(items[1:])
