@@ -14,7 +14,6 @@ import contextlib
 import hashlib
 import logging
 import os
-import secrets
 import stat
 import threading
 from collections.abc import Iterable, Iterator
@@ -48,7 +47,7 @@ def read_sealed(path: Path, key: bytes) -> bytes | None:
 
 def write_sealed(path: Path, key: bytes, content: bytes) -> None:
     """Write content under a key atomically, for this user alone."""
-    temporary = f".{path.stem}-{secrets.token_hex(4)}{path.suffix}"
+    temporary = f".{path.stem}-{os.urandom(4).hex()}{path.suffix}"
     with contextlib.suppress(OSError):
         _make(path.parent)
         with _opened(path.parent) as folder:

@@ -40,7 +40,7 @@ _DIRECTIONS = np.radians([0.0, 45.0, 90.0, 135.0])
 _EXTRAPOLATED = 0.35
 """Highest frequency that is used to extrapolate an unknown contrast to frequency 0, cycles/px."""
 _CLEAR = 20.0
-"""Smallest significance of the wave, standard deviations. The centre of a star is searched, which increases chance."""
+"""Smallest significance of the wave, standard deviations. Noise reaches more than 5, because the centre is searched."""
 _LEFT = 0.5
 """Unexplained share of the variance at low frequencies above which the region is assumed to contain no star."""
 

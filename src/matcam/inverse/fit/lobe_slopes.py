@@ -25,7 +25,7 @@ from matcam.core.jax import jax, jnp, placed
 from matcam.core.programs import kept_program
 from matcam.inverse.fit.fit_parameters import LobeKind
 from matcam.inverse.operator.lobe_operator import LobeOperator
-from matcam.inverse.operator.operator_nodes import OperatorNodes, spline_parts
+from matcam.inverse.operator.operator_nodes import OperatorNodes, facets, spline_parts
 from matcam.material.lambda_table import table_of
 from matcam.material.masking import smith_rule
 from matcam.material.ndf.distribution import NDF
@@ -149,7 +149,7 @@ def _lifted(
 @kept_program
 def _facet_slopes(kind: LobeKind, q: Any, slope2: Any) -> jax.Array:
     """Evaluate D at nodes, 1/sr, followed by its derivatives with respect to the coordinates of the family."""
-    light, by_family = _lifted(kind, q, slope2, lambda ndf: ndf.slope_density(slope2) * (1 + slope2) ** 2)
+    light, by_family = _lifted(kind, q, slope2, lambda ndf: facets(ndf, slope2))
     return jnp.stack([light, *by_family])
 
 
@@ -159,13 +159,15 @@ def _rows(nodes: OperatorNodes, lobe: _Lobe, rig: np.ndarray) -> np.ndarray:
     light, *by_family = np.asarray(_facet_slopes(kind, lobe.q, at.slope2))
     weight, masked = nodes.weight_at(rig), nodes.masked(kind.masking, lobe.table)
     seen = np.ones_like(weight) if masked is None else masked.value
-    record = _over_nodes(weight * seen * light)
+    shown = weight * seen
+    lit = shown * light
+    record = _over_nodes(lit)
     by_lobe = np.zeros((kind.size, len(record)))
     for row, slope in zip(by_lobe, by_family, strict=False):
-        row += _over_nodes(weight * seen * slope)
+        row += _over_nodes(shown * slope)
     if kind.spline_size:
         own = len(kind.family_names)
-        by_lobe[own : own + kind.spline_size] = spline_parts(at.slope2, weight * seen * light)
+        by_lobe[own : own + kind.spline_size] = spline_parts(at.slope2, lit)
     if masked is not None and lobe.by_table is not None:
         by_lobe += masked.by_tables(weight * light, lobe.by_table)
     if lobe.by_norm is not None:

@@ -94,7 +94,7 @@ class OperatorNodes(NamedTuple):
 
     def weighted(self, ndf: NDF, masking: Masking, table: np.ndarray | None, shifts: npt.ArrayLike) -> np.ndarray:
         """Evaluate D G at the nodes, multiplied by the weights, (cells, directions, nodes)."""
-        lobe = self.weight_at(shifts) * np.asarray(facets(ndf, self.at.slope2))
+        lobe = self.weight_at(shifts) * np.asarray(_facets(ndf, self.at.slope2))
         masked = self.masked(masking, table)
         return lobe if masked is None else lobe * masked.value
 
@@ -140,10 +140,13 @@ def _along_points(differences: np.ndarray, basis: np.ndarray) -> np.ndarray:
     return (basis @ differences.reshape(cells, points, -1)).reshape(cells, *nodes)
 
 
-@kept_program
 def facets(ndf: NDF, slope2: Any) -> jax.Array:
     """Evaluate D = P22 / cos^4 theta_h, 1/sr."""
     return ndf.slope_density(slope2) * (1 + slope2) ** 2
+
+
+_facets = kept_program(facets)
+"""Compiled `facets`."""
 
 
 @kept_program
