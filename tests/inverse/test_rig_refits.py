@@ -11,12 +11,17 @@ from tests.inverse import recorded
 
 
 def refit_of(coordinate, std, relative):
-    """Refit of a lens of 0.5 px whose width has a prior; coordinate and std: those of the fit with the prior."""
+    """Refit of a lens of 0.5 px whose width has a prior; coordinate and std: ln of the fitted width, and its error."""
+    rig = recorded.rig(std=0.5 * relative)
+    axis = prior_axis(LENS, rig, relative)
     at = SimpleNamespace(
-        axes=[prior_axis(LENS, 0.5, relative)], lobe=np.zeros(0), rig=[coordinate], covariance=np.array([[std**2]])
+        axes=[axis],
+        lobe=np.zeros(0),
+        rig=[axis.coordinate(0.5 * np.exp(coordinate))],
+        covariance=np.array([[axis.std(std) ** 2]]),
     )
     found = SimpleNamespace(coordinates=at, resolved=True)
-    (refit,) = rig_refits(None, recorded.rig(std=0.5 * relative), found, (LENS,))
+    (refit,) = rig_refits(None, rig, found, (LENS,))
     return refit
 
 
@@ -41,6 +46,6 @@ def test_the_end_of_the_range_is_no_estimate():
 
 
 def test_close_values_differ_in_their_digits():
-    axis = prior_axis(LENS, 0.5, 0.01)
+    axis = prior_axis(LENS, recorded.rig(), 0.01)
     text = RigRefit(axis, 1e-4, 0.50005, 1e-6, True, None, 0.0).remark.text
     assert "gives 0.5000500 ± 1e-06 px instead of 0.5000000 px" in text

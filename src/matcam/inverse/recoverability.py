@@ -20,7 +20,7 @@ from matcam.inverse.fit.fit_parameters import LobeKind
 from matcam.inverse.fit.lobe_slopes import record_and_slopes
 from matcam.inverse.operator.chosen_cells import ChosenCells
 from matcam.inverse.operator.lobe_operator import check_rig, lobe_operator
-from matcam.inverse.operator.rig_axes import LAMP, LENS, prior_axis, rig_with, widths_of
+from matcam.inverse.operator.rig_axes import LAMP, LENS, Axis, rig_with, widths_of
 from matcam.inverse.operator.sphere_rule import kernel_reach
 from matcam.inverse.operator.theta_nodes import NARROWEST, Scale
 from matcam.numerics.linalg import scaled_inverse
@@ -29,10 +29,8 @@ from matcam.rigs import Rig
 ROUGHNESSES = (0.0003, 0.0005, 0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2)
 """Default roughnesses for which bounds are computed, no unit. They range from highlights far below a pixel to broad lobes."""
 
-_STEP = 0.004
-"""Relative standard deviation of the lens width for which its axis is built. The bounds require derivatives only, so a
-short axis suffices.
-"""
+_STEP = 0.02
+"""Half the range of the logarithm of the lens width. The bounds require only derivatives, so a short range suffices."""
 _SEEN = 3.0
 """Effect of a blur, in standard deviations, at which the blur is detected. A false detection has a probability
 of 0.3 %.
@@ -227,7 +225,7 @@ class _Information:
         self.view, self.roughness = view, roughness
         rig, noise = view.rig, view.noise
         sampling: Sampling = "edge" if rig.cell_value == "edge" else "centre"
-        axis = prior_axis(LENS, float(rig.camera.parameters()[LENS]), _STEP)
+        axis = Axis(LENS, float(rig.camera.parameters()[LENS]), 0.0, -_STEP, _STEP, (-_STEP, 0.0, _STEP))
         cells, operator = lobe_operator(rig, sampling, view.slice_step, (axis,), view.workspace)
         at = np.array([np.log(roughness), 0.0])
         record, slopes = record_and_slopes(operator, LobeKind(view.ndf, "smith"), at)

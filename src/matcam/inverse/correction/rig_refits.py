@@ -133,9 +133,10 @@ def _fitted_refit(fit: MaterialFit, name: str, rig: Rig) -> RigRefit:
     relative = (known.std()[name] if known else 0.0) / axis.base
     if is_guess(name, relative):  # no exact value that the data could contradict
         return RigRefit(axis, coordinate, fit.params[name], fit.std[name], False, fit, weight=0.0)
-    by_data = 1 / max(1 / variance - 1 / relative**2, 1e-9)
-    likeliest = coordinate * by_data / variance
-    contradicts = abs(likeliest) > _SIGNIFICANT * np.hypot(np.sqrt(by_data), relative)
+    stated = axis.std(relative)
+    by_data = float(np.sqrt(1 / max(1 / variance - 1 / stated**2, 1e-9)))
+    likeliest = coordinate * by_data**2 / variance
+    contradicts = abs(likeliest) > _SIGNIFICANT * np.hypot(by_data, stated)
     inside = float(np.clip(likeliest, axis.low, axis.high))
-    value = axis.value(inside)
-    return RigRefit(axis, inside, value, value * float(np.sqrt(by_data)), bool(contradicts), fit, weight=0.0)
+    std = axis.slope(inside, by_data) * by_data
+    return RigRefit(axis, inside, axis.value(inside), std, bool(contradicts), fit, weight=0.0)

@@ -30,6 +30,7 @@ from matcam.inverse.fit.fit_problem import FitProblem, Prior
 from matcam.inverse.fit.material_fit import MaterialFit, material_fit
 from matcam.inverse.fit.search import Search, Solution
 from matcam.inverse.operator.chosen_cells import ChosenCells
+from matcam.inverse.operator.lens_changes import CHANGES, WIDTH
 from matcam.inverse.operator.lobe_operator import (
     LobeOperator,
     WholeRule,
@@ -39,15 +40,11 @@ from matcam.inverse.operator.lobe_operator import (
 )
 from matcam.inverse.operator.pixel_phase import located_rig
 from matcam.inverse.operator.rig_axes import (
-    CHANGES,
     LENS,
-    WIDTH,
     Axis,
     axis_selection,
     change_axis,
     free_axis,
-    guess_std,
-    is_guess,
     known_lens,
     prior_axis,
     shape_axes,
@@ -345,10 +342,9 @@ def _stated_prior(rig: Rig, uncertainty: Uncertainty) -> tuple[tuple[Axis, ...],
     relative = covariance[np.ix_(uncertain, uncertain)] / np.outer(value[uncertain], value[uncertain])
     stds = np.sqrt(np.diag(relative)).tolist()
     axes, scales = [], []
-    for name, base, std in zip(names, value[uncertain].tolist(), stds, strict=True):
-        guess = is_guess(name, std)
-        axes.append(free_axis(name, rig) if guess else prior_axis(name, base, std))
-        scales.append(guess_std(axes[-1], std) / std if guess else 1.0)
+    for name, std in zip(names, stds, strict=True):
+        axes.append(prior_axis(name, rig, std))
+        scales.append(axes[-1].std(std) / std)
     variances, vectors = np.linalg.eigh(relative * np.outer(scales, scales))
     return tuple(axes), (vectors / np.sqrt(np.maximum(variances, 1e-12))).T
 

@@ -22,7 +22,8 @@ from matcam.inverse.operator.chosen_cells import ChosenCells
 from matcam.inverse.operator.cylinder_rule import CylinderRule, LinePixels, cylinder_rule, line_window
 from matcam.inverse.operator.lamp_lines import LampDisc, lamp_discs
 from matcam.inverse.operator.line_rule import ARMS, ImagePositions, line_rule
-from matcam.inverse.operator.rig_axes import Axis, MovedBlur, along_axes, blurs_along, change_kernels
+from matcam.inverse.operator.rig_axes import Axis
+from matcam.inverse.operator.rig_blurs import MovedBlur, RigBlurs
 from matcam.inverse.operator.sample_view import SampleView, sample_view
 from matcam.inverse.operator.sphere_rule import Kernel, SphereRule, kernel_reach, sphere_range, sphere_rule
 from matcam.inverse.operator.theta_nodes import (
@@ -100,10 +101,8 @@ def rule_arrays(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[st
     else:
         lamp_angle = padded(view.lamp_angles(cells.theta_h, cells.theta_d[:, None], cells.phi_d).ravel()[flat])
     own = blur_of(rig, in_discs=True, whole=not view.line)
-    moved, changes = [MovedBlur(own), *blurs_along(rig, own, axes)], change_kernels(own, axes)
-    if own.residual is None and own.stds.size == 1:  # a Gaussian and round changes of it share a compiled program
-        ends = sum(not any(one.stretch) for one in changes)
-        moved, changes = moved + changes[:ends], changes[ends:]
+    all_blurs = RigBlurs.of(rig, own, axes)
+    moved, changes = all_blurs.along, all_blurs.changes
     count = len(moved) + len(changes)
 
     def full(part: np.ndarray) -> np.ndarray:
@@ -134,9 +133,9 @@ def rule_arrays(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[st
     for some in together:
         for rules in _in_pieces(view, (x, y, theta_d, lamp_angle, factor), some, scale, count):
             named = {"theta": rules.theta, **{name: a[:, None] for name, a in rules.samples.items()}}
-            named |= along_axes(axes, "weight", "along", rules.weights)
+            named |= all_blurs.differences("weight", "along", rules.weights)
             if rules.moments:
-                named |= along_axes(axes, "moment", MOMENT_ALONG, rules.moments)
+                named |= all_blurs.differences("moment", MOMENT_ALONG, rules.moments)
             columns.append({name: full(part) for name, part in named.items()})
     arrays = {name: np.concatenate([column[name] for column in columns], axis=2) for name in columns[0]}
     for name in ("along", MOMENT_ALONG) if "moment" in arrays else ("along",):

@@ -2,13 +2,12 @@
 
 The square of a width (of the lens, the lamp or the registration) adds to the variance of all other blurs. The coordinate
 of a width is half the logarithm of this total variance, relative to that of the rig. The record of a pixel is a smooth
-function of this coordinate down to a width of 0. For parameters that are known to a few per cent or are not widths, the
-coordinate is ln(value / value of the rig).
+function of this coordinate down to a width of 0. For parameters that are not widths the coordinate is
+ln(value / value of the rig).
 """
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
@@ -20,6 +19,7 @@ from matcam.camera.parameters import Uncertainty
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import jnp
 from matcam.forward.integral.blur import Blur, blur_of
+from matcam.inverse.operator.lens_changes import ASSUMED, CHANGES, EIGHTH, SHAPE, SIXTH, STRETCH, VARIANCES
 from matcam.rigs import Rig
 from matcam.sample.curved import Cylinder
 
@@ -27,21 +27,6 @@ LENS = "optics.sigma_px"
 """Name of the parameter for the width of a Gaussian lens."""
 LAMP, APERTURE = "lamp_radius", "aperture"
 """Names of the angular radius of the source disc and of the relative aperture of the rig."""
-WIDTH = "lens_width"
-"""Name of the logarithm of the width of a lens without a width parameter, relative to the lens of the rig, no unit."""
-SHAPE = "lens_shape"
-"""Name of the change of the fourth moment of the kernel of the lens at constant variance, no unit. It is 0 for the lens of
-the rig, -1 for a kernel that is as flat as a disc, and positive for longer tails.
-"""
-SIXTH, EIGHTH = "lens_sixth_moment", "lens_eighth_moment"
-"""Names of the changes of the next even moments of the kernel of the lens at constant lower moments, no unit. With `SHAPE`
-they describe a disc to 2 % of its difference from the Gaussian of the same variance. This also holds at the limb, where a
-highlight is narrower than the lens.
-"""
-STRETCH = "lens_stretch"
-"""Name of the stretch: variance of the kernel of the lens along the plane of camera and lamp minus that across it, divided
-by the variance.
-"""
 WIDTHS = (LAMP, "jitter", APERTURE)
 """Names of the fields of `Rig` that widen a highlight."""
 
@@ -65,67 +50,16 @@ _GUESS = 0.25
 """Smallest relative standard deviation of the width of a lens that is treated as a guess. A guessed width may be 0."""
 _LENS_WIDTHS = ("sigma_px", "f_number", "blur_diameter_px")
 """Names of the lens parameters that scale the kernel."""
-ASSUMED = 0.1
-"""Relative standard deviation that is assumed for the width of a lens if its profile has no uncertainty."""
-_STEP = 0.4
-"""Relative step in variance between the Gaussians of a finite difference. A smaller step would amplify the errors of their
-quadrature rules.
-"""
 _COUNTS = ((0.03, 3), (0.15, 5), (np.inf, 9))
 """Pairs (largest half range of an axis, number of its points). A wider range requires a polynomial of higher degree."""
-
-
-class KernelChange(NamedTuple):
-    """Change of the kernel of a lens along a coordinate.
-
-    It is the polynomial through the changes at given points and 0 at coordinate 0. The change at a point is a sum of
-    Gaussians. Their variances are relative to that of the Gaussian that is as wide as the lens.
-
-    Attributes:
-        points: Gaussians for each coordinate, as (variance along the plane of camera and lamp, variance across it, share), no
-            unit. The shares add up to 0.
-        std: prior standard deviation of the coordinate.
-        low: smallest coordinate.
-        high: largest coordinate.
-    """
-
-    points: Mapping[float, tuple[tuple[float, float, float], ...]]
-    std: float
-    low: float
-    high: float
-
-
-def _difference(factor: float, *shares: int) -> dict[float, tuple[tuple[float, float, float], ...]]:
-    """Build a finite difference with respect to the variance, from isotropic Gaussians at -2 to 2 steps.
-
-    shares: shares of the five Gaussians, which are multiplied by `factor`.
-    """
-    scales = (1 + step * _STEP for step in range(-2, 3))
-    return {1.0: tuple((scale, scale, factor * share) for scale, share in zip(scales, shares, strict=True) if share)}
-
-
-def _widened(*points: float) -> dict[float, tuple[tuple[float, float, float], ...]]:
-    """Build differences between wider or narrower Gaussians and the lens's kernel.
-
-    points: logarithms of the ratios of the widths.
-    """
-    return {point: ((np.exp(2 * point), np.exp(2 * point), 1.0), (1.0, 1.0, -1.0)) for point in points}
-
-
-def _stretched(*points: float) -> dict[float, tuple[tuple[float, float, float], ...]]:
-    """Build differences between elliptical Gaussians and the lens's kernel. points: stretches of the Gaussians."""
-    return {point: ((1 + point / 2, 1 - point / 2, 1.0), (1.0, 1.0, -1.0)) for point in points}
-
-
-CHANGES = {
-    WIDTH: KernelChange(_widened(-0.25, 0.25), ASSUMED, -0.5, 0.5),
-    # a disc has the moments of a mixture of Gaussians whose relative variance has the second central moment -1/3
-    SHAPE: KernelChange(_difference(1 / (18 * _STEP**2), 1, -1, 0, -1, 1), 1.0, -1.5, 4.0),
-    SIXTH: KernelChange(_difference(1 / (36 * _STEP**3), -1, 2, 0, -2, 1), 1.0, -3.0, 3.0),  # third central moment: 1/3
-    EIGHTH: KernelChange(_difference(1 / (72 * _STEP**4), 1, -4, 6, -4, 1), 1.0, -3.0, 3.0),
-    STRETCH: KernelChange(_stretched(-1.0, 1.0), 0.5, -1.5, 1.5),  # third-order coma has 1
-}
-"""Changes of the kernel of the lens by name. A disc has shape -1 and sixth moment 1, and its eighth moment is below 1."""
+_AMONG = 1001
+"""Number of positions among which a point of an axis is chosen."""
+_BESIDE_CHANGES = 2
+"""Smallest number of points of the width of a lens in addition to those for changes of the lens."""
+_APART = 0.05
+"""Smallest distance between prescribed points of an axis, relative to its range. A polynomial through closer points is
+inaccurate elsewhere.
+"""
 
 
 class Axis(NamedTuple):
@@ -149,6 +83,18 @@ class Axis(NamedTuple):
     high: float
     points: tuple[float, ...]
     by_variance: bool = False
+
+    def coordinate(self, value: float) -> float:
+        """Compute the coordinate of a value of a parameter that is not a change of the lens."""
+        return 0.5 * float(np.log((value**2 + self.softening**2) / (self.base**2 + self.softening**2)))
+
+    def std(self, relative: float) -> float:
+        """Compute the standard deviation of the coordinate of a parameter of the camera.
+
+        For a width it is the step to one standard deviation above the base. relative: relative standard deviation of the
+        parameter.
+        """
+        return self.coordinate(self.base * (1 + relative)) if self.softening else relative
 
     def value(self, coordinate: float) -> float:
         """Compute the value of the parameter at a coordinate."""
@@ -236,29 +182,21 @@ def _is_lens_width(name: str) -> bool:
 
 
 def is_guess(name: str, relative: float) -> bool:
-    """Check whether a parameter is a guessed width of a lens.
-
-    A guess requires `free_axis`. relative: relative standard deviation of the parameter.
-    """
+    """Check whether a parameter is a guessed width of a lens. relative: relative standard deviation of the parameter."""
     return name == LENS and relative >= _GUESS
 
 
-def guess_std(axis: Axis, relative: float) -> float:
-    """Compute the standard deviation of a width along its free axis.
+def prior_axis(name: str, rig: Rig, std: float) -> Axis:
+    """Build the axis of a parameter of the camera with a prior. A guessed width of a lens has its whole range.
 
-    It is the step to one standard deviation above the base. relative: relative standard deviation of the width.
+    std: relative standard deviation of the parameter.
     """
-    wider = (axis.base * (1 + relative)) ** 2 + axis.softening**2
-    return float(0.5 * np.log(wider / (axis.base**2 + axis.softening**2)))
-
-
-def prior_axis(name: str, base: float, std: float) -> Axis:
-    """Build the axis of a parameter with a prior.
-
-    base: value of the rig. std: relative standard deviation of the parameter.
-    """
+    if is_guess(name, std):
+        return free_axis(name, rig)
     half = round(float(np.clip(_PRIOR_RANGE * std, 0.02, _FREE_RANGE)), 6)
-    return Axis(name, base, 0.0, -half, half, _points(-half, half))
+    if name == LENS:
+        return _lens_axis(rig, half)
+    return Axis(name, float(rig.camera.parameters()[name]), 0.0, -half, half, _points(-half, half, _count(half)))
 
 
 def widths_of(rig: Rig) -> tuple[str, ...]:
@@ -283,6 +221,8 @@ def free_axis(name: str, rig: Rig, *, nearby: bool = False) -> Axis:
             f"free must name parameters of this rig, got {name!r}; the camera has {', '.join(sorted(parameters))}; the rig has "
             f"{', '.join(widths_of(rig))}"
         )
+    if name == LENS:
+        return _lens_axis(rig)
     base = float(getattr(rig, name) if name in WIDTHS else parameters[name])
     softening = _softening(name, rig)
     if not softening:
@@ -290,15 +230,34 @@ def free_axis(name: str, rig: Rig, *, nearby: bool = False) -> Axis:
             raise ArgumentError(
                 f"{name} is 0 in this rig and cannot be free: specify a positive value, or another parameter"
             )
-        return Axis(name, base, 0.0, -_FREE_RANGE, _FREE_RANGE, _points(-_FREE_RANGE, _FREE_RANGE))
-    total = base**2 + softening**2
-    narrowest = _NARROWEST if name == LENS else 0.0
-    low, high = 0.5 * np.log((narrowest**2 + softening**2) / total), _WIDEST_LENS if name == LENS else _WIDEST
+        return Axis(name, base, 0.0, -_FREE_RANGE, _FREE_RANGE, _points(-_FREE_RANGE, _FREE_RANGE, _count(_FREE_RANGE)))
+    low, high = 0.5 * float(np.log(softening**2 / (base**2 + softening**2))), _WIDEST
     if nearby and name == LAMP:
         low, high = max(low, -_NEARBY), _NEARBY
-    sharpest = 0.5 * np.log((_SHARPEST**2 + softening**2) / total) if name == LENS else low
-    points = _points(min(sharpest, -1e-3) if low < 0 else 0.0, high)
-    return Axis(name, base, softening, float(low), high, points, by_variance=nearby and name == LAMP and base == 0)
+    start = min(low, -1e-3) if low < 0 else 0.0
+    points = _points(start, high, _count((high - start) / 2))
+    return Axis(name, base, softening, low, high, points, by_variance=nearby and name == LAMP and base == 0)
+
+
+def _lens_axis(rig: Rig, half: float | None = None) -> Axis:
+    """Build the axis of the width of a Gaussian lens.
+
+    Its points include the isotropic Gaussians of the changes of the lens, so that these require no rules of their own.
+
+    half: half the range of the logarithm of the width. Default: None, the whole range.
+    """
+    base, softening, own = float(rig.camera.parameters()[LENS]), _softening(LENS, rig), blur_of(rig)
+    whole = Axis(LENS, base, softening, 0.0, _WIDEST_LENS, ())
+    sharpest = whole.coordinate(_SHARPEST)
+    if half is None:
+        low, first, high = whole.coordinate(_NARROWEST), sharpest, whole.high
+    else:
+        low, high = (whole.coordinate(base * float(np.exp(end))) for end in (-half, half))
+        first = low
+    given = [of_variance(own, variance) for variance in VARIANCES]
+    count = max(_count((high - low) / 2), len(given) + _BESIDE_CHANGES)
+    given = [point for point in given if point >= min(first, sharpest)]
+    return whole._replace(low=low, high=high, points=_points(min(first, -1e-3), high, count, given))
 
 
 def rig_with(rig: Rig, values: Mapping[str, float]) -> Rig:
@@ -315,83 +274,13 @@ def rig_with(rig: Rig, values: Mapping[str, float]) -> Rig:
     return eqx.tree_at(lambda r: tuple(getattr(r, name) for name in widths), rig, new) if widths else rig
 
 
-class MovedBlur(NamedTuple):
-    """Blur at one point of an axis.
+def of_variance(own: Blur, variance: float) -> float:
+    """Compute the coordinate of the width of a Gaussian lens.
 
-    Attributes:
-        blur: the blur.
-        rough: True if a source disc is replaced by a Gaussian at all positions. Default: False.
-        stretch: variances that are added to the blur along the plane of camera and lamp and across it, px^2. Default: 0.
+    own: blur of the rig. variance: variance of lens and registration, relative to the blur of the rig.
     """
-
-    blur: Blur
-    rough: bool = False
-    stretch: tuple[float, float] = (0.0, 0.0)
-
-
-def blurs_along(rig: Rig, own: Blur, axes: Sequence[Axis]) -> list[MovedBlur]:
-    """Compute the blurs at the points of the parameter axes.
-
-    Changes of the lens are not included, see `change_kernels`. own: blur of the rig.
-    """
-    # the dependence of the residual on lens parameters is second order and is neglected
-    residual = own.residual if own.residual is not None and own.residual.even else None
-    whole = own.residual is not None
-    points = [(axis, point) for axis in axes if axis.name not in CHANGES for point in axis.points if point]
-    moved = ((axis, rig_with(rig, {axis.name: axis.value(point)})) for axis, point in points)
-    return [
-        MovedBlur(blur_of(one, in_discs=True, whole=whole, residual=residual), axis.by_variance) for axis, one in moved
-    ]
-
-
-def change_kernels(own: Blur, axes: Sequence[Axis]) -> list[MovedBlur]:
-    """Compute the Gaussians that represent changes of the lens along axes.
-
-    own: blur of the rig.
-    """
-    variance = own.std_of_half**2
-    kernels = []
-    for along, across in _change_variances(axes):
-        least = min(along, across)
-        std = jnp.full(1, np.sqrt(least * variance))
-        one = dataclasses.replace(own, weights=jnp.ones(1), stds=std, residual=None)
-        kernels.append(MovedBlur(one, stretch=((along - least) * variance, (across - least) * variance)))
-    return kernels
-
-
-def _change_variances(axes: Sequence[Axis]) -> list[tuple[float, float]]:
-    """List the distinct variances of the Gaussians that represent changes of the lens, isotropic Gaussians first.
-
-    The two variances of each Gaussian, along and across the plane of camera and lamp, are relative to that of the lens.
-    """
-    changes = (CHANGES[axis.name] for axis in axes if axis.name in CHANGES)
-    terms = (term for change in changes for terms in change.points.values() for term in terms)
-    variances = dict.fromkeys((along, across) for along, across, _ in terms)
-    return sorted(variances, key=lambda pair: pair[0] != pair[1])
-
-
-def along_axes(axes: tuple[Axis, ...], name: str, along: str, values: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
-    """Compute the differences of values at the points of all axes.
-
-    The result contains the values of the rig and the differences by name. name: name of the values. along: prefix of the
-    names of the differences. values: values for the rig, for each of `blurs_along`, and for each of `change_kernels`.
-    """
-    own, *others = values
-    variances = _change_variances(axes)
-    kernels = dict(zip(variances, others[len(others) - len(variances) :], strict=True))
-    moved = iter(others)
-    named = {name: own}
-    for n, axis in enumerate(axes):
-        change = CHANGES.get(axis.name)
-        for number, point in enumerate(axis.points):
-            if not point:
-                difference = 0 * own
-            elif change:
-                difference = np.add.reduce([share * kernels[x, y] for x, y, share in change.points[point]])
-            else:
-                difference = next(moved) - own
-            named[f"{along}{n}.{number}"] = difference
-    return named
+    pixel, lens = float(own.pixel.half_width) ** 2 / 3, own.std_of_half**2
+    return round(0.5 * float(np.log((variance * lens + pixel) / (lens + pixel))), 12)
 
 
 def axis_selection(axes: Sequence[Axis], among: Sequence[Axis]) -> np.ndarray:
@@ -420,10 +309,22 @@ def _softening(name: str, rig: Rig) -> float:
     return total * per_px[name]
 
 
-def _points(low: float, high: float) -> tuple[float, ...]:
-    """Compute Chebyshev points between `low` and `high`. The point closest to 0 is replaced by 0."""
-    half = (high - low) / 2
-    count = next(count for largest, count in _COUNTS if half <= largest)
-    points = (low + high) / 2 + half * np.cos(np.pi * np.arange(count) / (count - 1))
-    points[np.argmin(np.abs(points))] = 0.0
+def _count(half: float) -> int:
+    """Choose the number of points of an axis from half its range."""
+    return next(count for largest, count in _COUNTS if half <= largest)
+
+
+def _points(low: float, high: float, count: int, given: Sequence[float] = ()) -> tuple[float, ...]:
+    """Compute Leja points: 0, the given points, and points between `low` and `high` that are far from all others.
+
+    Each point maximises the product of its distances to those before it. Given points that are too close to others are
+    omitted.
+    """
+    points = [0.0]
+    for point in given:
+        if np.min(np.abs(np.subtract(points, point))) >= _APART * (high - low):
+            points.append(point)
+    among = np.linspace(low, high, _AMONG)
+    while len(points) < count:
+        points.append(among[np.argmax(np.prod(np.abs(among[:, None] - points), axis=1))])
     return tuple(float(p) for p in np.round(points, 12))
