@@ -12,64 +12,30 @@ from typing import NamedTuple
 
 import numpy as np
 
-from matcam.core.jax import jnp
+from matcam.core.jax import jax, jnp
 from matcam.core.threads import available_cores, in_order
-from matcam.forward.integral.blur import Blur, blur_of, std_of_half, variances_at
+from matcam.forward.integral.blur import Blur, blur_of, std_of_half
 from matcam.forward.integral.blur_groups import groups_of
 from matcam.forward.pixel_grid import turned
 from matcam.forward.sampler.windows import Windows
 from matcam.inverse.operator.chosen_cells import ChosenCells
 from matcam.inverse.operator.cylinder_rule import CylinderRule, LinePixels, cylinder_rule, line_window
-from matcam.inverse.operator.lamp_lines import LampDisc, lamp_discs
 from matcam.inverse.operator.line_rule import ARMS, ImagePositions, line_rule
+from matcam.inverse.operator.pixel_blurs import PixelBlurs, gaussian_blurs, residual_blurs
 from matcam.inverse.operator.rig_axes import Axis
-from matcam.inverse.operator.rig_blurs import MovedBlur, RigBlurs
+from matcam.inverse.operator.rig_blurs import RigBlurs
 from matcam.inverse.operator.sample_view import SampleView, sample_view
-from matcam.inverse.operator.sphere_rule import Kernel, SphereRule, kernel_reach, sphere_range, sphere_rule
+from matcam.inverse.operator.sphere_rule import CircleArcs, Kernel, SphereRule, sphere_range, sphere_rules
 from matcam.inverse.operator.theta_nodes import (
     NODES,
     PIECE,
     SAMPLED,
     CircleSums,
     Scale,
-    ThetaRange,
     masking_samples,
     padded,
 )
 from matcam.rigs import Rig
-
-
-class _Blurs(NamedTuple):
-    """Blurs of a rig, at points of its parameter axes and for changes of its lens, with lamp and defocus in each pixel.
-
-    Attributes:
-        blurs: the blurs; the first is that of the rig, if it is included.
-        spreads: variances that are added to each blur along x and y, (pixels,) each, px^2.
-        reaches: half sides of the window of each kernel along the axes of the pixel, (2, pixels), px.
-        discs: source disc of each blur; None: a point source, or part of the spreads.
-        lamps: radius of the source disc of each blur, rad.
-        columns: index of each blur among all blurs whose rules are computed.
-    """
-
-    blurs: list[Blur]
-    spreads: list[tuple[np.ndarray, ...]]
-    reaches: list[np.ndarray]
-    discs: list[LampDisc | None]
-    lamps: list[float]
-    columns: tuple[int, ...]
-
-    @property
-    def terms(self) -> tuple[int, ...]:
-        """Return the indices of the terms of the blurs."""
-        return self.blurs[0].terms
-
-    def of(self, piece: slice) -> _Blurs:
-        """Select a subset of pixels."""
-        return self._replace(
-            spreads=[tuple(v[piece] for v in spread) for spread in self.spreads],
-            reaches=[reach[:, piece] for reach in self.reaches],
-            discs=[disc and LampDisc._make(a[piece] for a in disc) for disc in self.discs],
-        )
 
 
 class _Found(NamedTuple):
@@ -111,22 +77,22 @@ def rule_arrays(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[st
         return result.reshape(-1, directions, *part.shape[1:])
 
     columns: list[dict[str, np.ndarray]] = []
-    widths: list[_Blurs] = []
+    widths: list[PixelBlurs] = []
     groups = [group.terms for group in groups_of(own, rig.sample)]  # type: ignore[arg-type]
     if view.line and float(own.lamp_radius) and not view.distant:  # each term has its own rule along the rows
         groups = [(term,) for terms in groups for term in terms]
     for terms in groups:
         parts = [one._replace(blur=one.blur.only(terms)) for one in moved]
         if parts[0].blur.residual is not None:
-            widths.append(_residual_blurs(view, rig, parts, (x, y, lamp_angle)))
+            widths.append(residual_blurs(view, rig, parts, (x, y, lamp_angle)))
         else:
             lenses = [one.blur.std_of_half for one in moved]
-            widths.append(_gaussian_blurs(view, rig, parts, (x, y, lamp_angle), lenses))
+            widths.append(gaussian_blurs(view, rig, parts, (x, y, lamp_angle), lenses))
     widths.sort(key=lambda through: np.max(through.reaches[0]))
     together = [[through] for through in widths] if view.line else _on_the_same_nodes(widths)
     if changes:
         lenses = [one.blur.std_of_half for one in changes]
-        change = _gaussian_blurs(view, rig, changes, (x, y, lamp_angle), lenses)
+        change = gaussian_blurs(view, rig, changes, (x, y, lamp_angle), lenses)
         change = change._replace(columns=tuple(range(len(moved), count)))
         together = [*together, [change]] if view.line else [[*together[0], change], *together[1:]]
     scale = Scale.of(view.radius, float(np.min(widths[0].reaches[0])), single=len(widths) == 1)
@@ -144,80 +110,16 @@ def rule_arrays(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[st
     return arrays
 
 
-def _gaussian_blurs(
-    view: SampleView,
-    rig: Rig,
-    moved: list[MovedBlur],
-    pixels: tuple[np.ndarray, np.ndarray, np.ndarray],
-    lenses: list[float],
-) -> _Blurs:
-    """Build the Gaussians of a group of terms. A source disc much smaller than the blur is approximated by a Gaussian.
-
-    pixels: x, y and lamp angle. lenses: standard deviation of the whole lens of each blur, px. Single Gaussians may be
-    narrower and of either sign, but their sum is not sharper.
-    """
-    x, y, lamp_angle = pixels
-    blurs, rough, stretch = ([getattr(one, name) for one in moved] for name in MovedBlur._fields)
-    lamps = [float(blur.lamp_radius) for blur in blurs]
-    if view.line:
-        blurs = [blur.of_point() for blur in blurs]
-    stds = [max(lens, float(np.min(np.asarray(blur.stds)))) for lens, blur in zip(lenses, blurs, strict=True)]
-    exact = [blur.of_point() if one else blur for blur, one in zip(blurs, rough, strict=True)]
-    discs, aside = lamp_discs(view, exact, stds, lamp_angle, x, y)
-    chords = max(blur.chords for blur in blurs)
-    if any(disc is not None for disc in discs) or (view.line and any(lamps)):
-        blurs, chords = [blur if one else blur.of_point() for blur, one in zip(blurs, rough, strict=True)], 0
-    elif view.azimuth and any(float(blur.lamp_radius) > 0 for blur in blurs):
-        chords = 0  # a small source disc and defocus add Gaussians along rotated axes
-    # one compiled program for all blurs; a variance that is common to all nodes halves the computing time
-    if np.any(stretch) or any(blur.varies for blur in exact):
-        blurs = [dataclasses.replace(blur, varies=True, chords=chords) for blur in blurs]
-    spreads = [_variances(view, rig, blur, pixels, more) for blur, more in zip(blurs, stretch, strict=True)]
-    half_width = float(rig.camera.pixel.half_width)
-    widest = [np.asarray(blur.stds).max() for blur in blurs]
-    reaches = [
-        kernel_reach(half_width, np.sqrt(s**2 + np.maximum(*v))) + m + _widest_disc(view, blur, x, y, s)
-        for s, v, m, blur in zip(widest, spreads, aside, blurs, strict=True)
-    ]
-    if any(rough):  # approximated discs do not widen the range of the nodes, so that the other blurs stay accurate
-        seen = np.max([reach for reach, one in zip(reaches, rough, strict=True) if not one], axis=0)
-        reaches = [np.minimum(reach, seen) for reach in reaches]
-    return _Blurs(blurs, spreads, reaches, discs, lamps, tuple(range(len(blurs))))
-
-
-def _residual_blurs(
-    view: SampleView, rig: Rig, moved: list[MovedBlur], pixels: tuple[np.ndarray, np.ndarray, np.ndarray]
-) -> _Blurs:
-    """Build the residuals of the lenses beyond their Gaussians.
-
-    The residuals are small. Source disc and defocus are approximated by Gaussians, and the changes along an axis are
-    neglected. pixels: x, y and lamp angle.
-    """
-    variances, reaches, blurs = [], [], [one.blur for one in moved]
-    for blur in blurs:
-        added = _variances(view, rig, blurs[0] if blur.residual is blurs[0].residual else blur, pixels)
-        variances.append(added)
-        reaches.append(blur.residual.reach_through(np.stack(added)))  # type: ignore[union-attr]
-    varies = any(np.any(added) for added in variances)
-    blurs = [dataclasses.replace(blur, varies=varies, chords=0) for blur in blurs]
-    return _Blurs(blurs, variances, reaches, [None] * len(blurs), [0.0] * len(blurs), tuple(range(len(blurs))))
-
-
-def _variances(
-    view: SampleView,
-    rig: Rig,
-    blur: Blur,
-    pixels: tuple[np.ndarray, np.ndarray, np.ndarray],
-    more: tuple[float, float] = (0.0, 0.0),
-) -> tuple[np.ndarray, ...]:
-    """Compute the variances that lamp, defocus and stretch add along x and y, px^2. more: variances due to the stretch."""
-    x, y, lamp_angle = pixels
-    added = variances_at(blur, rig.sample, view.on_sphere.normals(x, y)[2], lamp_angle, rig.lamp.nearness)  # type: ignore[arg-type]
-    return tuple(variance + one for variance, one in zip(added, more, strict=True))
+def _by_window(through: PixelBlurs, numbers: Sequence[int]) -> list[list[int]]:
+    """Group blurs with the same windows and the same program. numbers: indices of the blurs."""
+    groups: dict[tuple, list[int]] = {}
+    for n in numbers:
+        groups.setdefault((through.reaches[n].tobytes(), jax.tree.structure(through.blurs[n])), []).append(n)
+    return list(groups.values())
 
 
 def _in_pieces(
-    view: SampleView, pixels: tuple[np.ndarray, ...], widths: list[_Blurs], scale: Scale, count: int
+    view: SampleView, pixels: tuple[np.ndarray, ...], widths: list[PixelBlurs], scale: Scale, count: int
 ) -> list[_Found]:
     """Compute the rules of pixels in pieces on all cores: one rule on a sphere, or one for each arm of a cylinder.
 
@@ -256,7 +158,7 @@ def _joined(parts: tuple[_Found, ...]) -> _Found:
     )
 
 
-def _rules(view: SampleView, pixels: tuple[np.ndarray, ...], widths: list[_Blurs], scale: Scale) -> list[_Found]:
+def _rules(view: SampleView, pixels: tuple[np.ndarray, ...], widths: list[PixelBlurs], scale: Scale) -> list[_Found]:
     """Compute the quadrature rules of pixels.
 
     pixels: x, y, theta_d, lamp angle, and factor of the record. widths: one group of terms, or on a sphere several groups
@@ -276,21 +178,7 @@ def _rules(view: SampleView, pixels: tuple[np.ndarray, ...], widths: list[_Blurs
     return _line_rules(view.radius, ImagePositions(x, y, theta_d, factor), through, scale)
 
 
-def _widest_disc(view: SampleView, blur: Blur, x: np.ndarray, y: np.ndarray, std: float) -> np.ndarray:
-    """Compute the radius of the largest circle of confusion in the window of each pixel, px; 0 if defocus is Gaussian."""
-    if not blur.chords:
-        return np.zeros(x.shape)
-
-    def disc(off: np.ndarray) -> np.ndarray:
-        depth = view.on_sphere.normals(np.clip(off, 0, _INSIDE * view.radius), np.zeros(off.shape))[2]
-        return np.abs(np.asarray(blur.defocus(view.radius, depth)))
-
-    off, everywhere = np.hypot(x, y), disc(np.array([0.0, view.radius])).max()
-    reach = kernel_reach(float(blur.pixel.half_width), np.asarray(std)) + everywhere
-    return np.maximum(disc(off - reach), disc(off + reach))
-
-
-def _on_the_same_nodes(widths: list[_Blurs]) -> list[list[_Blurs]]:
+def _on_the_same_nodes(widths: list[PixelBlurs]) -> list[list[PixelBlurs]]:
     """Divide the groups of terms, narrowest first, into the core of a lens, its surroundings, and wide tails."""
     reach = np.array([np.max(through.reaches[0]) for through in widths])
     ends = np.searchsorted(reach, np.maximum(_SURROUNDINGS, reach[0]), side="right")
@@ -298,36 +186,46 @@ def _on_the_same_nodes(widths: list[_Blurs]) -> list[list[_Blurs]]:
 
 
 def _sphere_rules(
-    view: SampleView, windows: Windows, theta_d: np.ndarray, factor: np.ndarray, widths: list[_Blurs], scale: Scale
+    view: SampleView, windows: Windows, theta_d: np.ndarray, factor: np.ndarray, widths: list[PixelBlurs], scale: Scale
 ) -> _Found:
     """Compute the rules of groups of terms on common nodes. windows: those of the widest group."""
     sphere = view.on_sphere
     own = scale if np.min(widths[0].reaches[0]) > _SURROUNDINGS[0] else scale._replace(largest=np.inf)
     widest, onto = (one.scaled(scale) for one in sphere_range(sphere, windows))
 
-    def rule(through: _Blurs, n: int, circles: ThetaRange, reach: np.ndarray) -> SphereRule:
-        blur, nodes = through.blurs[n], _pixel_nodes(through.blurs, n) if view.azimuth else 0
-        kernel = Kernel(blur, through.terms, through.spreads[n], through.discs[n], nodes)
-        return sphere_rule(sphere, windows._replace(half=reach), kernel, circles, onto, theta_d, factor)
+    def rules(through: PixelBlurs, numbers: Sequence[int], at: CircleArcs) -> list[SphereRule]:
+        kernels = [
+            Kernel(
+                through.blurs[n],
+                through.terms,
+                through.spreads[n],
+                through.discs[n],
+                _pixel_nodes(through.blurs, n) if view.azimuth else 0,
+            )
+            for n in numbers
+        ]
+        return sphere_rules(sphere, at, kernels, onto, theta_d, factor)
 
-    def parts(through: _Blurs, n: int) -> list[SphereRule]:
-        """Compute one rule for each angular range; their sum is the rule of the blur."""
-        seen = sphere_range(sphere, windows._replace(half=through.reaches[n]))[0]
-        ranges = [seen.scaled(own)] if through.blurs[n].residual is None else seen.parts()
-        return [rule(through, n, one, through.reaches[n]) for one in ranges]
+    def parts(through: PixelBlurs) -> list[list[SphereRule]]:
+        """Compute one rule for each angular range; their sum is the rule of a blur. Blurs share an equal residual."""
+        common = through.blurs[0].residual
+        found: dict[int, list[SphereRule]] = {}
+        own_rule = [n for n, blur in enumerate(through.blurs) if not n or common is None or blur.residual is not common]
+        for numbers in _by_window(through, own_rule):
+            seen_in = windows._replace(half=through.reaches[numbers[0]])
+            seen = sphere_range(sphere, seen_in)[0]
+            ranges = [seen.scaled(own)] if common is None else seen.parts()
+            of_ranges = [rules(through, numbers, CircleArcs.of(sphere, seen_in, one)) for one in ranges]
+            found |= {n: list(of_blur) for n, of_blur in zip(numbers, zip(*of_ranges, strict=True), strict=True)}
+        return [found[n] if n in found else found[0] for n in range(len(through.blurs))]
 
-    first = parts(widths[0], 0)
-
-    def each(through: _Blurs) -> list[tuple[np.ndarray, ...]]:
-        """Compute weights, and in a near rig moments, of all blurs. Blurs with the same residual share them."""
-        main, common = _summed(first if through is widths[0] else parts(through, 0)), through.blurs[0].residual
-        same = [common is not None and blur.residual is common for blur in through.blurs[1:]]
-        return [main, *(main if one else _summed(parts(through, n)) for n, one in enumerate(same, start=1))]
-
+    first: list[SphereRule] = []
     by_column: dict[int, list[tuple[np.ndarray, ...]]] = {}
     for through in widths:
-        for column, arrays in zip(through.columns, each(through), strict=True):
-            by_column.setdefault(column, []).append(arrays)
+        of_blurs = parts(through)
+        first = first or of_blurs[0]
+        for column, of_ranges in zip(through.columns, of_blurs, strict=True):
+            by_column.setdefault(column, []).append(_summed(of_ranges))
     found = [
         tuple(np.sum(arrays, axis=0) for arrays in zip(*by_column[column], strict=True)) for column in sorted(by_column)
     ]
@@ -337,7 +235,7 @@ def _sphere_rules(
         shown = first[0]  # its circles cover the whole range
     else:
         by = lens[0] if len(lens) == 1 else _standing_for(lens)
-        shown = rule(by, 0, widest, lens[-1].reaches[0])
+        (shown,) = rules(by, [0], CircleArcs.of(sphere, windows._replace(half=lens[-1].reaches[0]), widest))
     theta = onto.nodes()[0]
     # only the symmetry of an aligned, distant rig allows polynomials to represent G close to the limb
     at = SAMPLED if view.distant and not view.azimuth else np.arange(NODES[0].size)
@@ -351,7 +249,7 @@ def _summed(rules: list[SphereRule]) -> tuple[np.ndarray, ...]:
     return tuple(np.sum(one, axis=0) for one in arrays if one[0] is not None)
 
 
-def _standing_for(widths: list[_Blurs]) -> _Blurs:
+def _standing_for(widths: list[PixelBlurs]) -> PixelBlurs:
     """Build the Gaussian that replaces a blur in the average over azimuths for masking.
 
     The blur itself has negative weights, so averages could lie outside the range of their values. The transfer functions of
@@ -364,7 +262,7 @@ def _standing_for(widths: list[_Blurs]) -> _Blurs:
     return widths[0]._replace(blurs=[stand_in])
 
 
-def _line_rules(radius: float, pixels: ImagePositions, through: _Blurs, scale: Scale) -> list[_Found]:
+def _line_rules(radius: float, pixels: ImagePositions, through: PixelBlurs, scale: Scale) -> list[_Found]:
     blurs, spreads, reaches, *_ = through
     terms = through.terms
     onto = np.max([along for along, _ in reaches], axis=0)
@@ -381,7 +279,7 @@ def _line_rules(radius: float, pixels: ImagePositions, through: _Blurs, scale: S
 
 
 def _cylinder_rules(
-    view: SampleView, pixels: LinePixels, through: _Blurs, scale: Scale, theta_d: np.ndarray | None
+    view: SampleView, pixels: LinePixels, through: PixelBlurs, scale: Scale, theta_d: np.ndarray | None
 ) -> list[_Found]:
     """Compute the rules of the two arms of a cylinder where a single row and lamp direction are insufficient.
 
@@ -442,7 +340,5 @@ _SURROUNDINGS = np.array([9.0, 45.0])
 """Largest support radii of the terms that form the core of a lens and its surroundings, px."""
 _RESOLVED = 10
 """Ratio of the support radius of a blur to the smallest standard deviation that the azimuths of a rule resolve."""
-_INSIDE = 1 - 1e-9
-"""Largest distance from the centre of the sample, in radii, at which defocus is computed, just inside the limb."""
 _PIXEL_NODES = ((1.7, 5), (5.0, 10), (np.inf, 20))
 """Pairs (largest ratio of pixel half width to lens standard deviation, nodes). Each number of nodes requires a program."""

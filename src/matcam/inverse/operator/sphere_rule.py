@@ -17,7 +17,7 @@ the variation of F over the nodes.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cache, partial
 from typing import Any, NamedTuple
 
@@ -53,6 +53,8 @@ another shape.
 """
 _OF_RINGS = 2
 """Factor of the number of nodes on an arc for the diffraction rings of a lens."""
+_KERNELS = 4
+"""Largest number of kernels that one call of the compiled program evaluates at the same nodes."""
 _CALL, _BLOCK = 4096, 256
 """Number of arcs in one call of the compiled program, and in one of its blocks. The arrays of a block fit into the cache of
 a processor.
@@ -84,10 +86,9 @@ class Kernel(NamedTuple):
     disc: LampDisc | None = None
     pixel_nodes: int = 0
 
-    def at(self, index: np.ndarray) -> tuple[tuple[np.ndarray, ...], LampDisc | None]:
-        """Select the variances and the disc of pixels by index."""
-        disc = self.disc and LampDisc._make(np.asarray(a)[index] for a in self.disc)
-        return tuple(np.asarray(v)[index] for v in self.variances), disc
+    def disc_at(self, index: np.ndarray) -> LampDisc | None:
+        """Select the disc of pixels by index."""
+        return self.disc and LampDisc._make(np.asarray(a)[index] for a in self.disc)
 
 
 def kernel_reach(half_width: float, stds: np.ndarray) -> np.ndarray:
@@ -173,31 +174,74 @@ def directions(normal: Any, sin: Any, cos: Any, q: Any, w: Any) -> Directions:
     return Directions(view, light, cos_i, cos_o, theta_h, xp.arctan2(xp.sqrt(apart), xp.sqrt(together)))
 
 
-def sphere_rule(
+class CircleArcs(NamedTuple):
+    """Arcs of circles about the highlight in the windows of pixels. They serve all kernels with support in the windows.
+
+    Attributes:
+        windows: windows of the pixels.
+        angle: angles of the circles from the normal of the highlight, rad, (pixels, circles).
+        step: weights of the circles in an integral over the angle, rad, (pixels, circles).
+        arcs: arcs of all circles. The index of a circle counts those of all pixels.
+    """
+
+    windows: Windows
+    angle: np.ndarray
+    step: np.ndarray
+    arcs: Arcs
+
+    @classmethod
+    def of(cls, view: SphereView, windows: Windows, circles: ThetaRange) -> CircleArcs:
+        """Find the arcs. circles: range of the angle from the normal of the highlight in which the circles lie."""
+        angle, step = circles.nodes()
+        starts, lengths = [], []
+        for begin in range(0, angle.shape[0], CHUNK):
+            part = slice(begin, begin + CHUNK)
+            own = windows.at(part)
+            clips = Clips.of(own.half_spaces(view), about_highlight(own))
+            index = np.repeat(np.arange(own.x.size), angle.shape[1])
+            start, length = gaps_of(clips, index, angle[part].ravel())
+            starts.append(start)
+            lengths.append(length)
+        return cls(windows, angle, step, divided(np.concatenate(starts), np.concatenate(lengths)))
+
+
+def sphere_rules(
     view: SphereView,
-    windows: Windows,
-    kernel: Kernel,
-    circles: ThetaRange,
+    at: CircleArcs,
+    kernels: Sequence[Kernel],
     onto: ThetaRange,
     theta_d: np.ndarray,
     factor: np.ndarray,
-) -> SphereRule:
-    """Compute the quadrature rule in theta_h for each pixel.
+) -> list[SphereRule]:
+    """Compute the quadrature rule in theta_h of each kernel, for each pixel.
 
     Args:
         view: the sphere and the distances of camera and lamp.
-        windows: windows of the pixels, which contain the support of the kernel.
-        kernel: the kernel.
-        circles: range of the angle from the normal of the highlight in which the circles lie.
+        at: arcs in windows that contain the support of the kernels.
+        kernels: kernels with the same terms. Those without a source disc are evaluated at the same nodes.
         onto: range of theta_h in which the nodes lie.
         theta_d: theta_d of the cells, (pixels,), rad.
         factor: factors by which the records are multiplied, (pixels,), no unit.
     """
-    angle, step = circles.nodes()
-    arcs = _circle_arcs(view, windows, angle)
+    together = _KERNELS if all(kernel.disc is None for kernel in kernels) else 1
+    rules: list[SphereRule] = []
+    for first in range(0, len(kernels), together):
+        sums = _kernel_sums(view, at, kernels[first : first + together], onto, theta_d)
+        rules += [_from_sums(view, at, own, onto, theta_d, factor) for own in sums]
+    return rules
+
+
+def _kernel_sums(
+    view: SphereView, at: CircleArcs, kernels: Sequence[Kernel], onto: ThetaRange, theta_d: np.ndarray
+) -> np.ndarray:
+    """Compute the sums over the nodes of each arc for a few kernels, (kernels, sums, arcs); see `_arc_sums`."""
+    windows, angle, _, arcs = at
+    kernel, count = kernels[0], len(kernels)
+    filled = [*kernels, *[kernel] * (_KERNELS - count)] if kernel.disc is None else kernels
+    blurs = jax.tree.map(lambda *leaves: np.stack(leaves), *(one.blur for one in filled))
+    spread = np.stack([variance for one in filled for variance in one.variances])
     spacing = onto.spacing()
-    through = factor[:, None] * view.stretch**2 / 4 * np.sin(angle) * step
-    pixel = arcs.circle // NODES[0].size
+    pixel = arcs.circle // angle.shape[1]
     per_pixel = (
         windows.x, windows.y, windows.cosine, windows.sine, windows.lamp, windows.peak, theta_d, *spacing,
     )  # fmt: skip
@@ -208,35 +252,43 @@ def sphere_rule(
     on_arcs = _ON_ARCS if kernel.disc is None else _ON_ARCS[-1:]
     classes = np.searchsorted([most for most, _ in on_arcs[:-1]], sides)
     shape = rings * on_arcs[-1][1] // _GROUP, _GROUP
-    order, sums = np.argsort(classes, kind="stable"), []
-    for number, (_, count) in enumerate(on_arcs):
-        rule = tuple(np.pad(a, (0, int(np.prod(shape)) - a.size)).reshape(shape) for a in _gauss_rule(rings * count))
-        groups, own = np.array(rings * count // _GROUP), order[classes[order] == number]
+    sums = np.zeros((count, 7 + 2 * NODES[0].size if near else 4, arcs.circle.size))
+    for number, (_, nodes) in enumerate(on_arcs):
+        rule = tuple(np.pad(a, (0, int(np.prod(shape)) - a.size)).reshape(shape) for a in _gauss_rule(rings * nodes))
+        groups, own = np.array(rings * nodes // _GROUP), np.flatnonzero(classes == number)
         for begin in range(0, own.size, _CALL):
             some = own[begin : begin + _CALL]
             used, part = -(-some.size // _BLOCK), Arcs(*(_filled(a[some]) for a in arcs))
-            seen_by = part.circle // NODES[0].size
-            variances, disc = kernel.at(seen_by)
-            of_pixel = np.stack([*(a[seen_by] for a in per_pixel), *variances])
+            seen_by = part.circle // angle.shape[1]
+            of_pixel = np.stack([a[seen_by] for a in per_pixel])
             of_arc = np.stack([angle.ravel()[part.circle], part.middle, part.half])
-            program = _arc_sums if disc is None else _arc_sums_of_disc
+            program = _arc_sums if kernel.disc is None else _arc_sums_of_disc
             found = program(
-                np.array(used), np.array(view), of_pixel, of_arc, groups, rule, kernel.blur, disc, kernel.terms, near,
-                kernel.pixel_nodes,
+                np.array(used), np.array(count), np.array(view), of_pixel, of_arc, spread[:, seen_by], groups, rule, blurs,
+                kernel.disc_at(seen_by), kernel.terms, near, kernel.pixel_nodes,
             )  # fmt: skip
-            sums.append(np.asarray(found)[:, : some.size])
-    if not sums:
-        return _nothing(angle, near)
-    back = np.argsort(order)
-    found = np.concatenate(sums, axis=1)[:, back]
-    powers, moments = np.split(found, [len(found) - 2 * NODES[0].size * near])
+            sums[..., some] = np.asarray(found)[:count, :, : some.size]
+    return sums
+
+
+def _from_sums(
+    view: SphereView, at: CircleArcs, sums: np.ndarray, onto: ThetaRange, theta_d: np.ndarray, factor: np.ndarray
+) -> SphereRule:
+    """Compute the rule of a kernel from the sums over the nodes of each arc, (sums, arcs)."""
+    _, angle, step, arcs = at
+    near, spacing = not view.distant, onto.spacing()
+    through = factor[:, None] * view.stretch**2 / 4 * np.sin(angle) * step
+    powers, moments = np.split(sums, [len(sums) - 2 * NODES[0].size * near])
     total, *others = (np.bincount(arcs.circle, power, angle.size).reshape(angle.shape) for power in powers)
     if not near:
         others += [total * spacing.by_pixel().position(angle), total * theta_d[:, None], others[0] * theta_d[:, None]]
     seen = CircleSums(total, np.stack(others[:3]), *others[3:])
     if not near:
         return SphereRule(onto.carry(angle, through * total), seen)
-    begins, own = np.flatnonzero(np.diff(pixel, prepend=-1)), np.zeros((2, *angle.shape))
+    own, pixel = np.zeros((2, len(angle), NODES[0].size)), arcs.circle // angle.shape[1]
+    begins = np.flatnonzero(np.diff(pixel, prepend=-1))
+    if not begins.size:
+        return SphereRule(own[0], seen, own[1])
     for weight, moment in zip(own, np.split(moments, 2), strict=True):
         by_pixel = np.add.reduceat(moment * through.ravel()[arcs.circle], begins, axis=1)
         weight[pixel[begins]] = (FROM_MOMENTS @ by_pixel).T
@@ -244,26 +296,6 @@ def sphere_rule(
 
 
 _gauss_rule = cache(np.polynomial.legendre.leggauss)
-
-
-def _circle_arcs(view: SphereView, windows: Windows, circles: np.ndarray) -> Arcs:
-    """Find the arcs of circles about the highlight in windows. circles: angles from the highlight, rad, (pixels, circles)."""
-    starts, lengths = [], []
-    for begin in range(0, circles.shape[0], CHUNK):
-        part = slice(begin, begin + CHUNK)
-        own = windows.at(part)
-        clips = Clips.of(own.half_spaces(view), about_highlight(own))
-        index = np.repeat(np.arange(own.x.size), circles.shape[1])
-        start, length = gaps_of(clips, index, circles[part].ravel())
-        starts.append(start)
-        lengths.append(length)
-    return divided(np.concatenate(starts), np.concatenate(lengths))
-
-
-def _nothing(angle: np.ndarray, near: bool) -> SphereRule:
-    """Build the rule of pixels outside the image of the sphere, with weights of 0."""
-    zero = np.zeros_like(angle)
-    return SphereRule(zero, CircleSums(zero, np.zeros((3, *angle.shape)), zero, zero, zero), zero if near else None)
 
 
 def _filled(array: np.ndarray) -> np.ndarray:
@@ -274,39 +306,44 @@ def _filled(array: np.ndarray) -> np.ndarray:
 @partial(jit_plainly, static=("terms", "near", "pixel_nodes"))
 def _arc_sums(
     used: Any,
+    kernels: Any,
     of_view: Any,
     of_pixel: Any,
     of_arc: Any,
+    spread: Any,
     groups: Any,
     rule: tuple[np.ndarray, ...],
-    blur: Blur,
+    blurs: Blur,
     disc: LampDisc | None,
     terms: tuple[int, ...],
     near: bool,
     pixel_nodes: int,
 ) -> jax.Array:
-    """Compute the sums over the nodes of each arc, (sums, arcs).
+    """Compute the sums over the nodes of each arc for each kernel, (kernels, sums, arcs).
 
     The first 4 rows, or 7 rows in a near rig, are the sums of `CircleSums`. A near rig also has 40 sums of Legendre polynomials
     for weights, and 40 for moments.
 
-    used: number of blocks with arcs. groups: number of groups of nodes. rule: nodes on each arc, and their weights,
-        (groups, nodes).
+    used: number of blocks with arcs. kernels: number of kernels that are used. spread: two variances of each kernel, see
+        `Kernel`, (2 kernels, arcs). groups: number of groups of nodes. rule: nodes on each arc, and their weights,
+        (groups, nodes). blurs: blur of each kernel; the first axis of its arrays is that of the kernels.
     """
     view = SphereView(*of_view) if near else SphereView(of_view[0], 0.0, 0.0)
+    most = len(spread) // 2
 
     def block(arguments):  # type: ignore[no-untyped-def]
-        of_pixel, of_arc, disc = arguments
+        of_pixel, of_arc, spread, disc = arguments
+        variances = jnp.stack(spread).reshape(most, 2, -1, 1)
         pixel = tuple(a[:, None] for a in of_pixel)
         circle, middle, half = (a[:, None] for a in of_arc)
         peak = pixel[5]
         arc = half, *(function(angle) for angle in (middle, circle, peak) for function in (jnp.sin, jnp.cos))
-        nothing = jnp.zeros((7 + 2 * NODES[0].size if near else 4, circle.shape[0]))
-        return repeated_sum(lambda nodes: sums(pixel, arc, disc, *nodes), groups, rule, nothing)
+        nothing = jnp.zeros((most, 7 + 2 * NODES[0].size if near else 4, circle.shape[0]))
+        return repeated_sum(lambda nodes: sums(pixel, arc, variances, disc, nothing, *nodes), groups, rule, nothing)
 
-    def sums(pixel, arc, disc, node, node_weight):  # type: ignore[no-untyped-def]
+    def sums(pixel, arc, variances, disc, nothing, node, node_weight):  # type: ignore[no-untyped-def]
         """Compute the contribution of some nodes of each arc."""
-        x, y, cosine, sine_, lamp, _, cell, *spacing, var_x, var_y = pixel
+        x, y, cosine, sine_, lamp, _, cell, *spacing = pixel
         half, sin_m, cos_m, s, c, sin_p, cos_p = arc
         off = half * node
         sin_off, haversine = sine(off), sine(off / 2) ** 2
@@ -316,13 +353,13 @@ def _arc_sums(
         depth = 1 - view.camera * normal[2]
         image = view.stretch * normal[0] / depth, view.stretch * normal[1] / depth
         offset = x - (image[0] * cosine - image[1] * sine_), y - (image[0] * sine_ + image[1] * cosine)
-        out_of_focus = jnp.abs(blur.defocus(view.radius, normal[2]))
 
         def in_plane(x: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array]:
             """Resolve vectors along the plane of camera and lamp and across it."""
             return x * cosine + y * sine_, y * cosine - x * sine_
 
-        def through(term: int) -> jax.Array:
+        def through(blur: Blur, term: int, var_x: jax.Array, var_y: jax.Array) -> jax.Array:
+            out_of_focus = jnp.abs(blur.defocus(view.radius, normal[2]))
             if pixel_nodes and not blur.is_residual(term):
                 added = Spread(var_x, var_y, out_of_focus)
                 return blur.turned_kernel(*in_plane(*offset), term, added, (cosine, sine_), pixel_nodes)
@@ -330,29 +367,38 @@ def _arc_sums(
             widths = ((var_x + var_y) / 2,) * 2 if pixel_nodes else (var_x, var_y)
             return blur.at(term, Spread(widths[0], widths[1], out_of_focus), *offset)
 
-        if disc is None:
-            seen = sum((blur.share(term) * through(term) for term in terms), jnp.zeros(()))
+        if near:
+            at = directions(normal, jnp.sin(lamp), jnp.cos(lamp), view.camera, view.lamp)
+            # area in the image divided by the cosine of the viewing angle, times the irradiance of a surface that faces the
+            # lamp
+            measure = half * node_weight * at.view / depth**3 / at.light**2
+            position = NodeSpacing(*spacing).position(at.theta_h)
+            cos_psi = cos_azimuth(at.cos_i, at.cos_o, at.theta_h, at.theta_d)
+            factors = 1, cos_psi, cos_psi**2, cos_psi**3, position, at.theta_d, at.theta_d * cos_psi
         else:
-            seen = lamp_kernel(view, blur, terms, disc, normal, in_plane(x, y), (var_x, var_y))
-        share = jax.lax.optimization_barrier(seen * half * node_weight)
-        if not near:
-            return jnp.stack([jnp.sum(share * one, axis=1) for one in (1.0, cos_a, cos_a**2, cos_a**3)])
-        at = directions(normal, jnp.sin(lamp), jnp.cos(lamp), view.camera, view.lamp)
-        # area in the image divided by the cosine of the viewing angle, times the irradiance of a surface that faces the lamp
-        share = share * at.view / depth**3 / at.light**2
-        position = NodeSpacing(*spacing).position(at.theta_h)
-        cos_psi = cos_azimuth(at.cos_i, at.cos_o, at.theta_h, at.theta_d)
-        factors = 1, cos_psi, cos_psi**2, cos_psi**3, position, at.theta_d, at.theta_d * cos_psi
-        powers = [jnp.sum(share * one, axis=1) for one in factors]
-        moments = legendre_sums(position, (share, share * rise_of(at.theta_d, cell)))
-        return jnp.concatenate([jnp.stack(powers), *moments])
+            measure, factors = half * node_weight, (1.0, cos_a, cos_a**2, cos_a**3)
+
+        def of_kernel(number: jax.Array, found: jax.Array) -> jax.Array:
+            blur = jax.tree.map(lambda a: a[number], blurs)
+            var_x, var_y = variances[number]
+            if disc is None:
+                seen = sum((blur.share(term) * through(blur, term, var_x, var_y) for term in terms), jnp.zeros(()))
+            else:
+                seen = lamp_kernel(view, blur, terms, disc, normal, in_plane(x, y), (var_x, var_y))
+            share = jax.lax.optimization_barrier(seen * measure)
+            own = jnp.stack([jnp.sum(share * one, axis=1) for one in factors])
+            if near:
+                own = jnp.concatenate([own, *legendre_sums(position, (share, share * rise_of(at.theta_d, cell)))])
+            return found.at[number].set(own)
+
+        return jax.lax.fori_loop(0, kernels, of_kernel, nothing)
 
     def blocks(array: jax.Array) -> jax.Array:
         return array.reshape(-1, _BLOCK, *array.shape[1:])
 
-    of_blocks = jax.tree.map(blocks, (tuple(of_pixel), tuple(of_arc), disc))
+    of_blocks = jax.tree.map(blocks, (tuple(of_pixel), tuple(of_arc), tuple(spread), disc))
     found = in_blocks(block, used, of_blocks)
-    return jnp.moveaxis(found, 1, 0).reshape(found.shape[1], -1)
+    return jnp.moveaxis(found, 0, 2).reshape(*found.shape[1:3], -1)
 
 
 _arc_sums_of_disc = jax.jit(_arc_sums.__wrapped__, static_argnames=("terms", "near", "pixel_nodes"))  # type: ignore[attr-defined]
