@@ -34,9 +34,9 @@ from matcam.inverse.correction.correction_limits import (
     withheld,
 )
 from matcam.inverse.correction.explanation import Explanation
-from matcam.inverse.operator.lens_changes import EIGHTH, SHAPE, SIXTH, STRETCH
 from matcam.inverse.operator.lobe_operator import lobe_operator
-from matcam.inverse.operator.rig_axes import LENS, free_axis, known_lens, shape_axes
+from matcam.inverse.rig.lens_changes import EIGHTH, SHAPE, SIXTH, STRETCH
+from matcam.inverse.rig.rig_axes import LENS, free_axis, known_lens, shape_axes
 from tests.inverse import recorded
 from tests.oracle import sphere_cells as oracle
 from tests.oracle.merl_lobe import conductor

@@ -8,7 +8,7 @@ import pytest
 from matcam import GGX, BoxPixel, Camera, GaussianOptics, Rig, Sphere
 from matcam.core.workspace import Workspace
 from matcam.inverse.operator.lobe_operator import lobe_operator
-from matcam.inverse.operator.rig_axes import free_axis, rig_with
+from matcam.inverse.rig.rig_axes import free_axis, rig_with
 from tests.inverse.recorded import measured
 from tests.oracle.focus_disc import kernel
 

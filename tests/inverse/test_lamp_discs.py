@@ -13,8 +13,8 @@ from matcam.inverse.fit.fit_setup import free_setup
 from matcam.inverse.operator.chosen_cells import ChosenCells, chosen_cells, positions_in
 from matcam.inverse.operator.lamp_lines import lamp_discs, lamp_kernel
 from matcam.inverse.operator.lobe_operator import lobe_operator, operator_in
-from matcam.inverse.operator.rig_axes import free_axis, rig_with
 from matcam.inverse.operator.sample_view import SampleView, sample_view
+from matcam.inverse.rig.rig_axes import free_axis, rig_with
 from tests.inverse import recorded
 from tests.inverse.test_near_rigs import NEVER, made
 from tests.oracle import disc_cells, lamp_record

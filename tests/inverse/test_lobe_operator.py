@@ -25,8 +25,8 @@ from matcam.core.jax import jnp
 from matcam.core.workspace import Workspace
 from matcam.inverse.operator.chosen_cells import ChosenCells, cell_positions, chosen_cells
 from matcam.inverse.operator.lobe_operator import WholeRule, lobe_operator, operator_in
-from matcam.inverse.operator.rig_axes import free_axis, prior_axis, rig_with
 from matcam.inverse.operator.sample_view import SampleView
+from matcam.inverse.rig.rig_axes import free_axis, prior_axis, rig_with
 from tests.golden import rows
 from tests.inverse.recorded import measured, pictures, rig
 from tests.oracle import sphere_cells as oracle

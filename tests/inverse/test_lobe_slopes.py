@@ -7,7 +7,7 @@ from matcam import rigs
 from matcam.inverse.fit.fit_parameters import LobeKind
 from matcam.inverse.fit.lobe_slopes import lobe_record, record_and_slopes
 from matcam.inverse.operator.lobe_operator import lobe_operator
-from matcam.inverse.operator.rig_axes import free_axis, shape_axes
+from matcam.inverse.rig.rig_axes import free_axis, shape_axes
 from matcam.material.ndf.free_lobe import KNOTS
 
 

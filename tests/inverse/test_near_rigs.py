@@ -26,8 +26,8 @@ from matcam.core.workspace import Workspace
 from matcam.forward import true_table, with_pixel_noise
 from matcam.inverse.operator.chosen_cells import ChosenCells, positions_in
 from matcam.inverse.operator.lobe_operator import lobe_operator, operator_in
-from matcam.inverse.operator.rig_axes import free_axis, rig_with
 from matcam.inverse.operator.sample_view import SampleView, sample_view
+from matcam.inverse.rig.rig_axes import free_axis, rig_with
 from tests.golden import rows
 from tests.oracle import lamp_record
 

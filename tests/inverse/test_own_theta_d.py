@@ -26,7 +26,7 @@ from matcam.forward import true_table
 from matcam.inverse import FitSetup
 from matcam.inverse.fit.strength_slopes import StrengthSlopes
 from matcam.inverse.operator.lobe_operator import lobe_operator
-from matcam.inverse.operator.rig_axes import free_axis
+from matcam.inverse.rig.rig_axes import free_axis
 from tests.oracle import lamp_record
 from tests.oracle.merl_lobe import conductor
 

@@ -15,11 +15,11 @@ from matcam.inverse.correction.response_lattice import COARSE, FINE, response_la
 from matcam.inverse.fit.fit_parameters import LobeKind
 from matcam.inverse.fit.fit_readings import FitCoordinates
 from matcam.inverse.operator.chosen_cells import chosen_cells
-from matcam.inverse.operator.lens_changes import EIGHTH, SHAPE, SIXTH
 from matcam.inverse.operator.lobe_operator import lobe_operator, perfect_operator
 from matcam.inverse.operator.pixel_phase import cell_rule, located_rig
-from matcam.inverse.operator.rig_axes import change_axis
 from matcam.inverse.operator.sample_view import SampleView
+from matcam.inverse.rig.lens_changes import EIGHTH, SHAPE, SIXTH
+from matcam.inverse.rig.rig_axes import change_axis
 from matcam.material.ndf.ggx import GGX
 from tests.inverse import recorded
 from tests.inverse.real_tables import real_shot

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from matcam.inverse.correction.rig_refits import RigRefit, rig_refits
-from matcam.inverse.operator.rig_axes import LENS, prior_axis
+from matcam.inverse.rig.rig_axes import LENS, prior_axis
 from tests.inverse import recorded
 
 

@@ -13,7 +13,7 @@ from matcam.core.workspace import Workspace
 from matcam.forward import true_table, with_pixel_noise
 from matcam.inverse import FitSetup
 from matcam.inverse.operator.lobe_operator import lobe_operator
-from matcam.inverse.operator.rig_axes import rig_with
+from matcam.inverse.rig.rig_axes import rig_with
 from tests.inverse.test_near_rigs import CHROMIUM, NEVER, knowing, made, missed
 from tests.oracle import lamp_record
 from tests.oracle.real_pixels import about_axis, behind, light_cosine

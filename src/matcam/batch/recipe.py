@@ -26,7 +26,7 @@ from matcam.exchange.contents import read_table
 from matcam.exchange.inspection import lobe_widths
 from matcam.inverse.correction.correction import Correction
 from matcam.inverse.fit.fit_setup import candidate_fits, free_setup
-from matcam.inverse.operator.rig_axes import LENS, known_lens
+from matcam.inverse.rig.rig_axes import LENS, known_lens
 from matcam.material.masking import Masking
 from matcam.numerics.budget import UncertaintyBudget
 from matcam.rigs import Rig

@@ -40,8 +40,8 @@ from matcam.figures.style import (
 )
 from matcam.inverse.correction.correction import Correction
 from matcam.inverse.fresnel_term import fresnel_of_peaks
-from matcam.inverse.operator.rig_axes import LAMP, LENS
 from matcam.inverse.peak_curve import NORMALISED_OVER
+from matcam.inverse.rig.rig_axes import LAMP, LENS
 
 _SPHERE = 180  # px
 _READ_AS = {

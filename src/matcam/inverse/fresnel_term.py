@@ -34,10 +34,10 @@ from matcam.inverse.normalised_fresnel import (
 from matcam.inverse.operator.chosen_cells import peak_cells
 from matcam.inverse.operator.lobe_operator import check_rig, operator_in, point_operator, rig_key
 from matcam.inverse.operator.pixel_phase import located_rig
-from matcam.inverse.operator.rig_axes import known_lens
 from matcam.inverse.operator.sample_view import sample_view
 from matcam.inverse.peak_curve import NORMALISED_OVER, recorded_peak
 from matcam.inverse.picture_gain import gain_remarks, picture_gain
+from matcam.inverse.rig.rig_axes import known_lens
 from matcam.material.masking import MASKINGS, Masking, g2
 from matcam.material.ndf.distribution import NDF
 from matcam.numerics.budget import UncertaintyBudget

@@ -20,9 +20,9 @@ from matcam.inverse.fit.fit_parameters import LobeKind
 from matcam.inverse.fit.lobe_slopes import record_and_slopes
 from matcam.inverse.operator.chosen_cells import ChosenCells
 from matcam.inverse.operator.lobe_operator import check_rig, lobe_operator
-from matcam.inverse.operator.rig_axes import LAMP, LENS, Axis, rig_with, widths_of
 from matcam.inverse.operator.sphere_rule import kernel_reach
 from matcam.inverse.operator.theta_nodes import NARROWEST, Scale
+from matcam.inverse.rig.rig_axes import LAMP, LENS, Axis, rig_with, widths_of
 from matcam.numerics.linalg import scaled_inverse
 from matcam.rigs import Rig
 

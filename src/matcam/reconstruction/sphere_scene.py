@@ -12,7 +12,7 @@ from matcam.camera.camera import Camera
 from matcam.camera.lens_field import Coefficient, LensField
 from matcam.files.capture_settings import Stated
 from matcam.inverse.fit.fit_parameters import LobeKind
-from matcam.inverse.operator.rig_axes import known_lens
+from matcam.inverse.rig.rig_axes import known_lens
 from matcam.material.ndf.free_lobe import KNOTS, spline_smoothness
 from matcam.reconstruction.joint.field_change import FIELD, FieldChange, outline_slopes
 from matcam.reconstruction.joint.joint_problem import JointLayout, JointProblem, PixelModel

@@ -36,8 +36,8 @@ from matcam.inverse.normalised_fresnel import NO_CAMERA
 from matcam.inverse.operator.chosen_cells import noise_shares
 from matcam.inverse.operator.lobe_operator import check_rig
 from matcam.inverse.operator.pixel_phase import located_rig
-from matcam.inverse.operator.rig_axes import known_lens
 from matcam.inverse.picture_gain import gain_remarks, strengths_gain
+from matcam.inverse.rig.rig_axes import known_lens
 from matcam.material.masking import MASKINGS, Masking
 from matcam.numerics.budget import UncertaintyBudget
 from matcam.numerics.fit_budget import VariancePart, parts_budget

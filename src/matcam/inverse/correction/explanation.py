@@ -34,8 +34,8 @@ from matcam.inverse.fit.fit_parameters import STUDENT, TWO_LOBES
 from matcam.inverse.fit.fit_setup import AUTO, CANDIDATES, FitSetup, free_setup
 from matcam.inverse.fit.material_fit import MaterialFit
 from matcam.inverse.operator.pixel_phase import LocatedRig
-from matcam.inverse.operator.rig_axes import LAMP, LENS, is_guess, known_lens, widths_of
 from matcam.inverse.operator.sample_view import sample_view
+from matcam.inverse.rig.rig_axes import LAMP, LENS, is_guess, known_lens, widths_of
 from matcam.material.masking import Masking
 from matcam.rigs import Rig
 

@@ -32,8 +32,8 @@ from matcam.inverse.fit.fit_statements import fit_readings_source
 from matcam.inverse.fit.lobe_slopes import record_and_slopes
 from matcam.inverse.fit.material_fit import MaterialFit
 from matcam.inverse.normalised_fresnel import OTHER_LOBES
-from matcam.inverse.operator.rig_axes import Axis, axis_selection
 from matcam.inverse.operator.sample_view import sample_view
+from matcam.inverse.rig.rig_axes import Axis, axis_selection
 from matcam.numerics.fit_budget import VariancePart, scaled_parts, statement_parts
 from matcam.rigs import Rig
 

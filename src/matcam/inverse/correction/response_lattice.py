@@ -19,8 +19,8 @@ from matcam.core.workspace import Workspace
 from matcam.forward.integral.blur import blur_of
 from matcam.inverse.operator.chosen_cells import ChosenCells, positions_in
 from matcam.inverse.operator.lobe_operator import LobeOperator, operator_in, point_operator, rig_key
-from matcam.inverse.operator.rig_axes import Axis
 from matcam.inverse.operator.sample_view import SampleView, sample_view
+from matcam.inverse.rig.rig_axes import Axis
 from matcam.rigs import Rig
 
 _DENSE_RINGS = 20

@@ -14,7 +14,7 @@ import numpy as np
 from matcam.core.remark import Remark
 from matcam.inverse.fit.fit_setup import FitSetup
 from matcam.inverse.fit.material_fit import MaterialFit
-from matcam.inverse.operator.rig_axes import LAMP, LENS, Axis, is_guess, known_lens, widths_of
+from matcam.inverse.rig.rig_axes import LAMP, LENS, Axis, is_guess, known_lens, widths_of
 from matcam.rigs import Rig
 
 CONTRADICTION_WEIGHT = 3.0

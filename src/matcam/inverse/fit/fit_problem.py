@@ -32,7 +32,7 @@ from matcam.inverse.fit.lobe_slopes import RecordAndSlopes, record_and_slopes
 from matcam.inverse.fit.strength_slopes import StrengthSlopes
 from matcam.inverse.operator.chosen_cells import ChosenCells
 from matcam.inverse.operator.lobe_operator import LobeOperator
-from matcam.inverse.operator.rig_axes import Axis
+from matcam.inverse.rig.rig_axes import Axis
 from matcam.material.ndf.free_lobe import KNOTS, SHADOWS, STIFFER, slope_of_knot, spline_smoothness
 from matcam.numerics.approximation import smoothness
 

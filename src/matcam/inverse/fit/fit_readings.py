@@ -15,8 +15,8 @@ from matcam.inverse.fit.fit_parameters import BASE_WIDTH, COATED, LobeKind, read
 from matcam.inverse.fit.fit_problem import FitProblem
 from matcam.inverse.fit.lobe_readings import half_maximum_angle, lobe_readings
 from matcam.inverse.fit.search import Solution
-from matcam.inverse.operator.lens_changes import ASSUMED, CHANGES
-from matcam.inverse.operator.rig_axes import WIDTHS, Axis, known_lens
+from matcam.inverse.rig.lens_changes import ASSUMED, CHANGES
+from matcam.inverse.rig.rig_axes import WIDTHS, Axis, known_lens
 from matcam.material.microfacet import Microfacet
 from matcam.material.reflectance import Conductor, Dielectric, Reflectance, Sampled, Schlick
 

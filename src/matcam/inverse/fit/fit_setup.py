@@ -30,7 +30,6 @@ from matcam.inverse.fit.fit_problem import FitProblem, Prior
 from matcam.inverse.fit.material_fit import MaterialFit, material_fit
 from matcam.inverse.fit.search import Search, Solution
 from matcam.inverse.operator.chosen_cells import ChosenCells
-from matcam.inverse.operator.lens_changes import CHANGES, WIDTH
 from matcam.inverse.operator.lobe_operator import (
     LobeOperator,
     WholeRule,
@@ -39,7 +38,9 @@ from matcam.inverse.operator.lobe_operator import (
     perfect_operator,
 )
 from matcam.inverse.operator.pixel_phase import located_rig
-from matcam.inverse.operator.rig_axes import (
+from matcam.inverse.operator.sample_view import FAR_AWAY, SampleView, rig_behind, sample_view
+from matcam.inverse.rig.lens_changes import CHANGES, WIDTH
+from matcam.inverse.rig.rig_axes import (
     LENS,
     Axis,
     axis_selection,
@@ -49,7 +50,6 @@ from matcam.inverse.operator.rig_axes import (
     prior_axis,
     shape_axes,
 )
-from matcam.inverse.operator.sample_view import FAR_AWAY, SampleView, rig_behind, sample_view
 from matcam.material.masking import MASKINGS, Masking
 from matcam.material.ndf.free_lobe import KNOTS, SHADOWS
 from matcam.rigs import Rig

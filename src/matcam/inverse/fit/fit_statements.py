@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from matcam.inverse.fit.search import Solution
-from matcam.inverse.operator.rig_axes import Axis
+from matcam.inverse.rig.rig_axes import Axis
 from matcam.numerics.fit_budget import Readings, StatedParameter, Statement, stated_parameters
 
 RIG = "camera and rig, as specified"

@@ -22,10 +22,8 @@ from matcam.inverse.operator.chosen_cells import ChosenCells
 from matcam.inverse.operator.cylinder_rule import CylinderRule, LinePixels, cylinder_rule, line_window
 from matcam.inverse.operator.line_rule import ARMS, ImagePositions, line_rule
 from matcam.inverse.operator.pixel_blurs import PixelBlurs, gaussian_blurs, residual_blurs
-from matcam.inverse.operator.rig_axes import Axis
-from matcam.inverse.operator.rig_blurs import RigBlurs
 from matcam.inverse.operator.sample_view import SampleView, sample_view
-from matcam.inverse.operator.sphere_rule import CircleArcs, Kernel, SphereRule, sphere_range, sphere_rules
+from matcam.inverse.operator.sphere_rule import Kernel, SphereRule, WindowArcs, sphere_range, sphere_rules
 from matcam.inverse.operator.theta_nodes import (
     NODES,
     PIECE,
@@ -35,6 +33,8 @@ from matcam.inverse.operator.theta_nodes import (
     masking_samples,
     padded,
 )
+from matcam.inverse.rig.rig_axes import Axis
+from matcam.inverse.rig.rig_blurs import RigBlurs
 from matcam.rigs import Rig
 
 
@@ -193,7 +193,7 @@ def _sphere_rules(
     own = scale if np.min(widths[0].reaches[0]) > _SURROUNDINGS[0] else scale._replace(largest=np.inf)
     widest, onto = (one.scaled(scale) for one in sphere_range(sphere, windows))
 
-    def rules(through: PixelBlurs, numbers: Sequence[int], at: CircleArcs) -> list[SphereRule]:
+    def rules(through: PixelBlurs, numbers: Sequence[int], at: WindowArcs) -> list[SphereRule]:
         kernels = [
             Kernel(
                 through.blurs[n],
@@ -215,7 +215,7 @@ def _sphere_rules(
             seen_in = windows._replace(half=through.reaches[numbers[0]])
             seen = sphere_range(sphere, seen_in)[0]
             ranges = [seen.scaled(own)] if common is None else seen.parts()
-            of_ranges = [rules(through, numbers, CircleArcs.of(sphere, seen_in, one)) for one in ranges]
+            of_ranges = [rules(through, numbers, WindowArcs.of(sphere, seen_in, one)) for one in ranges]
             found |= {n: list(of_blur) for n, of_blur in zip(numbers, zip(*of_ranges, strict=True), strict=True)}
         return [found[n] if n in found else found[0] for n in range(len(through.blurs))]
 
@@ -235,7 +235,7 @@ def _sphere_rules(
         shown = first[0]  # its circles cover the whole range
     else:
         by = lens[0] if len(lens) == 1 else _standing_for(lens)
-        (shown,) = rules(by, [0], CircleArcs.of(sphere, windows._replace(half=lens[-1].reaches[0]), widest))
+        (shown,) = rules(by, [0], WindowArcs.of(sphere, windows._replace(half=lens[-1].reaches[0]), widest))
     theta = onto.nodes()[0]
     # only the symmetry of an aligned, distant rig allows polynomials to represent G close to the limb
     at = SAMPLED if view.distant and not view.azimuth else np.arange(NODES[0].size)

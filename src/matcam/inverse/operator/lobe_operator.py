@@ -46,9 +46,9 @@ from matcam.inverse.operator.operator_nodes import (
     lambda_table,
     spline_parts,
 )
-from matcam.inverse.operator.rig_axes import APERTURE, LAMP, Axis
 from matcam.inverse.operator.sample_view import FAR_AWAY, SampleView, sample_view
 from matcam.inverse.operator.theta_nodes import NODE_RULE, RISE, SAMPLED, THROUGH_SAMPLES
+from matcam.inverse.rig.rig_axes import APERTURE, LAMP, Axis
 from matcam.material.lambda_table import TabulatedDirections
 from matcam.material.masking import Masking
 from matcam.material.ndf.distribution import NDF

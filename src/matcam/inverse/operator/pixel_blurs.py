@@ -9,9 +9,9 @@ import numpy as np
 
 from matcam.forward.integral.blur import Blur, variances_at
 from matcam.inverse.operator.lamp_lines import LampDisc, lamp_discs
-from matcam.inverse.operator.rig_blurs import MovedBlur
 from matcam.inverse.operator.sample_view import SampleView
 from matcam.inverse.operator.sphere_rule import kernel_reach
+from matcam.inverse.rig.rig_blurs import MovedBlur
 from matcam.rigs import Rig
 
 _INSIDE = 1 - 1e-9

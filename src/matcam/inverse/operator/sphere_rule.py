@@ -174,7 +174,7 @@ def directions(normal: Any, sin: Any, cos: Any, q: Any, w: Any) -> Directions:
     return Directions(view, light, cos_i, cos_o, theta_h, xp.arctan2(xp.sqrt(apart), xp.sqrt(together)))
 
 
-class CircleArcs(NamedTuple):
+class WindowArcs(NamedTuple):
     """Arcs of circles about the highlight in the windows of pixels. They serve all kernels with support in the windows.
 
     Attributes:
@@ -190,7 +190,7 @@ class CircleArcs(NamedTuple):
     arcs: Arcs
 
     @classmethod
-    def of(cls, view: SphereView, windows: Windows, circles: ThetaRange) -> CircleArcs:
+    def of(cls, view: SphereView, windows: Windows, circles: ThetaRange) -> WindowArcs:
         """Find the arcs. circles: range of the angle from the normal of the highlight in which the circles lie."""
         angle, step = circles.nodes()
         starts, lengths = [], []
@@ -207,7 +207,7 @@ class CircleArcs(NamedTuple):
 
 def sphere_rules(
     view: SphereView,
-    at: CircleArcs,
+    at: WindowArcs,
     kernels: Sequence[Kernel],
     onto: ThetaRange,
     theta_d: np.ndarray,
@@ -232,7 +232,7 @@ def sphere_rules(
 
 
 def _kernel_sums(
-    view: SphereView, at: CircleArcs, kernels: Sequence[Kernel], onto: ThetaRange, theta_d: np.ndarray
+    view: SphereView, at: WindowArcs, kernels: Sequence[Kernel], onto: ThetaRange, theta_d: np.ndarray
 ) -> np.ndarray:
     """Compute the sums over the nodes of each arc for a few kernels, (kernels, sums, arcs); see `_arc_sums`."""
     windows, angle, _, arcs = at
@@ -272,7 +272,7 @@ def _kernel_sums(
 
 
 def _from_sums(
-    view: SphereView, at: CircleArcs, sums: np.ndarray, onto: ThetaRange, theta_d: np.ndarray, factor: np.ndarray
+    view: SphereView, at: WindowArcs, sums: np.ndarray, onto: ThetaRange, theta_d: np.ndarray, factor: np.ndarray
 ) -> SphereRule:
     """Compute the rule of a kernel from the sums over the nodes of each arc, (sums, arcs)."""
     _, angle, step, arcs = at

@@ -10,8 +10,8 @@ import numpy as np
 
 from matcam.core.jax import jnp
 from matcam.forward.integral.blur import Blur, blur_of
-from matcam.inverse.operator.lens_changes import CHANGES, VARIANCES
-from matcam.inverse.operator.rig_axes import LENS, Axis, of_variance, rig_with
+from matcam.inverse.rig.lens_changes import CHANGES, VARIANCES
+from matcam.inverse.rig.rig_axes import LENS, Axis, of_variance, rig_with
 from matcam.rigs import Rig
 
 

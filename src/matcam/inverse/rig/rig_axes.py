@@ -19,7 +19,7 @@ from matcam.camera.parameters import Uncertainty
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import jnp
 from matcam.forward.integral.blur import Blur, blur_of
-from matcam.inverse.operator.lens_changes import ASSUMED, CHANGES, EIGHTH, SHAPE, SIXTH, STRETCH, VARIANCES
+from matcam.inverse.rig.lens_changes import ASSUMED, CHANGES, EIGHTH, SHAPE, SIXTH, STRETCH, VARIANCES
 from matcam.rigs import Rig
 from matcam.sample.curved import Cylinder
 
