@@ -45,6 +45,14 @@ def test_the_end_of_the_range_is_no_estimate():
     assert "gives at least 0.581 px instead of 0.500 px" in refit.remark.text
 
 
+def test_data_that_tell_nothing_have_a_large_error_and_no_overflow():
+    """The error of the fit is that of the prior: the data alone leave the width free, but their error is a number."""
+    refit = refit_of(0.0, 0.02, 0.02)
+    assert refit.value == pytest.approx(0.5)
+    assert not refit.contradicts
+    assert 1e3 < refit.std < 1e6
+
+
 def test_close_values_differ_in_their_digits():
     axis = prior_axis(LENS, recorded.rig(), 0.01)
     text = RigRefit(axis, 1e-4, 0.50005, 1e-6, True, None, 0.0).remark.text

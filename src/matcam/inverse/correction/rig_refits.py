@@ -138,5 +138,5 @@ def _fitted_refit(fit: MaterialFit, name: str, rig: Rig) -> RigRefit:
     likeliest = coordinate * by_data**2 / variance
     contradicts = abs(likeliest) > _SIGNIFICANT * np.hypot(by_data, stated)
     inside = float(np.clip(likeliest, axis.low, axis.high))
-    std = axis.slope(inside, by_data) * by_data
+    std = axis.slope(inside, stated) * by_data
     return RigRefit(axis, inside, axis.value(inside), std, bool(contradicts), fit, weight=0.0)

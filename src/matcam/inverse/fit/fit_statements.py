@@ -49,7 +49,7 @@ def _slope(axis: Axis, information: float) -> float:
     """
     std = 1 / math.sqrt(max(information, _LEAST))
     if axis.softening:
-        return (axis.value(std) - axis.value(0.0)) / std
+        return axis.slope(0.0, std)
     low, high = max(-std, axis.low), min(std, axis.high)
     return (axis.value(high) - axis.value(low)) / (high - low)
 

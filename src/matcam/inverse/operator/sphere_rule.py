@@ -53,8 +53,10 @@ another shape.
 """
 _OF_RINGS = 2
 """Factor of the number of nodes on an arc for the diffraction rings of a lens."""
-_KERNELS = 4
-"""Largest number of kernels that one call of the compiled program evaluates at the same nodes."""
+_KERNELS = 2
+"""Largest number of kernels that one call of the compiled program evaluates at the same nodes. The two Gaussians that are
+stretched along and across the plane of camera and lamp have the same windows.
+"""
 _CALL, _BLOCK = 4096, 256
 """Number of arcs in one call of the compiled program, and in one of its blocks. The arrays of a block fit into the cache of
 a processor.

@@ -254,7 +254,7 @@ def _lens_axis(rig: Rig, half: float | None = None) -> Axis:
     else:
         low, high = (whole.coordinate(base * float(np.exp(end))) for end in (-half, half))
         first = low
-    given = [of_variance(own, variance) for variance in VARIANCES]
+    given = [lens_coordinate(own, variance) for variance in VARIANCES]
     count = max(_count((high - low) / 2), len(given) + _BESIDE_CHANGES)
     given = [point for point in given if point >= min(first, sharpest)]
     return whole._replace(low=low, high=high, points=_points(min(first, -1e-3), high, count, given))
@@ -274,7 +274,7 @@ def rig_with(rig: Rig, values: Mapping[str, float]) -> Rig:
     return eqx.tree_at(lambda r: tuple(getattr(r, name) for name in widths), rig, new) if widths else rig
 
 
-def of_variance(own: Blur, variance: float) -> float:
+def lens_coordinate(own: Blur, variance: float) -> float:
     """Compute the coordinate of the width of a Gaussian lens.
 
     own: blur of the rig. variance: variance of lens and registration, relative to the blur of the rig.

@@ -11,7 +11,7 @@ import numpy as np
 from matcam.core.jax import jnp
 from matcam.forward.integral.blur import Blur, blur_of
 from matcam.inverse.rig.lens_changes import CHANGES, VARIANCES
-from matcam.inverse.rig.rig_axes import LENS, Axis, of_variance, rig_with
+from matcam.inverse.rig.rig_axes import LENS, Axis, lens_coordinate, rig_with
 from matcam.rigs import Rig
 
 
@@ -57,7 +57,9 @@ class RigBlurs(NamedTuple):
         for axis in axes:
             if axis.name in CHANGES:
                 continue
-            variances = {of_variance(own, variance): variance for variance in VARIANCES} if axis.name == LENS else {}
+            variances = (
+                {lens_coordinate(own, variance): variance for variance in VARIANCES} if axis.name == LENS else {}
+            )
             for point in filter(None, axis.points):
                 if point in variances:
                     columns[variances[point], variances[point]] = len(along)
@@ -65,14 +67,9 @@ class RigBlurs(NamedTuple):
                     rig_with(rig, {axis.name: axis.value(point)}), in_discs=True, whole=whole, residual=residual
                 )
                 along.append(MovedBlur(blur, axis.by_variance))
-        wanted = dict.fromkeys(
-            (along, across)
-            for axis in axes
-            if axis.name in CHANGES
-            for terms in CHANGES[axis.name].points.values()
-            for along, across, _ in terms
-        )
-        missing = sorted(wanted.keys() - columns.keys(), key=lambda pair: (pair[0] != pair[1], pair))
+        changed = (CHANGES[axis.name] for axis in axes if axis.name in CHANGES)
+        wanted = {(x, y) for change in changed for terms in change.points.values() for x, y, _ in terms}
+        missing = sorted(wanted - columns.keys(), key=lambda pair: (pair[0] != pair[1], pair))
         columns |= {pair: len(along) + n for n, pair in enumerate(missing)}
         changes = [_changed(own, *pair) for pair in missing]
         shared = sum(not any(one.stretch) for one in changes) if gaussian else 0
