@@ -187,7 +187,7 @@ def _at(where: ResponseLattice, at: FitCoordinates, axes: tuple[Axis, ...]) -> n
 
 def _log_ratio_and_record(where: ResponseLattice, at: FitCoordinates) -> tuple[np.ndarray, np.ndarray]:
     """Compute ln(true / recorded) and ln(recorded) for the specified rig, (slices, cells) each."""
-    (recorded, _), (true, _) = _lobes_and_shares(where, at, np.zeros(len(where.recorded.points)))
+    (recorded, _), (true, _) = _lobes_and_shares(where, at, np.zeros(len(where.recorded.axes)))
     log_recorded = np.where(where.cells.valid, np.log(recorded), np.log(VANISHED))
     return np.where(where.cells.valid, np.log(true) - log_recorded, 0.0), log_recorded
 

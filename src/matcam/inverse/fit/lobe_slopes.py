@@ -31,7 +31,6 @@ from matcam.material.masking import smith_rule
 from matcam.material.ndf.distribution import NDF
 from matcam.material.ndf.free_lobe import SplineNDF, spline_at, spline_sums
 from matcam.material.tabulated_masking import COTS, lobe_table
-from matcam.numerics.approximation import lagrange_slopes
 
 
 class RecordAndSlopes(NamedTuple):
@@ -172,12 +171,7 @@ def _rows(nodes: OperatorNodes, lobe: _Lobe, rig: np.ndarray) -> np.ndarray:
         by_lobe += masked.by_tables(weight * light, lobe.by_table)
     if lobe.by_norm is not None:
         by_lobe -= lobe.by_norm[:, None] * record
-    visible = (seen * light).reshape(len(record), -1, 1)
-    by_rig = [
-        lagrange_slopes(points, shift) @ (along.reshape(*along.shape[:2], -1) @ visible)[..., 0].T
-        for points, along, shift in zip(nodes.points, at.along, rig.tolist(), strict=True)
-    ]
-    return np.stack([record, *by_lobe, *by_rig])
+    return np.stack([record, *by_lobe, *nodes.by_shifts(seen * light, rig)])
 
 
 def _over_nodes(values: np.ndarray) -> np.ndarray:

@@ -36,7 +36,7 @@ class StartRecords:
         key = f"records of starts\n{self._name}\n{kind}\n{starts.tobytes().hex()}"
 
         def make() -> dict[str, np.ndarray]:
-            stated = np.zeros(len(self.operator.points))
+            stated = np.zeros(len(self.operator.axes))
             return {
                 "records": np.stack([lobe_record(self.operator, kind, np.concatenate([q, stated])) for q in starts])
             }

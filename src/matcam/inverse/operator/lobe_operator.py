@@ -81,9 +81,9 @@ class LobeOperator:
         return (self,) if self.moment is None else (self, self.moment)
 
     @property
-    def points(self) -> tuple[np.ndarray, ...]:
-        """Return the points of each axis along which a parameter of the rig may change."""
-        return self.blocks[0].points
+    def axes(self) -> tuple[Axis, ...]:
+        """Return the parameters of the rig that may change."""
+        return self.blocks[0].axes
 
     @property
     def at(self) -> NodeArrays:
@@ -197,8 +197,7 @@ class _Rules(NamedTuple):
             azimuth=np.broadcast_to(azimuth, cos_i.shape),
             share=self.sample_share,
         )
-        points = tuple(np.array(axis.points) for axis in axes)
-        own = LobeOperator(_in_blocks(OperatorNodes(at, through, points)), cells.valid.shape)
+        own = LobeOperator(_in_blocks(OperatorNodes(at, through, axes)), cells.valid.shape)
         if self.moment is None:
             return own
         return dataclasses.replace(own, moment=own.with_weights(self.moment, _cells_first(self.moment_along)))

@@ -16,12 +16,13 @@ import numpy.typing as npt
 from matcam.core.jax import jax, jnp
 from matcam.core.programs import kept_program
 from matcam.inverse.operator.chosen_cells import SLICE_CELLS
+from matcam.inverse.rig.rig_axes import Axis, scaled_changes
 from matcam.material.lambda_table import TabulatedDirections
 from matcam.material.masking import Masking, g2
 from matcam.material.ndf.distribution import NDF
 from matcam.material.ndf.free_lobe import spline_sums
 from matcam.material.tabulated_masking import compiled_table
-from matcam.numerics.approximation import lagrange_basis
+from matcam.numerics.approximation import lagrange_basis, lagrange_slopes
 
 CELLS = 5 * SLICE_CELLS
 """Number of cells in each call of a program: five slices of a table, because fits use 5, 15 or 90 slices."""
@@ -55,12 +56,12 @@ class OperatorNodes(NamedTuple):
     Attributes:
         at: quantities at the nodes.
         through_samples: matrix that interpolates from the samples to the nodes of a group, (nodes of a group, samples).
-        points: points of each axis, (points,).
+        axes: parameters of the rig that may change.
     """
 
     at: NodeArrays
     through_samples: np.ndarray
-    points: tuple[np.ndarray, ...]
+    axes: tuple[Axis, ...]
 
     def with_weights(self, weight: np.ndarray, along: Sequence[np.ndarray]) -> OperatorNodes:
         """Replace the weights and their differences along the axes."""
@@ -75,16 +76,30 @@ class OperatorNodes(NamedTuple):
 
     def along_axes(self, indices: Sequence[int]) -> OperatorNodes:
         """Restrict the nodes to some of the axes."""
-        along, points = (tuple(every[k] for k in indices) for every in (self.at.along, self.points))
-        return self._replace(at=self.at._replace(along=along), points=points)
+        along = tuple(self.at.along[k] for k in indices)
+        return self._replace(at=self.at._replace(along=along), axes=tuple(self.axes[k] for k in indices))
 
     def weight_at(self, shifts: npt.ArrayLike) -> np.ndarray:
         """Compute the weights of a rig with other parameters. shifts: coordinates along the axes, (axes,)."""
-        weight = self.at.weight
-        for points, differences, shift in zip(self.points, self.at.along, np.asarray(shifts, dtype=float), strict=True):
+        weight, (scaled, _) = self.at.weight, scaled_changes(self.axes, np.asarray(shifts, dtype=float))
+        for axis, differences, shift in zip(self.axes, self.at.along, scaled, strict=True):
             if shift:
-                weight = weight + _along_points(differences, np.array(lagrange_basis(points, shift)))
+                basis = np.array(lagrange_basis(np.array(axis.points), shift))
+                weight = weight + _along_points(differences, basis)
         return weight
+
+    def by_shifts(self, by_weight: np.ndarray, shifts: np.ndarray) -> np.ndarray:
+        """Differentiate the sum of each cell with respect to the coordinates along the axes, (axes, cells).
+
+        by_weight: derivatives of the sum with respect to the weights, (cells, directions, nodes).
+        """
+        scaled, slopes = scaled_changes(self.axes, shifts)
+        column = by_weight.reshape(len(by_weight), -1, 1)
+        own = np.zeros((len(self.axes), len(by_weight)))
+        for row, axis, along, shift in zip(own, self.axes, self.at.along, scaled.tolist(), strict=True):
+            by_points = (along.reshape(*along.shape[:2], -1) @ column)[..., 0]
+            row += lagrange_slopes(np.array(axis.points), shift) @ by_points.T
+        return slopes.T @ own
 
     def masked(self, masking: Masking, table: np.ndarray | None) -> JointMasking | None:
         """Evaluate G at the nodes; None without masking. table: table of Lambda."""

@@ -122,6 +122,37 @@ class Axis(NamedTuple):
         step = max(std, 1e-6)
         return (self.value(coordinate + step) - self.value(coordinate)) / step
 
+    def lens_share(self, coordinate: float) -> tuple[float, float]:
+        """Compute the share of a lens in the variance of the whole blur, relative to the share at coordinate 0.
+
+        The second value is the derivative with respect to the coordinate.
+        """
+        others = self.softening**2 / (self.base**2 + self.softening**2)
+        left = others * float(np.exp(-2 * coordinate))
+        return max(1 - left, 0.0) / (1 - others), 2 * left / (1 - others)
+
+
+def scaled_changes(axes: Sequence[Axis], coordinates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Scale changes of the lens by the share of the lens in the whole blur.
+
+    The changes are relative to the moments of the lens. Therefore they vanish with its width. A moment of order 2 k of the
+    whole blur, divided by the variance to the power k, contains the change of the moment of the lens times the share to the
+    power k.
+
+    Returns: coordinates of the changes that the lens of the rig would have with the same effect, and the derivatives with
+        respect to the coordinates, (axes, axes). Other coordinates are returned unchanged.
+    """
+    scaled, slopes = np.array(coordinates, dtype=float), np.eye(len(axes))
+    for lens in (n for n, axis in enumerate(axes) if axis.name == LENS and axis.base > 0):
+        share, by_width = axes[lens].lens_share(scaled[lens])
+        for n, axis in enumerate(axes):
+            power = CHANGES[axis.name].power if axis.name in CHANGES else 0
+            if power:
+                slopes[n, n] = share**power
+                slopes[n, lens] = scaled[n] * power * share ** (power - 1) * by_width
+                scaled[n] *= share**power
+    return scaled, slopes
+
 
 def shape_axes(rig: Rig) -> tuple[tuple[Axis, ...], tuple[float, ...]]:
     """Build the axes of the lens shape, and their prior standard deviations.
