@@ -19,7 +19,7 @@ from matcam import (
     read_merl,
     rigs,
 )
-from matcam.camera import Uncertainty
+from matcam.camera import PixelNoise, Uncertainty
 from matcam.core.grid import brdf_table
 from matcam.core.jax import jnp
 from matcam.inverse import Correction
@@ -211,6 +211,14 @@ def test_a_guess_that_no_data_confirm_moves_nothing():
         for no_camera, asked in ((0.2, undecided), (1e-3, False)):
             found = SimpleNamespace(located=SimpleNamespace(rig=rig), no_camera=no_camera)
             assert Explanation.undecided.fget(found) == asked
+
+
+def test_residuals_that_exceed_the_noise_of_any_camera_contradict_the_rig():
+    """Unless the noise is specified, an estimate of 20 % means that no lobe explains the data."""
+    for relative, given, contradicts in ((0.2, False, True), (0.1, False, False), (0.2, True, False)):
+        fitted = SimpleNamespace(noise=PixelNoise(relative, 1e-4, 0.0), noise_given=given)
+        found = SimpleNamespace(located=SimpleNamespace(unexplained=False), no_blur=False, refits=(), fit=fitted)
+        assert Explanation.contradicts.fget(found) == contradicts
 
 
 def test_a_guess_may_be_no_lens_at_all_and_a_lens_without_a_statement_is_asked_of_the_data():

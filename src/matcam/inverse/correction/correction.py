@@ -278,8 +278,8 @@ class Correction(Summarised):
         """Summarise the result in two or three sentences."""
         if self.withheld:
             return (
-                "Rig and data contradict each other, so the table is not corrected: the data do not show the blur that the rig "
-                "predicts. No entry is supported."
+                "Rig and data contradict each other, so the table is not corrected. The remarks name the contradiction. "
+                "No entry is supported."
             )
         lost = [
             f"{loss:.0%} at {angle}°" for angle, loss in zip(_ANGLES, self.peak_loss(np.radians(_ANGLES)), strict=True)

@@ -120,11 +120,13 @@ class Explanation(NamedTuple):
     def contradicts(self) -> bool:
         """Check whether rig and data contradict each other.
 
-        The data show no blur, or another lens than specified, or equal values of cells that no pixel grid explains.
+        The data show no blur, or another lens than specified, or equal values of cells that no pixel grid explains. Or no
+        lobe explains the data, because the residuals exceed the noise of any camera.
         """
         return (
             self.located.unexplained
             or self.no_blur
+            or (not self.fit.noise_given and at_largest_noise(self.fit.noise))
             or any(refit.contradicts for refit in self.refits if refit.axis.name == LENS)
         )
 
