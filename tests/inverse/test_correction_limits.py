@@ -213,8 +213,8 @@ def test_a_guess_that_no_data_confirm_moves_nothing():
             assert Explanation.undecided.fget(found) == asked
 
 
-def test_residuals_that_exceed_the_noise_of_any_camera_contradict_the_rig():
-    """Unless the noise is specified, an estimate of 20 % means that no lobe explains the data."""
+def test_an_estimated_noise_at_its_limit_contradicts_the_rig():
+    """An estimate of 20 % means that no lobe explains the data. A specified noise of 20 % does not."""
     for relative, given, contradicts in ((0.2, False, True), (0.1, False, False), (0.2, True, False)):
         fitted = SimpleNamespace(noise=PixelNoise(relative, 1e-4, 0.0), noise_given=given)
         found = SimpleNamespace(located=SimpleNamespace(unexplained=False), no_blur=False, refits=(), fit=fitted)

@@ -120,8 +120,8 @@ class Explanation(NamedTuple):
     def contradicts(self) -> bool:
         """Check whether rig and data contradict each other.
 
-        The data show no blur, or another lens than specified, or equal values of cells that no pixel grid explains. Or no
-        lobe explains the data, because the residuals exceed the noise of any camera.
+        The data show no blur, or another lens than specified, or equal values of cells that no pixel grid explains; or no
+        lobe explains the data, because the estimated noise has its largest value.
         """
         return (
             self.located.unexplained

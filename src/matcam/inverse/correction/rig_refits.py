@@ -134,7 +134,7 @@ def _fitted_refit(fit: MaterialFit, name: str, rig: Rig) -> RigRefit:
     if is_guess(name, relative):  # no exact value that the data could contradict
         return RigRefit(axis, coordinate, fit.params[name], fit.std[name], False, fit, weight=0.0)
     stated = axis.std(relative)
-    # the tolerance of the fit looks like an information of the data up to 1e-6 of that of the prior
+    # a smaller relative difference from the information of the prior is due to the tolerance of the fit, not to the data
     by_data = float(np.sqrt(1 / max(1 / variance - 1 / stated**2, 1e-6 / stated**2)))
     likeliest = coordinate * by_data**2 / variance
     contradicts = abs(likeliest) > _SIGNIFICANT * np.hypot(by_data, stated)

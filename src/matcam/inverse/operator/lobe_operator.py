@@ -11,7 +11,8 @@ The operator `moment` of B is the operator of A with other weights. The second-o
 lamps at three radii.
 
 Uncertain parameters of the rig change the weights of the rule. Along the axis of each parameter (`rig_axes`) a polynomial
-interpolates between a few values. The interaction of two parameters is a product of two small errors and is neglected.
+interpolates between a few values. Changes of the lens are scaled with its width (`scaled_changes`). Any other interaction of
+two parameters is a product of two small errors and is neglected.
 """
 
 from __future__ import annotations

@@ -45,7 +45,7 @@ class KernelChange(NamedTuple):
         std: prior standard deviation of the coordinate.
         low: smallest coordinate.
         high: largest coordinate.
-        power: power of the variance of the kernel to which the changed moment is proportional.
+        power: power of the variance of the kernel to which the changed moment is proportional; 0: no moment is changed.
     """
 
     points: Mapping[float, tuple[tuple[float, float, float], ...]]
@@ -78,7 +78,8 @@ def _stretched(*points: float) -> dict[float, tuple[tuple[float, float, float], 
 
 CHANGES = {
     WIDTH: KernelChange(_widened(-0.25, 0.25), ASSUMED, -0.5, 0.5, 0),
-    # a disc has the moments of a mixture of Gaussians whose relative variance has the central moments -1/3 and 1/3
+    # a disc has the moments of a mixture of Gaussians whose relative variance has the second and third central moments
+    # -1/3 and 1/3
     SHAPE: KernelChange(_difference(1 / (18 * _STEP**2), 1, -1, 0, -1, 1), 1.0, -1.5, 4.0, 2),
     SIXTH: KernelChange(_difference(1 / (36 * _STEP**3), -1, 2, 0, -2, 1), 1.0, -3.0, 3.0, 3),
     EIGHTH: KernelChange(_difference(1 / (72 * _STEP**4), 1, -4, 6, -4, 1), 1.0, -3.0, 3.0, 4),

@@ -135,12 +135,11 @@ class Axis(NamedTuple):
 def scaled_changes(axes: Sequence[Axis], coordinates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Scale changes of the lens by the share of the lens in the whole blur.
 
-    The changes are relative to the moments of the lens. Therefore they vanish with its width. A moment of order 2 k of the
-    whole blur, divided by the variance to the power k, contains the change of the moment of the lens times the share to the
-    power k.
+    The changes are relative to the moments of the lens, so they vanish with its width. A change of its moment of order 2 k
+    changes that of the whole blur, divided by the variance to the power k, by the share to the power k.
 
-    Returns: coordinates of the changes that the lens of the rig would have with the same effect, and the derivatives with
-        respect to the coordinates, (axes, axes). Other coordinates are returned unchanged.
+    Returns: coordinates at which the lens of the rig has the same relative effect, and their derivatives with respect to the
+        given coordinates, (axes, axes). Coordinates of other parameters are returned unchanged.
     """
     scaled, slopes = np.array(coordinates, dtype=float), np.eye(len(axes))
     for lens in (n for n, axis in enumerate(axes) if axis.name == LENS and axis.base > 0):
