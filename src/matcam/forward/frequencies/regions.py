@@ -15,7 +15,7 @@ import numpy as np
 
 from matcam.core.jax import jax, jnp
 from matcam.forward.integral.scene import Scene, highlight_x
-from matcam.numerics.elementary import plane_length
+from matcam.numerics.elementary import erfc, plane_length
 
 STEEPEST = 0.1
 """Smallest cosine of the viewing angle by which a patch around a highlight is stretched."""
@@ -136,7 +136,7 @@ class Regions(NamedTuple):
 
 def falling(at: jax.Array, sigma: float) -> jax.Array:
     """Evaluate a weight that decreases from 1 to 0 about 0, the integral of a Gaussian of standard deviation `sigma`."""
-    return jax.scipy.special.erfc(at / (np.sqrt(2) * sigma)) / 2
+    return erfc(at / (np.sqrt(2) * sigma)) / 2
 
 
 def horizon(scene: Scene) -> jax.Array:

@@ -27,6 +27,7 @@ from matcam.inverse.operator.sphere_rule import Kernel, SphereRule, WindowArcs, 
 from matcam.inverse.operator.theta_nodes import (
     NODES,
     PIECE,
+    PIECES,
     SAMPLED,
     CircleSums,
     Scale,
@@ -125,7 +126,8 @@ def _in_pieces(
 
     pixels: see `_rules`. count: number of all blurs; blurs that are not in `widths` have weights of 0.
     """
-    pieces = [slice(first, first + PIECE) for first in range(0, pixels[0].size, PIECE)]
+    step = PIECE if view.line else PIECES * PIECE
+    pieces = [slice(first, first + step) for first in range(0, pixels[0].size, step)]
 
     def rules(piece: slice) -> list[_Found]:
         return _rules(view, tuple(a[piece] for a in pixels), [through.of(piece) for through in widths], scale)

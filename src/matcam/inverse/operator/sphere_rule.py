@@ -57,8 +57,8 @@ _KERNELS = 2
 """Largest number of kernels that one call of the compiled program evaluates at the same nodes. The two Gaussians that are
 stretched along and across the plane of camera and lamp have the same windows.
 """
-_CALL, _BLOCK = 4096, 256
-"""Number of arcs in one call of the compiled program, and in one of its blocks. The arrays of a block fit into the cache of
+_CALL, _BLOCK = 32768, 256
+"""Numbers of arcs in one call of the compiled program, and in one of its blocks. The arrays of a block fit into the cache of
 a processor.
 """
 _REACH = 6.2
@@ -253,23 +253,22 @@ def _kernel_sums(
     # the image of a disc has borders, which require all nodes on short arcs, too
     on_arcs = _ON_ARCS if kernel.disc is None else _ON_ARCS[-1:]
     classes = np.searchsorted([most for most, _ in on_arcs[:-1]], sides)
-    shape = rings * on_arcs[-1][1] // _GROUP, _GROUP
+    per_arc = angle.ravel()[arcs.circle], arcs.middle, arcs.half
+    program = _arc_sums if kernel.disc is None else _arc_sums_of_disc
+    nodes = [rings * number for _, number in on_arcs]
+    rules = [np.pad(_gauss_rule(number), ((0, 0), (0, nodes[-1] - number))).reshape(2, -1, _GROUP) for number in nodes]
     sums = np.zeros((count, 7 + 2 * NODES[0].size if near else 4, arcs.circle.size))
-    for number, (_, nodes) in enumerate(on_arcs):
-        rule = tuple(np.pad(a, (0, int(np.prod(shape)) - a.size)).reshape(shape) for a in _gauss_rule(rings * nodes))
-        groups, own = np.array(rings * nodes // _GROUP), np.flatnonzero(classes == number)
-        for begin in range(0, own.size, _CALL):
-            some = own[begin : begin + _CALL]
-            used, part = -(-some.size // _BLOCK), Arcs(*(_filled(a[some]) for a in arcs))
-            seen_by = part.circle // angle.shape[1]
-            of_pixel = np.stack([a[seen_by] for a in per_pixel])
-            of_arc = np.stack([angle.ravel()[part.circle], part.middle, part.half])
-            program = _arc_sums if kernel.disc is None else _arc_sums_of_disc
-            found = program(
-                np.array(used), np.array(count), np.array(view), of_pixel, of_arc, spread[:, seen_by], groups, rule, blurs,
-                kernel.disc_at(seen_by), kernel.terms, near, kernel.pixel_nodes,
-            )  # fmt: skip
-            sums[..., some] = np.asarray(found)[:count, :, : some.size]
+    order = np.argsort(classes, kind="stable")
+    for begin in range(0, order.size, _CALL):
+        some = order[begin : begin + _CALL]
+        index = np.pad(some, (0, _CALL - some.size), mode="edge")
+        seen_by = pixel[index]
+        found = program(
+            np.array(-(-some.size // _BLOCK)), np.array(count), np.array(view), np.stack([a[seen_by] for a in per_pixel]),
+            np.stack([a[index] for a in per_arc]), spread[:, seen_by], classes[index].reshape(-1, _BLOCK)[:, -1],
+            np.array(nodes) // _GROUP, np.stack(rules), blurs, kernel.disc_at(seen_by), kernel.terms, near, kernel.pixel_nodes,
+        )  # fmt: skip
+        sums[..., some] = np.asarray(found)[:count, :, : some.size]
     return sums
 
 
@@ -297,12 +296,10 @@ def _from_sums(
     return SphereRule(own[0], seen, own[1])
 
 
-_gauss_rule = cache(np.polynomial.legendre.leggauss)
-
-
-def _filled(array: np.ndarray) -> np.ndarray:
-    """Pad the arcs of a call with copies of the last one."""
-    return np.pad(array, (0, _CALL - array.size), mode="edge")
+@cache
+def _gauss_rule(nodes: int) -> np.ndarray:
+    """Compute the nodes of a Gauss-Legendre rule and their weights, (2, nodes)."""
+    return np.stack(np.polynomial.legendre.leggauss(nodes))
 
 
 @partial(jit_plainly, static=("terms", "near", "pixel_nodes"))
@@ -313,8 +310,9 @@ def _arc_sums(
     of_pixel: Any,
     of_arc: Any,
     spread: Any,
+    classes: Any,
     groups: Any,
-    rule: tuple[np.ndarray, ...],
+    rules: Any,
     blurs: Blur,
     disc: LampDisc | None,
     terms: tuple[int, ...],
@@ -327,21 +325,23 @@ def _arc_sums(
     for weights, and 40 for moments.
 
     used: number of blocks with arcs. kernels: number of kernels that are used. spread: two variances of each kernel, see
-        `Kernel`, (2 kernels, arcs). groups: number of groups of nodes. rule: nodes on each arc, and their weights,
-        (groups, nodes). blurs: blur of each kernel; the first axis of its arrays is that of the kernels.
+        `Kernel`, (2 kernels, arcs). classes: index of the rule of each block. groups: number of groups of nodes of each rule.
+        rules: nodes on each arc, and their weights, (rules, 2, groups, nodes). blurs: blur of each kernel; the first axis of
+        its arrays is that of the kernels.
     """
     view = SphereView(*of_view) if near else SphereView(of_view[0], 0.0, 0.0)
     most = len(spread) // 2
 
     def block(arguments):  # type: ignore[no-untyped-def]
-        of_pixel, of_arc, spread, disc = arguments
+        of_pixel, of_arc, spread, disc, own = arguments
         variances = jnp.stack(spread).reshape(most, 2, -1, 1)
         pixel = tuple(a[:, None] for a in of_pixel)
         circle, middle, half = (a[:, None] for a in of_arc)
         peak = pixel[5]
         arc = half, *(function(angle) for angle in (middle, circle, peak) for function in (jnp.sin, jnp.cos))
         nothing = jnp.zeros((most, 7 + 2 * NODES[0].size if near else 4, circle.shape[0]))
-        return repeated_sum(lambda nodes: sums(pixel, arc, variances, disc, nothing, *nodes), groups, rule, nothing)
+        rule = rules[own, 0], rules[own, 1]
+        return repeated_sum(lambda node: sums(pixel, arc, variances, disc, nothing, *node), groups[own], rule, nothing)
 
     def sums(pixel, arc, variances, disc, nothing, node, node_weight):  # type: ignore[no-untyped-def]
         """Compute the contribution of some nodes of each arc."""
@@ -399,7 +399,7 @@ def _arc_sums(
         return array.reshape(-1, _BLOCK, *array.shape[1:])
 
     of_blocks = jax.tree.map(blocks, (tuple(of_pixel), tuple(of_arc), tuple(spread), disc))
-    found = in_blocks(block, used, of_blocks)
+    found = in_blocks(block, used, (*of_blocks, classes))
     return jnp.moveaxis(found, 0, 2).reshape(*found.shape[1:3], -1)
 
 

@@ -43,6 +43,8 @@ PIECE = 2 * _BLOCK
 """Number of pixels in each call. With a fixed number one compiled program serves all calls, and the calls run on several
 cores.
 """
+PIECES = 4
+"""Number of `PIECE`s of a sphere that are computed at once. Larger arrays reduce the share of the time that each call takes."""
 SAMPLED = np.round(np.linspace(0, NODES[0].size - 1, 20)).astype(int)
 """Indices of the nodes at which the masking of a distant rig is evaluated.
 
@@ -193,7 +195,9 @@ class ThetaRange(NamedTuple):
         The new weights have shape (pixels, nodes). Weighted sums of polynomials through neighbouring nodes are preserved.
         The lobe must be smooth on the scale of the nodes; the kernel need not be. theta: angles of the weights, rad.
         """
-        return np.asarray(_carry(theta, weight, self.spacing()))
+        parts = (slice(first, first + PIECE) for first in range(0, theta.shape[0], PIECE))
+        spacing = self.spacing()
+        return np.concatenate([_carry(theta[p], weight[p], NodeSpacing(*(a[p] for a in spacing))) for p in parts])
 
 
 @jit_plainly
