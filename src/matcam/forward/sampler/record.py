@@ -206,7 +206,7 @@ class _ArcInputs(NamedTuple):
     arcs: CircleArcs | CrossArcs
 
 
-@kept_program
+@kept_program(runs="mostly")
 def _arc_blocks(subject: Subject, blur: BlurTerms, used: Any, counts: Any, rules: Any, rows: _ArcInputs) -> jax.Array:
     sample, kernel = subject.imaging.sample, blur.blur
 
