@@ -194,6 +194,7 @@ def _sphere_rules(
     sphere = view.on_sphere
     own = scale if np.min(widths[0].reaches[0]) > _SURROUNDINGS[0] else scale._replace(largest=np.inf)
     widest, onto = (one.scaled(scale) for one in sphere_range(sphere, windows))
+    more = bool(view.azimuth) or any(disc is not None for through in widths for disc in through.discs)
 
     def rules(through: PixelBlurs, numbers: Sequence[int], at: WindowArcs) -> list[SphereRule]:
         kernels = [
@@ -217,7 +218,7 @@ def _sphere_rules(
             seen_in = windows._replace(half=through.reaches[numbers[0]])
             seen = sphere_range(sphere, seen_in)[0]
             ranges = [seen.scaled(own)] if common is None else seen.parts()
-            of_ranges = [rules(through, numbers, WindowArcs.of(sphere, seen_in, one)) for one in ranges]
+            of_ranges = [rules(through, numbers, WindowArcs.of(sphere, seen_in, one, more)) for one in ranges]
             found |= {n: list(of_blur) for n, of_blur in zip(numbers, zip(*of_ranges, strict=True), strict=True)}
         return [found[n] if n in found else found[0] for n in range(len(through.blurs))]
 
@@ -237,8 +238,8 @@ def _sphere_rules(
         shown = first[0]  # its circles cover the whole range
     else:
         by = lens[0] if len(lens) == 1 else _standing_for(lens)
-        (shown,) = rules(by, [0], WindowArcs.of(sphere, windows._replace(half=lens[-1].reaches[0]), widest))
-    theta = onto.nodes()[0]
+        (shown,) = rules(by, [0], WindowArcs.of(sphere, windows._replace(half=lens[-1].reaches[0]), widest, more))
+    theta = onto.nodes(NODES)[0]
     # only the symmetry of an aligned, distant rig allows polynomials to represent G close to the limb
     at = SAMPLED if view.distant and not view.azimuth else np.arange(NODES[0].size)
     sampled = dict(zip(_MASKED, masking_samples(shown.circles, theta, at), strict=True))
