@@ -73,8 +73,10 @@ class _Flat(Strict):
 
 
 class _Lamp(Strict):
-    angles_rad: Annotated[list[FiniteFloat], Field(min_length=1)]
-    azimuths_rad: list[Annotated[FiniteFloat, Field(ge=-2 * math.pi, le=2 * math.pi)]] | None = None
+    angles_rad: Annotated[list[FiniteFloat], Field(min_length=1, fail_fast=True)]
+    azimuths_rad: (
+        Annotated[list[Annotated[FiniteFloat, Field(ge=-2 * math.pi, le=2 * math.pi)]], Field(fail_fast=True)] | None
+    ) = None
     radius_rad: _NotNegative
     distance_radii: Annotated[FiniteFloat, Field(gt=1)] | None = None
 
