@@ -121,8 +121,8 @@ def plainly_compiled(runs: Runs = "some") -> dict[str, Any] | None:
 
     runs: expected number of runs. "once" takes a quarter of the default compile time, and twice the run time. "some"
     takes two thirds of the compile time, and most programs are not slower. "many" takes three quarters of the compile
-    time, and few programs are slower. "mostly" is the default of JAX, for a program that takes most of the time of a
-    command: elementary functions in its loops take half the time.
+    time, and few programs are slower. "mostly" uses all passes, as JAX does by default, for a program that takes most of
+    the time of a command: elementary functions in its loops take half the time.
     """
     if runs == "mostly":
         return None

@@ -1,7 +1,7 @@
 """Elementary functions: sine, arcsine and error function of many numbers, and the length of a vector with a derivative at zero.
 
 For a sine of doubles XLA calls a scalar library function, which takes 15 to 30 ns, a third of the time of an integral. A
-polynomial takes 1 ns. The error function of XLA evaluates three rational functions, of which one is used.
+polynomial takes 1 ns. For an error function XLA evaluates three rational functions and uses one of them.
 """
 
 from __future__ import annotations

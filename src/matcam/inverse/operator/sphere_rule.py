@@ -411,5 +411,9 @@ def _arc_sums(
     return jnp.moveaxis(found, 0, 2).reshape(*found.shape[1:3], -1)
 
 
-_arc_sums_of_disc = jax.jit(_arc_sums.__wrapped__, static_argnames=("terms", "near", "pixel_nodes"))  # type: ignore[attr-defined]
+_arc_sums_of_disc = jit_plainly(
+    _arc_sums.__wrapped__,  # type: ignore[attr-defined]
+    runs="mostly",
+    static=("terms", "near", "pixel_nodes"),
+)
 """`_arc_sums`, compiled with all optimisation passes. The Gaussians of a disc then take a third of the computing time."""

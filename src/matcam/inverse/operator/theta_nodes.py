@@ -46,7 +46,7 @@ PIECE = 2 * _BLOCK
 cores.
 """
 PIECES = 4
-"""Number of `PIECE`s of a sphere that are computed at once. Larger arrays reduce the share of the time that each call takes."""
+"""Number of pieces of `PIECE` pixels of a sphere that are computed together, because fewer calls take less time."""
 SAMPLED = np.round(np.linspace(0, NODES[0].size - 1, 20)).astype(int)
 """Indices of the nodes at which the masking of a distant rig is evaluated.
 
