@@ -106,11 +106,3 @@ def test_a_class_has_one_name():
             if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
                 positions.setdefault(node.name, []).append(path)
     assert {name: found for name, found in positions.items() if len(found) > 1} == {}
-
-
-def test_docstrings_begin_with_a_verb():
-    poor = {"Of", "What", "As", "How", "Whether", "Where"}
-    for path in SOURCES:
-        for node in ast.walk(ast.parse(path.read_text())):
-            if isinstance(node, ast.FunctionDef | ast.ClassDef) and (text := ast.get_docstring(node)):
-                assert text.split()[0] not in poor, f"{path}: {node.name}"

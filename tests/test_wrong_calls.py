@@ -116,7 +116,7 @@ SOURCE = matcam.UncertaintySource("a", 1.0, 0.1, 1.0, "B")
         ),
         (
             lambda: matcam.picture(matcam.Microfacet(LOBE, 0.9), RIG, 0.5, shape=(3, 5), shift=MERL),
-            "shift must be two numbers, columns to the right and rows down, got shape (90, 90, 180, 3)",
+            "shift must be two numbers (right, down), px, got an array of shape (90, 90, 180, 3)",
         ),
         (lambda: matcam.camera.Uncertainty.of(0.1), "std must map names to standard deviations, got 0.1"),
         (lambda: RIG.camera.with_parameters([1]), "values must be a dict, got [1]"),

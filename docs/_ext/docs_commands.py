@@ -105,7 +105,7 @@ def _table(options):
         "| option | value | default | meaning |",
         "|---|---|---|---|",
         *(
-            f"| `{_cell(o.names)}` | {_code(o.value)} | {_code(o.default)} | {_cell(o.help)} |"
+            f"| `{_cell(o.names)}` | {_code(o.value.replace('|', ' | '))} | {_code(o.default)} | {_cell(o.help)} |"
             for o in options
             if "--help" not in o.names
         ),

@@ -1,6 +1,6 @@
 """
-Inverse rendering that knows its camera
-=======================================
+Inverse rendering through the camera
+====================================
 
 A roughness is recovered from a photograph by differentiating Mitsuba's rendering. Without the camera's kernel, its blur is taken for
 roughness. :class:`matcam.exchange.MitsubaFilm` is that kernel as a differentiable step behind the rendering.

@@ -41,12 +41,12 @@ _NAMES = {
 def peak_eq11(
     sigma: ArrayLike, sigma_mtf: ArrayLike, sigma_p: ArrayLike, radius: ArrayLike, theta: ArrayLike
 ) -> jax.Array:
-    """Evaluate equation (11) of the paper, recorded over true peak.
+    """Evaluate equation (11) of the paper, the recorded peak divided by the true peak.
 
     It is erf((sigma_p / radius) / (sqrt2 sigma_m)) with sigma_m = sqrt(sigma^2 + (sigma_mtf / (radius cos theta))^2),
     equation (10). The arguments broadcast.
 
-    Use it only to reproduce Figure 5, and `peak_response` otherwise. The equation uses a lobe of unit area and neglects
+    Use this equation only to reproduce Figure 5, and `peak_response` otherwise. It uses a lobe of unit area and neglects
     that the angular width of a pixel is sigma_p / (radius cos theta) (docs/model.md 4).
 
     Args:
@@ -57,7 +57,7 @@ def peak_eq11(
         theta: angle between normal and view at the highlight, rad, [0, pi/2).
 
     Returns:
-        Recorded peak over true peak, no unit, shape of the broadcast arguments.
+        Recorded peak divided by true peak, no unit, shape of the broadcast arguments.
 
     Raises:
         ArgumentError: an argument is out of range.
@@ -165,6 +165,6 @@ def figure_5(rig: Rig | None = None) -> xr.Dataset:
 
 
 def _gaussian_numbers(rig: Rig) -> tuple[float, float, float]:
-    """Return (sigma_mtf, sigma_p, radius) of a rig as in the paper."""
+    """Read sigma_mtf, sigma_p and the radius of the sphere of a rig, px."""
     sigma = rig.camera.parameters()["optics.sigma_px"]
     return float(sigma), float(rig.camera.pixel.half_width), float(rig.sample.radius)  # type: ignore[attr-defined]

@@ -56,7 +56,8 @@ class Rig(Module):
             defocus.
         focus: angle from the optical axis of the normals that are in focus, rad, [0, pi/2]. Default: 0, the point of the
             sample closest to the camera.
-        crop: (height, width) of the part of the sensor that is used, px, about the optical axis. None: the area of the sample.
+        crop: (height, width) of the part of the sensor that is used, px, about the optical axis. Default: None,
+            the area of the sample.
         cell_value: meaning of a cell of the recorded table. "centre" or "edge": the pixel at the centre or the edge of
             the cell; "mean": the mean of the pixels inside the cell, or the nearest pixel if the cell contains no pixel;
             "nearest": the pixel whose centre is nearest to the cell; "bilinear": the interpolation between four pixels;
@@ -136,11 +137,11 @@ class Rig(Module):
 
     @property
     def lamp_radius(self) -> jax.Array:
-        """Return the angular radius of the lamp, seen from the sample, rad."""
+        """Angular radius of the lamp, seen from the sample, rad."""
         return self.lamp.angular_radius
 
     def azimuths(self, azimuth: ArrayLike | None = None) -> jax.Array:
-        """Return the azimuths of the lamp about the optical axis, rad.
+        """Check azimuths of the lamp about the optical axis, rad, or select that of the rig.
 
         Args:
             azimuth: azimuths in [-2 pi, 2 pi], rad, any shape. Default: None, `lamp_azimuth` of the rig, or 0, towards
@@ -156,7 +157,7 @@ class Rig(Module):
         return checked_azimuths((self.lamp_azimuth or 0.0) if azimuth is None else azimuth)
 
     def px_per_rad(self, theta_d: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Return the shift of the image per rotation of the normal, px/rad.
+        """Compute the shift of the image per rotation of the normal, px/rad.
 
         The rotation is relative to the half vector, which also rotates for a near camera or lamp.
 
@@ -169,7 +170,7 @@ class Rig(Module):
         return self.sample.px_per_rad(theta_d, self.lamp.nearness)
 
     def lamp_spread(self, theta_d: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Return the spread of the half vector over the source disc, rad.
+        """Compute the spread of the half vector over the source disc, rad.
 
         The disc of a near lamp is larger from the highlight than from the centre of the sample.
 
@@ -184,7 +185,7 @@ class Rig(Module):
         return quarter, quarter / xp.cos(theta_d)
 
     def description(self) -> dict[str, Any]:
-        """Return the rig as in the sidecar of an image.
+        """Describe the rig as in the sidecar of an image.
 
         Returns:
             Sections "camera", "sample" and "blur", and the angular radius and distance of the lamp (None: infinite);
@@ -262,7 +263,7 @@ def picture_shape(name: str, shape: tuple[int, int]) -> tuple[int, int]:
 
 
 def merl() -> Rig:
-    """Return the rig of the MERL database.
+    """Build the rig of the MERL database.
 
     The rig is that assumed by Holzschuch & Pacanowski (2017). It has a QImaging Retiga 1300 and a sphere that covers
     half the height of the image, with a limb of radius 256 px. Pixels have a fill factor of 100 %, and the blur of the

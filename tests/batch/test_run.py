@@ -334,7 +334,7 @@ def test_a_fault_of_ours_is_traced(tmp_path, monkeypatch):
 
 def test_a_worker_of_another_version(tmp_path, database):
     outcome = attempt(one(database, tmp_path, version="9.9"))
-    assert "the run was started by 9.9" in outcome.reason
+    assert "the run was started by matcam 9.9" in outcome.reason
 
 
 def test_a_worker_that_hangs_is_killed(database, tmp_path):

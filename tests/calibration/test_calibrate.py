@@ -209,7 +209,7 @@ def test_one_aperture_at_a_wide_blur_is_refused():
 @pytest.mark.slow
 def test_few_edges_do_not_tell_lens_and_pixel_apart():
     with pytest.raises(
-        FitError, match=r"cannot be separated: 16 edges determine the half width of the pixel to .* give the fill"
+        FitError, match=r"cannot be separated: 16 edges determine the half width of the pixel to .* give half_width"
     ):
         calibrate([chart(0.8, 0.4)], half_width=None)
     many = samples_of(0.4, 0.4, 3, 24, std=1e-4)
@@ -318,7 +318,7 @@ def test_bad_arguments():
         ({"half_width": 0.7}, "half_width must lie in"),
         ({"half_width": None, "model": "halo"}, "with the gaussian model only"),
         ({"channels": ["X"]}, "channel must be one of"),
-        ({"f_numbers": [2.8, 4.0]}, "one for each of the 1 images"),
+        ({"f_numbers": [2.8, 4.0]}, "one for each image"),
         ({"f_numbers": 0.0}, "f_numbers must lie in"),
         ({"cfa": "RGBG"}, "cfa must be one of"),
     ):
@@ -351,12 +351,10 @@ def test_bad_arguments():
 
 def test_too_few_edges_are_no_camera():
     picture = chart(0.5)
-    with pytest.raises(
-        FitError, match="good edges are too few for a camera, which requires 8 in two directions: photo"
-    ):
+    with pytest.raises(FitError, match=r"good edges is .*, but a camera requires at least 8 in two directions: photo"):
         calibrate([picture[:150, :150]])
     noise = 0.5 + 0.01 * np.random.default_rng(1).standard_normal((150, 150))
-    with pytest.raises(FitError, match="which requires 8 in two directions; none are in image 2: photograph"):
+    with pytest.raises(FitError, match="at least 8 in two directions; none are in image 2: photograph"):
         calibrate([picture[:150, :150], noise])
 
 

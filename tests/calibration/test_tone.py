@@ -78,7 +78,7 @@ def test_measured_from_patches():
         ("0\n1\n2\n1\n", "must be monotone, but falls from code 2 to 3"),
         ("0 0\n10 4\n20 3\n", "must be monotone, but falls from code 10 to 20"),
         ("0 0\n10 4\n10 5\n", "codes must increase strictly"),
-        ("0\none\n", "line 2: 'one' must be numbers"),
+        ("0\none\n", "line 2: 'one' must consist of numbers"),
         ("0 1\n2\n", "line 2 has 1 numbers"),
         ("1 2 3 4\n", "line 1 has 4 numbers"),
         ("", "at least 2 codes"),

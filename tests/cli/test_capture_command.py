@@ -213,7 +213,7 @@ def test_a_plan_is_for_the_rigs_own_distances():
     [
         ((), "give --output"),
         (("-o", "a.exr", "--capture", "b"), "give --output"),
-        (("--capture", "b", "--exposure", "3"), "leave out"),
+        (("--capture", "b", "--exposure", "3"), "omit TABLE"),
         (("--capture", "b", "--size", "30", "40"), "follows from the radius"),
         (("--capture", "b", "--sample", "flat", "--lamp-distance", "40"), "distant lamp"),
     ],

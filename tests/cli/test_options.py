@@ -43,7 +43,7 @@ COMMANDS = typer.main.get_command(app).commands
             "--wavelength and --pitch must be given for the defocus model",
         ),
         ("calibrate", "f_numbers must be one value, or one for each", "--f-number must be one value, or one for each"),
-        ("calibrate", "give the fill (half_width), or", "give the fill (--half-width), or"),
+        ("calibrate", "is accepted): give half_width, or", "is accepted): give --half-width, or"),
         ("calibrate", "half_width.tif: no such file", "half_width.tif: no such file"),
         ("chart", "give fewer kinds, or pixels_across above 300", "give fewer kinds, or --pixels above 300"),
         ("chart", "page must lie in [50, 5000] mm, got 1", "--size must lie in [50, 5000] mm, got 1"),
@@ -135,16 +135,16 @@ def test_the_halo_is_checked_by_its_own_options():
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (("render", "a.binary"), "rendering needs an extra: python -m pip install 'matcam[render]'"),
+        (("render", "a.binary"), "rendering needs an extra: run python -m pip install 'matcam[render]'"),
         (
             ("correct", "a.binary", "-o", "run", "--zarr"),
-            "a run's Zarr store needs an extra: python -m pip install 'matcam[scale]'",
+            "a run's Zarr store needs an extra: run python -m pip install 'matcam[scale]'",
         ),
         (
             ("correct", "a.binary", "-o", "run", "--cluster", "local:2"),
-            "a cluster needs an extra: python -m pip install",
+            "a cluster needs an extra: run python -m pip install",
         ),
-        (("convert", "a.binary", "b.zarr"), "Zarr needs an extra: python -m pip install 'matcam[scale]'"),
+        (("convert", "a.binary", "b.zarr"), "Zarr needs an extra: run python -m pip install 'matcam[scale]'"),
     ],
 )
 def test_an_extra_that_is_not_installed_is_named_before_any_work(words, message, tmp_path, monkeypatch, capsys):

@@ -70,7 +70,7 @@ def test_what_is_wrong_is_said_in_one_line(real_data, tmp_path):
         (_with(good, "theta_i", shape=(7,)), "shapes of the fields must agree"),
         (good.replace(b"sigma", b"s1gma"), "field sigma is missing"),
         (good.replace(b"\x05\0sigma", b"\x05\0vndf2", 1).replace(b"vndf2", b"s gma"), "is invalid or repeated"),
-        (good[:at] + struct.pack("<f", np.nan) + good[at + 4 :], "field rgb must hold finite numbers, got nan"),
+        (good[:at] + struct.pack("<f", np.nan) + good[at + 4 :], "field rgb must contain finite numbers, got nan"),
     ]
     path = tmp_path / "bad.bsdf"
     for content, words in cases:

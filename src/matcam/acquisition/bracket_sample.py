@@ -1,6 +1,6 @@
 """Selected pixels of every lamp position in all its exposures, for estimates of exposure ratios, gain and clip level.
 
-Pixels are selected and grouped by the mean of their NEIGHBOURS of the same colour, never by their own codes, because
+Pixels are selected and grouped by the mean of their neighbours of the same colour, never by their own codes, because
 selection by a noisy value would bias the estimates.
 """
 
@@ -51,7 +51,7 @@ class BracketSample(NamedTuple):
 
     @property
     def reference_total(self) -> np.ndarray:
-        """Sum the light of the reference region in each exposure, (k,), DN; NaN if the region is absent or clipped."""
+        """Total light of the reference region in each exposure, (k,), DN; NaN if the region is absent or clipped."""
         return np.asarray(self.reference @ self.reference_pixels.astype(float))
 
     def part(self, frames: np.ndarray) -> BracketSample:
@@ -129,7 +129,7 @@ def _lagged(light: np.ndarray, dark: np.ndarray, axis: int, lag: int) -> tuple[f
 
 
 def choose_pixels(around: np.ndarray, noise: float, seed: int) -> np.ndarray:
-    """Select pixels for a sample: those with the brightest neighbours, and some other lit ones.
+    """Select pixels for a sample: those with the brightest neighbours, and some other lit pixels.
 
     Args:
         around: mean of the neighbours in each exposure, flattened, (k, n), the shortest exposure first.

@@ -92,7 +92,7 @@ def check_capture(capture: Capture) -> CaptureCheck:
     try:
         profile = capture_camera(capture)
         if profile is None:
-            found.append(Remark("no-profile", f"capture.toml gives no camera.profile: {unmeasured_lens()}"))
+            found.append(Remark("no-profile", f"capture.toml has no camera.profile: {unmeasured_lens()}"))
     except MatcamError as error:
         found.append(Remark("bad-profile", str(error)))
     if radiometry is not None:

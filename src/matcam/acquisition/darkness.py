@@ -42,7 +42,7 @@ class Darkness:
         return float(np.mean(self.level))
 
     def hot_pixels(self, shape: tuple[int, ...]) -> np.ndarray:
-        """Return the mask of the hot pixels of a frame; none if they are unknown for its shape, (height, width)."""
+        """Select the hot pixels of a frame, a mask of shape (height, width). It is empty if they are unknown for this shape."""
         hot = np.asarray(self.hot)
         return hot if hot.shape == shape else np.zeros(shape, bool)
 
@@ -125,7 +125,8 @@ def measure_darkness(
             nearest = min(found, key=lambda other: abs(list(exposures).index(other) - list(exposures).index(name)))
             found[name] = found[nearest]
         text = (
-            f"exposure {', '.join(missing)} has no dark frame, so that of the nearest exposure was subtracted: take one"
+            f"there is no dark frame of exposure {', '.join(missing)}, so that of the nearest exposure was subtracted: take "
+            "dark frames of each exposure"
         )
         remarks.append(Remark("dark-missing", text))
     if not found:
@@ -133,11 +134,7 @@ def measure_darkness(
         for name in exposures:
             found[name] = Darkness(frame_levels.get(name, 0.0) if stated is None else stated, False, float("nan"), 0)
         what = "a low code of the frames" if stated is None else "camera.black_level_dn"
-        remarks.append(
-            Remark(
-                "dark-missing", f"there are no dark frames, so {what} was subtracted: add some for accurate dim values"
-            )
-        )
+        remarks.append(Remark("dark-missing", f"there are no dark frames, so {what} was subtracted: add dark frames"))
     return found, remarks
 
 

@@ -40,7 +40,7 @@ class ClipLevel(NamedTuple):
 
     @property
     def threshold(self) -> float:
-        """Return the smallest code of a pixel that is treated as clipped, DN."""
+        """Smallest code of a pixel that is treated as clipped, DN."""
         if not self.pixels:
             return self.level + 1.0
         return self.level - max(6 * self.spread, 0.002 * abs(self.level), 0.5)
@@ -56,7 +56,7 @@ class ExposureRatios(NamedTuple):
         misfit: scatter relative to noise, chi2 per degree of freedom.
         curve: code above dark relative to the largest code, relative departure from linearity at this code, and the
             standard deviation of the departure, (n, 3).
-        linked: whether overlapping pixels link all exposures.
+        linked: True if overlapping pixels link all exposures.
     """
 
     value: np.ndarray

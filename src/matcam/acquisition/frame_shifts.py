@@ -33,8 +33,8 @@ class FrameShift(NamedTuple):
     """Shift of the sphere in one frame relative to the outline.
 
     Attributes:
-        row: shift along the rows axis, px, downwards.
-        column: shift along the columns axis, px, to the right.
+        row: shift of the row, px, positive downwards.
+        column: shift of the column, px, positive to the right.
         covariance: covariance of row and column, px^2 (2, 2). If the limb is lit on one side only, the covariance is
             large in one direction; without a visible limb it is that of the prior.
         sectors: number of sectors of the limb that were used.

@@ -65,7 +65,7 @@ def find_highlight(picture: MergedPicture, ball: MirrorBall, *, blur: float = 0.
         blur: standard deviation of lens and pixel together, px. Default: 0.6.
 
     Returns:
-        The mirror point, with a list of other bright spots.
+        The highlight with its mirror point, and a list of other bright spots.
 
     Raises:
         FitError: the image shows no highlight, the sphere is clipped, or the brightest spot is too broad.
@@ -98,7 +98,9 @@ def find_highlight(picture: MergedPicture, ball: MirrorBall, *, blur: float = 0.
     others = tuple((s[0] + picture.origin[0], s[1] + picture.origin[1], s[2] / first[2]) for s in spots[1:])
     if others:
         at = "; ".join(f"row {r:.0f}, column {c:.0f} ({share:.0%})" for r, c, share in others[:3])
-        remarks.append(Remark("several-highlights", f"{picture.name}: remove the cause of other bright spots, at {at}"))
+        remarks.append(
+            Remark("several-highlights", f"{picture.name}: there are other bright spots, at {at}: remove their cause")
+        )
     near = (rows - picture.origin[0] - first[0]) ** 2 + (columns - picture.origin[1] - first[1]) ** 2
     near = near < max(5.0, 3.0 * np.sqrt(first[3] / np.pi) + 2) ** 2
     for r, c, _, size in spots[1:]:
@@ -119,7 +121,8 @@ def find_highlight(picture: MergedPicture, ball: MirrorBall, *, blur: float = 0.
         position, covariance, width = np.array(start), np.eye(2) * (0.5 + spot / 2) ** 2, float(spot / ball.radius)
         remarks.append(Remark("highlight-by-centroid", str(error)))
     if clipped:
-        text = f"{picture.name}: {clipped} pixels of the highlight are clipped: add a shorter exposure"
+        pixels = "pixel of the highlight is" if clipped == 1 else "pixels of the highlight are"
+        text = f"{picture.name}: {clipped} {pixels} clipped: add a shorter exposure"
         remarks.append(Remark("clipped", text))
     normal = ball.normals(*position)
     row, column = map(float, position)
@@ -150,8 +153,6 @@ def _spots(
 
 
 class _LobeFit:
-    """Fit of a lobe on the sphere to the pixels of a highlight."""
-
     def __init__(
         self,
         picture: MergedPicture,
@@ -176,7 +177,8 @@ class _LobeFit:
     def model(self, p: np.ndarray) -> np.ndarray:
         """Evaluate the light of each pixel.
 
-        p: position, logarithms of the two widths and of the exponent, and height and background of each channel.
+        `p` contains the position, px, and the logarithms of the two widths and of the exponent. For each channel follow the
+        logarithm of the height and the relative background.
         """
         centre = self.ball.normals(*(self.start + p[:2]))
         if not np.isfinite(centre).all():

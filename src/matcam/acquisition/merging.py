@@ -55,7 +55,7 @@ def merge(
         capture: the capture.
         region: first column, first row, width, height of the part that is used, px; the first two even. None: that of
             the capture, or the whole frame. Default: None.
-        progress: called after each lamp position of both passes. Default: None.
+        progress: function that is called after each lamp position of both passes. Default: None.
         workers: number of lamp positions that are read at a time. Default: 1.
         kept: cache of results from which an interrupted computation resumes. Default: None, no cache.
 
@@ -63,8 +63,8 @@ def merge(
         The merged images in the order of the lamps, and the radiometry.
 
     Raises:
-        FitError: no lamp position has a frame that can be read, or the frames are processed (sharpened, tone curve)
-            without accept_processed.
+        FitError: no lamp position has a frame that can be read, every frame is dark or clipped, or the frames are processed
+            (sharpened, tone curve) without accept_processed.
     """
     radiometry = measure_radiometry(capture, region, progress, workers=workers, kept=kept)
     if not capture.settings["camera"]["accept_processed"]:
@@ -133,7 +133,7 @@ def merge_position(
         capture: the capture.
         lamp: name of the lamp position.
         radiometry: radiometric calibration.
-        reader: the reader of frames; None: a new one. Default: None.
+        reader: the reader of frames. Default: None, a new reader.
 
     Returns:
         The image in electrons (or DN, see `radiometry.unit`) of the reference exposure.
@@ -202,7 +202,7 @@ def bracket_misfit(capture: Capture, lamp: str, radiometry: Radiometry, picture:
 
 
 def misfit_remark(lamp: str, misfit: float) -> Remark | None:
-    """Return a remark if the exposures of a lamp position differ by more than noise; otherwise None."""
+    """Report exposures of a lamp position that differ by more than noise. The result is None if they agree."""
     if not misfit > 2.0:
         return None
     text = f"lamp {lamp}: the differences of its exposures are {math.sqrt(misfit):.1f} times their noise: "

@@ -46,13 +46,13 @@ class MosaicReader:
 
     @property
     def cfa(self) -> str | None:
-        """Return the colours of the first 2 x 2 px of an entire frame, as specified or from its file; None: grey."""
+        """Colours of the first 2 x 2 px of an entire frame, as specified or from its file; None: grey."""
         stated = self.capture.settings["camera"]["cfa"] or (self._first[1] if self._first else None)
         return stated or (ASSUMED_CFA if self._first and self._first[3] else None)
 
     @property
     def channels(self) -> tuple[str, ...]:
-        """Return the names of the colours, to which `channel_map` refers."""
+        """Names of the colours, to which `channel_map` refers."""
         return ("grey",) if self.cfa is None else ("R", "G", "B")
 
     @property
@@ -61,7 +61,7 @@ class MosaicReader:
         return 1 if self.cfa is None else 2
 
     def channel_map(self, shape: tuple[int, ...], region: Region | None = None) -> np.ndarray:
-        """Return the channel of each pixel of a region."""
+        """Compute the index of the colour of each pixel of a region."""
         if self.cfa is None:
             return np.zeros(shape, np.int8)
         tile = np.array(["RGB".index(c) for c in self.cfa], np.int8).reshape(2, 2)
@@ -123,7 +123,9 @@ class MosaicReader:
                 )
                 if new != old
             ]
-            raise FileFormatError(f"{path}: differs from the first frame ({', '.join(what)}): give frames of one kind")
+            raise FileFormatError(
+                f"{path}: the frame differs from the first frame ({', '.join(what)}): give frames of one kind"
+            )
         processed = []
         if colour:
             processed.append(

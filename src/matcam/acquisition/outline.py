@@ -90,10 +90,10 @@ class Outline:
         sigma_std: standard deviation of `sigma`, px.
         sighting: geometry of the camera relative to the sphere.
         sectors: measured edges, one for each sector.
-        used: whether each edge is used for the outline.
+        used: mask of the edges that are used for the outline.
         scatter: rms distance of the used edges from the outline, px.
         noise: part of `covariance` that is due to noise and scatter, px^2 (3, 3).
-        coated: whether the light near the limb is that of a sphere under a clear coat.
+        coated: True if the light near the limb is that of a sphere under a clear coat.
         remarks: warnings and limitations.
     """
 
@@ -184,7 +184,8 @@ def find_outline(
         The outline, in px of the frame.
 
     Raises:
-        FitError: the image shows no sphere or two, the frame cuts the sphere, or too little of the limb is lit.
+        ArgumentError: `light` is unknown.
+        FitError: the image shows no sphere or two spheres, the frame cuts the sphere, or too little of the limb is lit.
 
     Source:
         docs/outline.md.
@@ -205,7 +206,7 @@ def find_outline(
 
 
 def _likelier(one: Outline, other: Outline) -> Outline:
-    """Choose the outline whose model of the light fits better, and add the other to its uncertainty."""
+    """Choose the outline with the better model of the light, and add its distance from the other outline to the covariance."""
     both = one.used & other.used
     chi2, freedom = (
         np.array([np.sum(getattr(each.sectors, name)[both]) for each in (one, other)]) for name in ("chi2", "freedom")
@@ -219,7 +220,7 @@ def _likelier(one: Outline, other: Outline) -> Outline:
 
 
 def _searched(picture: MergedPicture, light: LimbLight) -> tuple[float, float, float]:
-    """Search for the only sphere in an image, and return its row, column and radius, px."""
+    """Find row, column and radius, px, of the only sphere in an image."""
     circles = find_circles(
         picture.values, picture.std, bright_inside=light == "lit", mosaic=len(np.unique(picture.channel)) > 1
     )
@@ -312,7 +313,7 @@ class OutlineFit:
     def settle(
         self, position: np.ndarray, sigma: float, exponents: Sequence[float], turns: int = 6, wider: float = 0.0
     ) -> tuple[np.ndarray, LimbSectors, np.ndarray, np.ndarray, float]:
-        """Iterate to convergence; return position, edges, used edges, covariance and rms distance."""
+        """Iterate the fit to convergence, and compute position, edges, used edges, covariance and rms distance."""
         for _ in range(turns):
             edges = self.edges(position, sigma, exponents, wider)
             step, used, covariance, scatter = self.solve(position, edges, wider)
@@ -396,7 +397,9 @@ class OutlineFit:
             )
         if lost > 0.1 * self.count:
             remarks.append(
-                Remark("limb-spoilt", f"{lost} of {self.count} sectors deviate and are omitted: remove dust or a stand")
+                Remark(
+                    "limb-spoilt", f"{lost} of {self.count} sectors of the limb were omitted: remove dust or a stand"
+                )
             )
         row, column = position[:2] - np.array(self.picture.origin)
         _refuse_cut(self.picture, FoundCircle(row, column, float(position[2]), 1.0))

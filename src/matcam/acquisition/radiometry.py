@@ -42,7 +42,7 @@ from matcam.files.capture import Capture, Region, Stated
 from matcam.files.capture_frames import CaptureFrame
 
 Progress = Callable[[str, int, int], None]
-"""Function that receives the name of a step, the number of finished parts, and the number of all parts."""
+"""Function that receives the name of a step, the number of finished parts, and the total number of parts."""
 
 _ROUNDING = 1 / 12
 """Variance of the rounding error of a code, DN^2: that of a uniform distribution of width 1."""
@@ -98,12 +98,12 @@ class Radiometry:
 
     @property
     def scale(self) -> float:
-        """Return the unit of merged values, DN: one electron, or 1 DN if the gain is not determined."""
+        """Unit of merged values, DN: one electron, or 1 DN if the gain is not determined."""
         return self.gain.value if math.isfinite(self.gain.value) else 1.0
 
     @property
     def unit(self) -> str:
-        """Return the unit of merged values."""
+        """Name of the unit of merged values."""
         return "electrons" if math.isfinite(self.gain.value) else "DN"
 
     def to_dict(self) -> dict[str, Any]:
@@ -158,7 +158,7 @@ def measure_radiometry(
         capture: the capture.
         region: first column, first row, width, height of the part that is used, px; the first two even. None: that of
             the capture, or the whole frame. Default: None.
-        progress: called after each lamp position. Default: None.
+        progress: function that is called after each lamp position. Default: None.
         lamps: names of the lamp positions that are read. Default: None, all.
         workers: number of lamp positions that are read at a time. Default: 1.
         kept: cache of results from which an interrupted computation resumes. Default: None, no cache.
@@ -167,7 +167,7 @@ def measure_radiometry(
         The radiometry; its remarks name unusable frames.
 
     Raises:
-        FitError: no lamp position has a frame that can be read.
+        FitError: no lamp position has a frame that can be read, or every frame is dark or clipped.
     """
     region = capture.region if region is None else region
     reader, remarks = MosaicReader(capture), list(capture.problems)
@@ -300,7 +300,8 @@ def _clip_level(
     if found is None:
         return (clip if largest < saturation else ClipLevel(largest, 0.29, 0.0, 1)), []
     where = [f"lamp {sample.lamp}, exposure {names[k]}" for sample in samples for k in sample.exposures]
-    text = f"{found.clip.pixels} pixels of {len(found.frames)} frames have the largest code, {found.clip.level:.0f} DN"
+    frames = f"{len(found.frames)} frame{'s' * (len(found.frames) > 1)}"
+    text = f"{found.clip.pixels} pixels of {frames} have the largest code, {found.clip.level:.0f} DN"
     remarks = [
         Remark(
             "clip-by-pile-up",
@@ -321,7 +322,7 @@ def _without_clipped(
     clip: ClipLevel,
     noise: float,
 ) -> tuple[list[BracketSample], list[Remark]]:
-    """Remove frames that are clipped everywhere from the samples and from `used`, and list them.
+    """Remove frames that are clipped everywhere from the samples and from `used`, and report them.
 
     A frame with a single bright code is treated as clipped at any clip level, unless all frames have a single code (a
     render of a uniform sample).
@@ -359,8 +360,9 @@ def _between(
     noise: float,
     remarks: list[Remark],
 ) -> float:
-    """Return the relative change of light between an image of the reference and one of the sample, specified or
-    estimated.
+    """Determine the relative change of light between an image of the reference and one of the sample.
+
+    The change is specified, or it is estimated from the images of the reference.
     """
     stated = capture.settings["reference"]["between_std"]
     if stated is not None:
@@ -398,7 +400,7 @@ def _order(samples: Sequence[BracketSample], count: int) -> np.ndarray:
 
 
 def _read_noise(darkness: dict[str, Darkness]) -> float:
-    """Return the read noise of one frame including rounding, DN; 2 if it is unknown."""
+    """Compute the read noise of one frame including rounding, DN; 2 if it is unknown."""
     known = [d.read_noise for d in {id(d): d for d in darkness.values()}.values() if math.isfinite(d.read_noise)]
     return float(max(np.median(known), math.sqrt(_ROUNDING))) if known else 2.0
 
@@ -428,7 +430,7 @@ def _gain_without_brackets(
     remarks.append(
         Remark(
             "gain-unknown",
-            "the gain is unknown from the frames, and no profile specifies it: 1 DN per electron is assumed; give a profile "
+            "the frames do not determine the gain, and no profile specifies it: 1 DN per electron is assumed; give a profile "
             "with a sensor",
         )
     )

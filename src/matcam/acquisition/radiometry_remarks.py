@@ -33,7 +33,9 @@ and below which it was sharpened (few other causes make it negative).
 
 
 def tone_exponent(ratios: ExposureRatios, nominal: np.ndarray) -> Stated:
-    """Estimate the exponent of codes over nominal exposure time, with standard deviation; 1 for linear frames.
+    """Estimate the exponent of codes as a power of the nominal exposure time, with its standard deviation.
+
+    The exponent is 1 for linear frames.
 
     A tone curve changes every ratio of exposures approximately to a power of the ratio, with an exponent of 0.45 for a
     gamma of 2.2. Wrong nominal times scatter about the nominal ratios instead. The result is NaN if the frames do not
@@ -51,7 +53,7 @@ def tone_exponent(ratios: ExposureRatios, nominal: np.ndarray) -> Stated:
 
 
 def tone_curve_proof(exponent: Stated) -> str | None:
-    """Describe the evidence that frames went through a tone curve; None without evidence.
+    """Describe the evidence of a tone curve in the frames; None: there is no evidence.
 
     Args:
         exponent: exponent from `tone_exponent`.
@@ -59,8 +61,8 @@ def tone_curve_proof(exponent: Stated) -> str | None:
     if not abs(exponent.value - 1) > max(_PROVEN * exponent.std, _POWER):
         return None
     return (
-        f"codes grow like exposure time to the power {exponent.value:.2f} ± {exponent.std:.2f}, not in proportion: the frames "
-        "went through a tone curve, or time_s in frames.csv is wrong"
+        f"codes increase as the exposure time to the power {exponent.value:.2f} ± {exponent.std:.2f} instead of 1: the frames "
+        "have a tone curve, or time_s in frames.csv is wrong"
     )
 
 
@@ -76,7 +78,11 @@ def exposure_remarks(names: Sequence[str], ratios: ExposureRatios, nominal: np.n
         )
     if np.isnan(nominal).any():
         missing = ", ".join(name for name, time in zip(names, nominal, strict=True) if math.isnan(time))
-        found.append(Remark("times-missing", f"exposure {missing} has no nominal time; the frames determine its ratio"))
+        found.append(
+            Remark(
+                "times-missing", f"the nominal time of exposure {missing} is unknown; the frames determine its ratio"
+            )
+        )
         return found
     if len(names) < 2:
         return found
@@ -96,13 +102,13 @@ def exposure_remarks(names: Sequence[str], ratios: ExposureRatios, nominal: np.n
     if proof is not None:
         found.append(Remark("tone-curve", proof))
     elif abs(slope - 1) > 0.2:
-        text = f"codes grow like exposure to the power {slope:.2f}: give frames without a tone curve, or correct nominal times"
+        text = f"codes increase as the exposure to the power {slope:.2f}: give frames without a tone curve, or correct time_s"
         found.append(Remark("tone-curve", text))
     return found
 
 
 def clip_remarks(clip: ClipLevel, names: Sequence[str], samples: Sequence[BracketSample]) -> list[Remark]:
-    """Report an unclear or unseen clip level, and the clipped pixels of the shortest exposures."""
+    """Report an unclear or unobserved clip level, and the clipped pixels of the shortest exposures."""
     found = []
     if not clip.pixels:
         found.append(Remark("clip-not-seen", f"no clipped pixel was found; codes up to {clip.level:.0f} DN are used"))
@@ -113,8 +119,9 @@ def clip_remarks(clip: ClipLevel, names: Sequence[str], samples: Sequence[Bracke
     for sample in samples:
         peak = (sample.codes[0] >= clip.threshold).sum() if sample.codes.size else 0
         if peak:
-            text = f"lamp {sample.lamp}: {peak} pixels are clipped in the shortest exposure, {names[int(sample.exposures[0])]}"
-            peaks.append((sample.lamp, Remark("peak-clipped", f"{text}: add a shorter one")))
+            pixels = "pixel is" if peak == 1 else "pixels are"
+            text = f"lamp {sample.lamp}: {peak} {pixels} clipped in the shortest exposure, {names[int(sample.exposures[0])]}"
+            peaks.append((sample.lamp, Remark("peak-clipped", f"{text}: add a shorter exposure")))
     return found + gathered(peaks)
 
 
@@ -129,7 +136,7 @@ def processing_remarks(where: str, correlation: float, std: float) -> list[Remar
     if _SHARPENED < correlation < _CORRELATED or abs(correlation) < 5 * std:
         return []
     what = "sharpened: highlights overshoot and appear too narrow" if correlation < 0 else "smoothed or demosaiced"
-    text = f"{where}: neighbouring pixels' noise correlates by {correlation:+.2f}: the frames were probably {what}"
+    text = f"{where}: the noise of neighbouring pixels has a correlation of {correlation:+.2f}: the frames were probably {what}"
     return [Remark("sharpened" if correlation < 0 else "smoothed", f"{text}; use raw frames")]
 
 

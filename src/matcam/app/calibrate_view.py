@@ -35,18 +35,18 @@ from matcam.core.readers.names import is_file
 from matcam.figures.style import BLUE, GREY, VERMILION
 from matcam.files.photographs import PICTURES
 
-_SIDE = 430  # px of the screen
+_SIDE = 430  # width and height of the displayed image, px of the screen
 _REGION = ("x", "y", "width", "height")
 _TONES = {"auto": "auto: 8 bits are sRGB, others linear", "linear": "linear", "srgb": "sRGB"}
 
 
 class CalibrateView:
-    """View for calibrating a camera from photographs of edges and charts.
+    """View for the calibration of a camera from photographs of edges and charts.
 
     Args:
         document: the page's document.
         downloads: registry of files to save.
-        complain: function that shows one line.
+        complain: function that shows a message of one line.
         files: files that the user opened on the command line.
     """
 

@@ -35,7 +35,7 @@ class OpenedPicture:
 
     @property
     def size(self) -> tuple[int, int]:
-        """Return (height, width), px."""
+        """Height and width, px."""
         height, width = self.photograph.values.shape[:2]
         return height, width
 
@@ -86,7 +86,7 @@ def measured_edge(
 ) -> Any:
     """Measure the MTF across an edge as `matcam edge` does.
 
-    region: x, y, width and height of the region with the edge, px; None: the whole image.
+    region: x, y, width and height of the region with the edge, px; None: the entire image.
     """
     from matcam.calibration.edge.edge import edge_mtf
 
@@ -114,7 +114,7 @@ def is_chart(path: Path) -> bool:
 
 
 def about_chart(path: Path) -> str:
-    """List the numbers and kinds of the targets of a chart.
+    """Count the targets of each kind of a chart, in words.
 
     Raises:
         FileFormatError: the file is not the description of a chart.
@@ -180,7 +180,7 @@ _HALF_LINE = 20.0  # half the length of the line that marks an edge, px
 
 
 def _source(found: Any, path: Path) -> str:
-    """Return the name of an image in a calibration."""
+    """Select the name by which a calibration refers to an image."""
     return next((name for name in found.pictures if name in (str(path), path.name)), str(path))
 
 
@@ -196,7 +196,7 @@ def opened_or_why(path: Path) -> OpenedPicture | tuple[Path, str] | MatcamError:
     """Open an image or the description of a chart.
 
     Returns:
-        Image; or path and targets of the chart; or the error, if the file cannot be opened.
+        The image; or the path and the targets of the chart; or the error if the file cannot be opened.
     """
     try:
         return (path, about_chart(path)) if path.suffix.lower() == ".json" else open_picture(path)

@@ -57,7 +57,7 @@ class Setting:
         return math.log10(value) if self.log else value
 
     def from_slider(self, position: float) -> float:
-        """Convert the position of the slider to a value of 3 digits."""
+        """Convert the position of the slider to a value with 3 significant digits."""
         return float(f"{min(max(10**position if self.log else position, self.low), self.high):.3g}")
 
 
@@ -117,7 +117,7 @@ class NumberControl:
 
     @property
     def value(self) -> float:
-        """Return the value, which is infinite if the box is ticked."""
+        """Value of the parameter, which is infinite if the box is ticked."""
         if self.infinite.active:
             return math.inf
         return min(self.setting.value, self.setting.high) if self.field.value is None else float(self.field.value)
@@ -161,7 +161,7 @@ class NumberControl:
 
 
 CUSTOM = "custom"
-"""Entry among the metals for custom n and k."""
+"""Entry in the list of metals that stands for custom n and k."""
 
 
 class ConductorControl:
@@ -189,7 +189,7 @@ class ConductorControl:
 
     @property
     def n_and_k(self) -> tuple[float, float] | None:
-        """Return custom n and k, or None for those of the metal."""
+        """Custom n and k, no unit; None: those of the metal."""
         if self.name.value != CUSTOM:
             return None
         n, k = (float(field.value or 0.0) for field in self.numbers)

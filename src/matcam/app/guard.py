@@ -1,9 +1,9 @@
 """Access control of the app: every request is checked first, including that of a websocket.
 
 - The Host must be an address of this server, so that another page cannot reach it under its own name (DNS rebinding).
-- An Origin, if the browser gives one, must be the same address; a websocket must have an Origin.
-- The token must be given: first in the address, which redirects to an address without it and sets a cookie, then as that
-  cookie.
+- An Origin header, if present, must be the same address; a websocket must have an Origin header.
+- The first request must contain the token in its address. The answer redirects to an address without the token, and sets a
+  cookie. All other requests must contain this cookie.
 """
 
 from __future__ import annotations
@@ -51,12 +51,12 @@ class Guard(HTTPServerConnectionDelegate):
 
     @property
     def address(self) -> str:
-        """Return the address to open, including the token."""
+        """Address to open, including the token."""
         host = "127.0.0.1" if self.host in ("127.0.0.1", "0.0.0.0", "::") else self.host
         return f"http://{f'[{host}]' if ':' in host else host}:{self.port}/?token={self.token}"
 
     def start_request(self, server_conn: object, request_conn: HTTPConnection) -> HTTPMessageDelegate:
-        """Return the handler of the next request."""
+        """Create the handler of the next request."""
         return _Request(self, server_conn, request_conn)
 
     def on_close(self, server_conn: object) -> None:
@@ -64,10 +64,10 @@ class Guard(HTTPServerConnectionDelegate):
         self.application.on_close(server_conn)
 
     def answer(self, line: RequestStartLine, headers: HTTPHeaders) -> tuple[int, HTTPHeaders, str] | None:
-        """Check a request, and return the answer unless the request is accepted.
+        """Check a request, and build the answer unless the request is accepted.
 
         Returns:
-            Rejection, or redirection to the address without the token; None: the request is accepted.
+            The rejection, or the redirection to the address without the token. None: the request is accepted.
         """
         host = headers.get("Host", "").lower()
         if headers.get_list("Host")[1:] or not self._is_own(host):
@@ -78,7 +78,7 @@ class Guard(HTTPServerConnectionDelegate):
                 "this request comes from a page of another server: open the address that `matcam app` printed"
             )
         if headers.get("Upgrade", "").lower() == "websocket" and len(origins) != 1:
-            return _refusal("a websocket must have an Origin")
+            return _refusal("a websocket must have an Origin header: open the address that `matcam app` printed")
         target = urlsplit(line.path)
         given = parse_qs(target.query).get("token", [])
         if len(given) == 1 and line.method == "GET" and _same(given[0], self.token):

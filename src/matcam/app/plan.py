@@ -49,7 +49,7 @@ class PlanView:
     Args:
         document: the page's document.
         downloads: registry of files to save.
-        complain: function that shows one line.
+        complain: function that shows a message of one line.
     """
 
     def __init__(self, document: Document, downloads: Downloads, complain: Any):
@@ -86,7 +86,7 @@ class PlanView:
 
     @property
     def planned(self) -> Planned:
-        """Return the rig and material of the controls."""
+        """Rig and material that the controls specify."""
         numbers = {name: control.value for name, control in self._controls.items()}
         return Planned(**numbers, metal=self._metal.name.value, family=self._family.value, n_and_k=self._metal.n_and_k)
 
@@ -192,7 +192,7 @@ class PlanView:
         self.refresh()
 
     def _warmed(self) -> Any:
-        """Compile the previews, and show each when it is finished."""
+        """Compile the previews, and show each of them when it is finished."""
         from matcam.core.jax import use_compilation_cache
         from matcam.material.optical_constants import metals
 
@@ -285,7 +285,7 @@ class PlanView:
                 one.arrived()
 
     def _at_rest(self, planned: Planned) -> None:
-        """Compute the exact values, and stop after one of them if a control has changed."""
+        """Compute the exact values one after the other, and stop if a control has changed."""
         from matcam.forward.prediction import predicted
 
         rig = planned.rig()

@@ -58,7 +58,7 @@ GLARE_RADIUS = 30.0
 
 @dataclass(frozen=True)
 class Planned:
-    """Rig and material; lengths in px, distances in radii, angles in degrees.
+    """Rig and material of the plan view.
 
     Attributes:
         sigma: standard deviation of the lens's blur, px.
@@ -95,14 +95,14 @@ class Planned:
 
     @property
     def loses_at_most_cos(self) -> bool:
-        """Check whether cos theta bounds the loss.
+        """True if cos theta bounds the loss.
 
         This holds for a point lamp in a distant rig.
         """
         return self.lamp_radius == 0 and math.isinf(self.distance) and math.isinf(self.lamp_distance)
 
     def rig(self) -> Rig:
-        """Return the rig."""
+        """Build the rig."""
         from matcam.camera.camera import Camera
         from matcam.camera.optics.gaussian import GaussianOptics
         from matcam.camera.optics.halo import HaloOptics
@@ -121,11 +121,11 @@ class Planned:
         return Rig(Camera(lens, BoxPixel(self.half_width)), Sphere(self.radius, self.distance), lamp)
 
     def lobes(self) -> list[Any]:
-        """Return the lobes to draw."""
+        """Build the lobes to draw."""
         return [FAMILIES[self.family](r) for r in self.roughnesses]
 
     def material(self) -> Microfacet:
-        """Return the chosen lobe on the metal, for green light."""
+        """Build the material of the chosen lobe and metal, for green light."""
         import numpy as np
 
         from matcam.material.microfacet import Microfacet
@@ -161,7 +161,7 @@ class Planned:
         return as_toml(head | {name: values for name, values in sections.items() if values})
 
     def command(self) -> str:
-        """Return the command line of the prediction; camera.json is the profile."""
+        """Format the command line of the prediction, with the profile camera.json."""
         words = [
             "matcam predict",
             *(f"{r:g}" for r in self.roughnesses),
@@ -195,7 +195,7 @@ class Planned:
 
 
 def green_indices(name: str) -> tuple[float, float]:
-    """Return n and k of a metal for green light, no unit."""
+    """Look up n and k of a metal for green light, no unit."""
     from matcam.core.grid import CHANNEL_WAVELENGTHS
     from matcam.material.optical_constants import metal
 

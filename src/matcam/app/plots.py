@@ -55,7 +55,7 @@ def empty_source(name: str, *columns: str) -> ColumnDataSource:
 
 
 def curve_figure(title: str, x: str, y: str, *, height: int, **more: Any) -> Any:
-    """Create a plot for curves; the names of the axes include units."""
+    """Create a plot for curves. The names of the axes must include units."""
     return figure(
         title=title,
         x_axis_label=x,
@@ -70,7 +70,7 @@ def curve_figure(title: str, x: str, y: str, *, height: int, **more: Any) -> Any
 
 
 def picture_figure(title: str, size: int, x: str, y: str, **more: Any) -> Any:
-    """Create a plot for images; the names of the axes include units.
+    """Create a plot for images. The names of the axes must include units.
 
     size: width and height, px of the screen. The background is light until `on_black` is called for an image.
     """
@@ -97,7 +97,7 @@ def on_black(plot: Any, picture: Any, *, shown: bool = True) -> None:
 
 
 def hover(plot: Any, renderers: list[Any], tips: list[tuple[str, str]]) -> None:
-    """Show values under the pointer."""
+    """Add a tool that shows the values under the pointer."""
     plot.add_tools(HoverTool(renderers=renderers, tooltips=tips))
 
 
@@ -123,8 +123,8 @@ class PictureColours:
     def scale(self, largest: float) -> None:
         """Set the largest radiance of the scale, rounded up to half decades.
 
-        Due to the rounding, a colour keeps its radiance while a slider moves, and the browser maps the pixels of an
-        image once instead of three times.
+        Due to the rounding, the colours rarely change their radiances while a slider moves, and the browser maps the
+        pixels of an image once instead of three times.
 
         Args:
             largest: largest radiance of the images, 1/sr.
@@ -147,10 +147,10 @@ class PictureColours:
 
 
 class PictureFigure:
-    """Image of radiance from a source that several images share, so that one message changes them all.
+    """Image of radiance from a source that several images share, so that one message changes all of them.
 
-    The labels of its axes and colours have a constant width, because a change would trigger a new layout, which takes a
-    browser longer than drawing.
+    The labels of its axes and colours have a constant width, because a change would trigger a new layout, which is slower
+    than drawing.
 
     Args:
         title: title.
@@ -158,7 +158,7 @@ class PictureFigure:
         source: data source, whose column `name` is the image.
         name: name of the image.
         colours: colour scale.
-        bar: True for a colour bar, which widens the plot.
+        bar: True for a colour bar, which widens the plot. Default: False.
         beside: figure whose axes this figure shares. Default: None, the figure has axes of its own.
     """
 
@@ -208,7 +208,7 @@ class PictureFigure:
 def picture_columns(name: str, values: np.ndarray, x: np.ndarray, y: np.ndarray) -> dict[str, list[Any]]:
     """Compute the columns of an image for a data source.
 
-    values: (y, x). x, y: positions of the values, px; each value is drawn as a square.
+    `values` has the shape (y, x). `x` and `y` are the positions of the values, px. Each value is drawn as a square.
     """
     side = float(x[1] - x[0])
     return {
@@ -221,6 +221,6 @@ def picture_columns(name: str, values: np.ndarray, x: np.ndarray, y: np.ndarray)
 
 
 def no_pictures(*names: str) -> dict[str, list[Any]]:
-    """Return the columns of images without data."""
+    """Build the columns of images without data."""
     nothing, at = np.zeros((2, 2), np.float32), np.array([-0.5, 0.5])
     return {key: value for name in names for key, value in picture_columns(name, nothing, at, at).items()}

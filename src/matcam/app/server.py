@@ -77,16 +77,16 @@ class AppServer:
 
     @property
     def address(self) -> str:
-        """Return the address to open, including the token."""
+        """Address to open, including the token."""
         return self.guard.address
 
     @property
     def busy(self) -> bool:
-        """Check whether a computation is still running."""
+        """True while a computation is running."""
         return any(thread.name == THREAD for thread in threading.enumerate())
 
     def run(self) -> None:
-        """Serve until the process is interrupted; then handle the interruption as usual."""
+        """Serve until the process is interrupted, and then call the previous handler of the interruption."""
         loop = asyncio.get_event_loop()
         interrupted: list[Callable[[], Any]] = []
 
@@ -147,11 +147,10 @@ class _Site(BokehTornado):
     """Server of Bokeh with only the required scripts."""
 
     def resources(self, absolute_url: str | bool | None = None) -> Any:
-        """Return the scripts of a page."""
         return super().resources(absolute_url).clone(components=["bokeh", "bokeh-widgets"])
 
 
 def _quiet() -> None:
-    """Silence the logs of libraries about browsers; errors of a page are shown in the page."""
+    """Silence the logs of the server libraries, because errors of a page are shown in the page."""
     for name in ("bokeh", "tornado.access", "tornado.general", "tornado.application"):
         logging.getLogger(name).setLevel(logging.CRITICAL)

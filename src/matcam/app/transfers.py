@@ -1,4 +1,4 @@
-"""Uploads and downloads of the page: dropped files are in a folder of the session, saved files are bytes in memory.
+"""Uploads and downloads of the page. Dropped files are in a folder of the session, and saved files are in memory.
 
 Addresses of saved files cannot be guessed. Dropped files are removed at the end of the session.
 """
@@ -37,7 +37,7 @@ class Downloads:
         return f'<a href="/save/{key}" download="{escape(name, quote=True)}">{escape(name)}</a>'
 
     def get(self, key: str) -> tuple[str, bytes] | None:
-        """Return name and content of a file, or None if unknown."""
+        """Look up the name and the content of a file. The result is None for an unknown key."""
         return self._files.get(key)
 
     def close(self) -> None:
@@ -45,7 +45,7 @@ class Downloads:
         self._files.clear()
 
     def pattern(self) -> Any:
-        """Return the route of the links, for the server."""
+        """Build the route of the links, for the server."""
         return r"/save/([\w-]+)", _Saved, {"downloads": self}
 
 
@@ -66,7 +66,7 @@ class _Saved(RequestHandler):
 
 
 LARGEST = 40 << 20
-"""Largest file that can be dropped, bytes. Larger files are given on the command line, and are not copied."""
+"""Largest size of a file that can be dropped, bytes. Larger files are given on the command line, and are not copied."""
 
 
 class Upload:
@@ -75,7 +75,7 @@ class Upload:
     Args:
         title: label.
         dropped: called with the path of a file.
-        complain: function that shows one line.
+        complain: function that shows a message of one line.
     """
 
     def __init__(

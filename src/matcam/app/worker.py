@@ -1,5 +1,4 @@
-"""Background work of the page: the newest request is computed next, and older requests that have not started are
-dropped.
+"""Background work of the page: the newest request replaces older requests that have not started.
 
 A thread computes while the server reads the messages of the browser, so that the last value of a slider is available. A
 result is shown before the next request starts, so that neither requests nor results queue up. Moves that have arrived
@@ -31,7 +30,7 @@ class Newest:
 
     Args:
         document: the page's document; results are shown under its lock.
-        complain: function that shows one line about a failed job.
+        complain: function that shows a message of one line about a failed job.
     """
 
     def __init__(self, document: Document, complain: Callable[[str], None]):
@@ -47,7 +46,7 @@ class Newest:
     def ask(
         self, work: Callable[[], Any], show: Callable[[Any], None], after: float = 0.0, within: float = math.inf
     ) -> None:
-        """Request work; a job that has not started is replaced.
+        """Request work, which replaces a job that has not started.
 
         Args:
             work: the job.
@@ -69,7 +68,7 @@ class Newest:
                 self._wake.notify()
 
     def overtaken(self) -> bool:
-        """Check whether another job waits, so that a long one may stop."""
+        """Check whether another job waits, so that a long job can stop early."""
         return self._ended or self._job is not None
 
     def close(self) -> None:
@@ -123,7 +122,7 @@ class Newest:
 
 
 def _explained(error: Exception) -> str:
-    """Format an error in one line, and print the traceback of a fault of matcam."""
+    """Format an error as one line. For a fault of matcam, print the traceback."""
     if isinstance(error, MatcamError):
         return str(error)
     if isinstance(error, MemoryError):

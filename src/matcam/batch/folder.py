@@ -1,4 +1,4 @@
-"""Folder of a run: ownership, inputs, and files beside those of the materials."""
+"""Folder of a run: lock, settings, inputs, and files beside those of the materials."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class RunFolder:
             lock.acquire(timeout=0)
         except filelock.Timeout:
             raise OutputError(
-                f"output folder {self.path} is in use by another run: wait for its end, or choose another folder"
+                f"output folder {self.path} is in use by another run: wait until it has ended, or choose another folder"
             ) from None
         except NotImplementedError:
             pass  # the error of filelock for a file system without locks
@@ -80,9 +80,16 @@ class RunFolder:
     def outputs(self, paths: Iterable[str | Path]) -> tuple[dict[Path, Path], list[Outcome]]:
         """Find the tables in `paths`, and the output file of each table in this folder.
 
-        A folder represents its *.binary files, in order of their names; duplicates are omitted. Returns {input: output},
-        and the rejected inputs: those that share a name, or have the name of a file of the run. An ArgumentError is
-        raised if there is no table; an OutputError is raised if this folder contains an input.
+        A folder represents its *.binary files, in order of their names; duplicates are omitted.
+
+        Returns:
+            The output of each input, and the outcomes of rejected inputs. An input is rejected if its name is not plain
+            text, if it is a link to a file outside its folder, or if its name is that of another input or of a file of
+            the run.
+
+        Raises:
+            ArgumentError: there is no table.
+            OutputError: this folder contains an input.
         """
         given = [Path(path) for path in paths]
         found: dict[Path, Path] = {}
@@ -157,9 +164,9 @@ class RunFolder:
                 path.unlink(missing_ok=True)
 
     def assign_rows(self, jobs: Sequence[Job], waiting: Sequence[Job]) -> list[Job]:
-        """Return the waiting jobs, each with its row of the Zarr of the run.
+        """Assign to each waiting job its row of the Zarr store of the run.
 
-        Finished materials without a row, because the Zarr was requested later or lost, are copied from their NetCDF
+        Finished materials without a row, because the store was requested later or lost, are copied from their NetCDF
         files. The exceptions are those of `open_rows` and `StoreRow.write`.
         """
         if not jobs:
@@ -182,7 +189,7 @@ class RunFolder:
 
 
 def _first_difference(old: Any, new: Any, name: str = "") -> tuple[str, str, str] | None:
-    """Return (name, old, new) of the first entry in which two documents differ; None if they do not."""
+    """Find the first entry in which two documents differ: (name, old, new), or None if they are equal."""
     if isinstance(old, dict) and isinstance(new, dict):
         for key in [*new, *(key for key in old if key not in new)]:
             found = _first_difference(old.get(key), new.get(key), f"{name}.{key}" if name else str(key))

@@ -50,22 +50,22 @@ class Job:
 
     @property
     def name(self) -> str:
-        """Return the name of the material: the name of its output file without suffix."""
+        """Name of the material, which is the name of the output file without suffix."""
         return self.output.stem
 
     @property
     def record(self) -> Path:
-        """Return the file that is written last. If it exists, the other files are complete."""
+        """File that is written last. If it exists, the other files are complete."""
         return self.output.with_suffix(".json")
 
     @property
     def writes_merl(self) -> bool:
-        """Check whether a MERL file is written."""
+        """True if a MERL file is written."""
         return self.output.suffix.lower() != ".nc"
 
     @property
     def files(self) -> list[Path]:
-        """Return all files of the job, the record last."""
+        """All files of the job, with the record last."""
         merl = [self.output] if self.writes_merl else []
         page = [".html"] if self.recipe.page else []
         thumbnail = [".png"] if self.key is not None else []
@@ -77,7 +77,10 @@ class Job:
         ]
 
     def finished_record(self) -> dict[str, Any] | None:
-        """Return the record on disk if it has these settings, and its files exist with the listed sizes; otherwise None."""
+        """Read the record on disk.
+
+        The result is None if its settings differ from those of the job, or if its files do not have the listed sizes.
+        """
         try:
             document = read_json(self.record, "a material's record")
             run = document["run"]
@@ -91,8 +94,7 @@ class Job:
     def is_finished(self) -> bool:
         """Check whether the files are complete, with these settings and from the current input.
 
-        The input is read only if its modification time differs, because hashing a hundred thousand tables would take an
-        hour.
+        The input is read only if its modification time differs, because hashing all tables of a large run is slow.
         """
         try:
             known = (self.finished_record() or {})["input"]
@@ -134,7 +136,7 @@ def failed(source: Path, reason: str) -> Outcome:
 def attempt(job: Job, workspace: Workspace | None = None) -> Outcome:
     """Run a job, and report errors as its outcome, so that other jobs continue.
 
-    workspace: workspace of the worker, in place of that of the job.
+    workspace: workspace of the worker. Default: None, that of the job.
     """
     started = time.perf_counter()
 
@@ -157,17 +159,18 @@ def attempt(job: Job, workspace: Workspace | None = None) -> Outcome:
 def write_corrected(job: Job, workspace: Workspace | None = None) -> dict[str, Any]:
     """Correct one table, write its files, and return its record.
 
-    workspace: workspace of the worker, in place of that of the job.
+    workspace: workspace of the worker. Default: None, that of the job.
 
     Raises:
-        ArgumentError, OutputError: a file could not be written, or not in this format; raised before any work.
+        ArgumentError, OutputError: a file cannot be written, or not in this format. They are raised before any work.
         FileFormatError: the input is not a table, or the file changed while it was read.
         MatcamError: an error of the corrector.
     """
     version = metadata.version("matcam")
     if job.recipe.version != version:
         raise ArgumentError(
-            f"this worker has matcam {version}, but the run was started by {job.recipe.version}: install the same version"
+            f"this worker has matcam {version}, but the run was started by matcam {job.recipe.version}: install "
+            "the same version"
         )
     check_name(job.source)
     for path in job.files:
@@ -212,7 +215,7 @@ def write_corrected(job: Job, workspace: Workspace | None = None) -> dict[str, A
 def fingerprint(path: Path) -> dict[str, Any]:
     """Compute size (bytes), modification time (ns) and SHA-256 of a file.
 
-    A FileFormatError is raised if it cannot be read.
+    A FileFormatError is raised if the file cannot be read.
     """
     with reading(path, "a table"):
         status = path.stat()

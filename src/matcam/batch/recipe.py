@@ -74,7 +74,7 @@ class CorrectedTable(NamedTuple):
 
 
 Corrector = Callable[[xr.DataArray, Rig, Options], CorrectedTable]
-"""Function that corrects one table. Workers import it by name, so it must be at the top level of a module."""
+"""Type of a function that corrects one table. Workers import it by name, so it must be at the top level of a module."""
 
 
 def correct_table(table: xr.DataArray, rig: Rig, options: Options) -> CorrectedTable:
@@ -121,7 +121,7 @@ class Recipe:
     version: str = field(default_factory=lambda: metadata.version("matcam"))
 
     def settings(self, *, fit_camera: bool) -> dict[str, Any]:
-        """Return all settings that affect the files of a run, in types of JSON."""
+        """List all settings that affect the files of a run, in types of JSON."""
         return plain(
             {
                 "format": SETTINGS_FORMAT,
@@ -193,9 +193,8 @@ def fit_shared_camera(recipe: Recipe, inputs: Sequence[Path]) -> Camera:
 def _narrowest(inputs: Sequence[Path], sampling: Sampling) -> list[tuple[Path, xr.DataArray]]:
     """Select the 4 tables with the narrowest lobes from 16 evenly selected inputs.
 
-    A broad lobe contains little information on the lens.
-
-    Unreadable tables are skipped; their own jobs report them.
+    A broad lobe contains little information about the lens. Unreadable tables are skipped, because their own jobs report
+    them.
     """
     positions = np.unique(np.linspace(0, max(len(inputs) - 1, 0), min(16, len(inputs))).astype(int))
     widths: list[tuple[float, Path]] = []

@@ -71,7 +71,7 @@ class Run:
     Attributes:
         folder: the run's output folder.
         corrected: inputs that the run corrected.
-        kept: inputs that were finished before.
+        kept: inputs that were finished before the run.
         failures: outcomes of the inputs that failed, each with its reason in one line.
 
     Example:
@@ -273,9 +273,7 @@ def _executor(workers: int | None, cluster: str | None, time_limit: float) -> Ex
     if cluster is not None:
         chosen = ClusterExecutor(cluster)
         if workers is not None:
-            raise ArgumentError(
-                "workers are processes on this machine, and a cluster is on other machines: give one of them"
-            )
+            raise ArgumentError("workers and cluster must not be given together: give one of them")
         return chosen
     if workers is None:
         return ProcessExecutor(available_cores(), time_limit)
@@ -283,7 +281,7 @@ def _executor(workers: int | None, cluster: str | None, time_limit: float) -> Ex
 
 
 def _check_picklable(recipe: Recipe) -> None:
-    """Raise ArgumentError for a corrector that workers could not import."""
+    """Raise ArgumentError for a corrector that workers cannot import."""
     try:
         pickle.dumps((recipe, recipe.corrector.__qualname__))
     except Exception:

@@ -32,12 +32,12 @@ from matcam.inverse.correction.corrected_table import TABLE_ATTRIBUTES
 
 _ROW, _DONE = "material", "corrected"
 _MOST_ROWS = 1_000_000
-"""Largest number of materials in a run, whose names alone take 64 MB."""
+"""Largest number of materials in a run. Their names alone take 64 MB."""
 _VALUES: dict[str, tuple[type, dict[str, str]]] = {
     name: (bool if name == "supported" else np.float32 if name.endswith("_std") else float, attributes)
     for name, attributes in TABLE_ATTRIBUTES.items()
 }
-"""Type and attributes of each variable; as in NetCDF, standard deviations have 7 digits."""
+"""Type and attributes of each variable. As in NetCDF, standard deviations have 7 digits."""
 _NAMES_A_CHUNK = 4096
 _SIZES = (*GRID_SHAPE, len(CHANNELS))
 _TABLES = {name: _SIZES if name != "response" else _SIZES[:3] for name in _VALUES}
@@ -69,7 +69,7 @@ class StoreRow(NamedTuple):
 
 
 def open_rows(store: Path, names: Sequence[str], sampling: Sampling) -> dict[str, StoreRow]:
-    """Return the row of each material in a store, which is created or extended as needed.
+    """Assign a row of a store to each material. The store is created or extended as needed.
 
     An ArgumentError is raised if zarr is not installed; an OutputError is raised if the store is not the Zarr store of a run,
     or cannot be written.
@@ -187,7 +187,7 @@ def _check_arrays(store: Path) -> None:
             else:
                 continue  # this array is never opened
             if shape[0] > _MOST_ROWS:
-                raise FileFormatError(f"{described}: lists {shape[0]} materials, more than the {_MOST_ROWS} of a run")
+                raise FileFormatError(f"{described}: lists {shape[0]} materials, but a run has at most {_MOST_ROWS}")
             if (shape[1:], chunks, kind) != expected:
                 raise FileFormatError(
                     f"{described}: an array of shape {shape} and type {kind!r:.20} in chunks of {chunks} is not that of a run"
@@ -217,7 +217,7 @@ def _create_arrays(group: Any, sampling: Sampling) -> None:
 
 
 def _grow(group: Any, names: list[str]) -> None:
-    """Add rows for these materials; their names are written last, because names mark existing rows."""
+    """Add rows for these materials. Their names are written last, because names mark existing rows."""
     for name in (*_VALUES, _DONE):
         array = group[name]
         array.resize((len(names), *array.shape[1:]))

@@ -46,7 +46,7 @@ def expose_bracket(
     The noise of the images is independent; the fixed patterns are those of the sensor.
 
     Args:
-        sensor: the sensor that takes the images.
+        sensor: sensor of the images; its noise and its fixed patterns are simulated.
         radiance: radiance of the pixels, any unit, shape (H, W) or (H, W, channels), as in `Sensor.expected_electrons`.
         exposures: exposures of the images, electrons per unit of radiance, positive, (pictures,).
         seed: seed of the noise: a whole number, or a key of jax.random.
@@ -81,7 +81,7 @@ def merge_bracket(
     saturation it is unbiased, except for the weak dependence of the weights on the data.
 
     Args:
-        sensor: the sensor that took the images; its noise determines the weights.
+        sensor: sensor of the images; its noise determines the weights.
         pictures: images, DN, shape (pictures, H, W) or (pictures, H, W, channels).
         exposures: exposures of the images, electrons per unit of radiance, positive, (pictures,).
         times: times of the images, s, for the dark current, (pictures,). None: 0, no dark current.

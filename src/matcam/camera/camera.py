@@ -105,7 +105,7 @@ class Camera(Module, Summarised):
     # ------------------------------------------------------------------ the effective kernel
 
     def psf(self, x: ArrayLike, y: ArrayLike) -> jax.Array:
-        """Return the effective point spread function of optics and pixel, 1/px^2.
+        """Compute the effective point spread function of optics and pixel, 1/px^2.
 
         It is the value of a pixel for a point source of unit flux, and integrates to 1.
 
@@ -120,7 +120,7 @@ class Camera(Module, Summarised):
         return self._sum(lambda part: effective.point(part, self.pixel, x, y))
 
     def lsf(self, x: ArrayLike, angle: ArrayLike = 0.0) -> jax.Array:
-        """Return the effective line spread function of optics and pixel, 1/px.
+        """Compute the effective line spread function of optics and pixel, 1/px.
 
         It is the value of a pixel for a line source of unit flux per px.
 
@@ -135,7 +135,7 @@ class Camera(Module, Summarised):
         return self._sum(lambda part: effective.line(part, self.pixel, x, angle))
 
     def esf(self, x: ArrayLike, angle: ArrayLike = 0.0) -> jax.Array:
-        """Return the effective edge spread function of optics and pixel, no unit.
+        """Compute the effective edge spread function of optics and pixel, no unit.
 
         It is the value of a pixel at an edge between a dark side of value 0 and a bright side of value 1.
 
@@ -151,9 +151,9 @@ class Camera(Module, Summarised):
         return self._sum(lambda part: effective.edge(part, self.pixel, x, angle))
 
     def mtf(self, f: ArrayLike, angle: ArrayLike = 0.0) -> jax.Array:
-        """Return the signed transfer function of optics and pixel.
+        """Compute the signed transfer function of optics and pixel.
 
-        The factor of the pixel is negative beyond 1 / (2 half_width). If the lens is not isotropic, the result is the
+        The factor of a `BoxPixel` changes sign at 1 / (2 half_width). If the lens is not isotropic, the result is the
         modulus; `transfer` includes the phase.
 
         Args:
@@ -168,7 +168,7 @@ class Camera(Module, Summarised):
         return along if self.optics.isotropic else xp.abs(along)
 
     def transfer(self, fx: jax.Array, fy: jax.Array) -> jax.Array:
-        """Return the signed transfer function of optics and pixel in the plane.
+        """Compute the signed transfer function of optics and pixel in the plane.
 
         It is complex if the lens is not isotropic.
 
@@ -182,10 +182,10 @@ class Camera(Module, Summarised):
         """Sum a kernel over the components of the lens, because it is linear in the lens."""
         return sum((weight * kernel(part) for weight, part in self.optics.components()), xp.zeros(()))
 
-    # ------------------------------------------------------------------ its parameters and its file
+    # ------------------------------------------------------------------ parameters and profile
 
     def parameters(self) -> dict[str, jax.Array]:
-        """Return the parameters of lens and pixel by name.
+        """List the parameters of lens and pixel by name.
 
         Returns:
             Scalars by names with their units, such as "optics.sigma_px" and "pixel.half_width_px".
@@ -193,7 +193,7 @@ class Camera(Module, Summarised):
         return {**parameters_of("optics", self.optics), **parameters_of("pixel", self.pixel)}
 
     def with_parameters(self, values: dict[str, Any]) -> Camera:
-        """Return the camera with some of its `parameters()` replaced.
+        """Build a camera with some of the `parameters()` replaced.
 
         Args:
             values: new values by name, in the units of the names.
@@ -211,7 +211,7 @@ class Camera(Module, Summarised):
         return camera
 
     def with_field(self, field: LensField | None) -> Camera:
-        """Return the camera with another distortion and blur over the field.
+        """Build a camera with another distortion and blur over the field.
 
         Args:
             field: variation of the lens over the field; None: uniform.
@@ -219,7 +219,7 @@ class Camera(Module, Summarised):
         return dataclasses.replace(self, field=field)
 
     def with_sensor(self, sensor: Sensor | None) -> Camera:
-        """Return the camera with another sensor.
+        """Build a camera with another sensor.
 
         Args:
             sensor: noise and mosaic, such as the result of `SensorCharacteristics.sensor`; None: unknown.
@@ -234,7 +234,7 @@ class Camera(Module, Summarised):
 
         Args:
             path: file to write (JSON).
-            force: True replaces an existing file. Default: False.
+            force: replace an existing file (no unit). Default: False.
 
         Raises:
             OutputError: the file exists, or cannot be written.
@@ -256,7 +256,7 @@ class Camera(Module, Summarised):
         return cls._from_parts(profile.read_profile(path), path)
 
     def profile(self) -> dict[str, Any]:
-        """Return the profile as JSON, to be embedded in another file.
+        """Build the profile as JSON, which other files can contain.
 
         Returns:
             Nested dicts and lists of numbers and strings.

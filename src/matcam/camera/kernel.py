@@ -133,10 +133,10 @@ def edge_and_slopes(
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Evaluate `square_edge` and its derivatives with respect to x and std.
 
-    Fits evaluate all three repeatedly. They cost as much as one, because H solves the heat equation: one normal
-    distribution function and one density per corner of the square determine all three. The second difference is
-    evaluated without the split into two parts; it is accurate to 1e-9 of the step up to 100 px. x: (n,) px; std: one or n
-    values, px; angle and half_width: one value.
+    Fits evaluate all three repeatedly. H solves the heat equation, so one normal distribution function and one density per
+    corner of the square determine all three. The second difference is evaluated without the split into two parts; it is
+    accurate to 1e-9 of the step up to 100 px. x: shape (n,), px. std: one or n values, px. angle, half_width: one value
+    each, rad and px.
     """
     long, _, short = _boxes(angle, half_width, std)
     short = xp.where(short > _THINNEST, short, _THINNEST)
@@ -215,5 +215,5 @@ def _half(lens: Optics, pixel: PixelResponse) -> float:
     below = np.flatnonzero(passed < 0.5)
     if not below.size:
         return float("nan")
-    around = [below[0], below[0] - 1]  # the MTF is 1 at frequency 0, and falls between these two
+    around = [below[0], below[0] - 1]  # the MTF is 1 at frequency 0, and decreases below 0.5 between these indices
     return float(np.interp(0.5, passed[around], _FREQUENCIES[around]))

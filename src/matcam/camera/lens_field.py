@@ -12,7 +12,7 @@ from matcam.core import checks
 from matcam.core.errors import ArgumentError
 
 _AROUND = 72  # number of positions on a circle
-_LARGEST = 0.5  # largest coefficient of a plausible distortion
+_LARGEST = 0.5  # largest plausible k1, k2 or growth
 
 
 class Coefficient(NamedTuple):
@@ -38,8 +38,8 @@ _NONE = Coefficient()
 class LensField:
     """Distortion and blur of a lens over the field.
 
-    A position at rho units from the centre is imaged at rho (1 + k1 rho^2 + k2 rho^4). The width of the blur grows as 1
-    + growth (rho^2 - rho0^2), where rho0 = holds_at / unit.
+    A position at rho units from the centre is imaged at rho (1 + k1 rho^2 + k2 rho^4). The width of the blur is multiplied
+    by 1 + growth (rho^2 - rho0^2), where rho0 = holds_at / unit.
 
     Attributes:
         centre: column and row of the centre of distortion, px.
@@ -80,7 +80,7 @@ class LensField:
             raise ArgumentError("k1 and k2 fold the image over itself within 1.2 units: give smaller coefficients")
 
     def wider(self, factor: float) -> LensField:
-        """Return the field with a larger uncertainty of the distortion.
+        """Build a field with a larger uncertainty of the distortion.
 
         Args:
             factor: factor of the standard deviation of k1, no unit.

@@ -34,7 +34,7 @@ class Uncertainty(Module):
         covariance: covariance in the units of the names, shape (n, n), symmetric, positive semidefinite.
 
     Raises:
-        ArgumentError: the shape does not fit, a name occurs twice, or the matrix is not a covariance.
+        ArgumentError: the shape is not (n, n), a name occurs twice, or the matrix is not a covariance.
 
     Example:
         >>> known = matcam.camera.Uncertainty.of({"optics.sigma_px": 0.02})
@@ -99,7 +99,7 @@ class Uncertainty(Module):
                 )
 
     def std(self) -> dict[str, float]:
-        """Return the standard deviations by name, in the units of the names."""
+        """Compute the standard deviations by name, in the units of the names."""
         return dict(zip(self.names, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
 
     def __repr__(self) -> str:
@@ -134,7 +134,7 @@ class Provenance:
 
 
 def parameters_of(part: str, module: Any) -> dict[str, jax.Array]:
-    """Return the parameters of a lens or pixel by name.
+    """List the parameters of a lens or pixel by name.
 
     part: path of the lens or pixel in the camera, such as "optics" or "optics.core".
     """
@@ -170,7 +170,7 @@ def replace_parameters(part: str, module: Any, values: Mapping[str, Any]) -> Any
 
 
 def fields_of(module: Any) -> dict[str, Any]:
-    """Return the fields of a lens or a pixel by name.
+    """List the fields of a lens or a pixel by name.
 
     The fields are scalars, curves, and an inner lens; the names include the units.
     """

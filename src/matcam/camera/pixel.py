@@ -50,7 +50,7 @@ class PixelResponse(Module):
 
     @abstractmethod
     def response(self, x: ArrayLike) -> jax.Array:
-        """Return the one-dimensional response of the pixel, 1/px, without the lens.
+        """Compute the one-dimensional response of the pixel, 1/px, without the lens.
 
         The two-dimensional response is response(x) response(y), 1/px^2. Each factor integrates to 1.
 
@@ -63,7 +63,7 @@ class PixelResponse(Module):
 
     @abstractmethod
     def mtf(self, f: ArrayLike) -> jax.Array:
-        """Return the signed transfer function of the pixel along a row, without the lens.
+        """Compute the signed transfer function of the pixel along a row, without the lens.
 
         Args:
             f: frequency, cycles/px, any shape.
@@ -74,7 +74,7 @@ class PixelResponse(Module):
 
     @abstractmethod
     def of_gaussian(self, x: ArrayLike, std: ArrayLike) -> jax.Array:
-        """Return the value of a pixel for a Gaussian line profile, 1/px.
+        """Compute the value of a pixel for a Gaussian line profile, 1/px.
 
         Args:
             x: distance of the line from the centre of the pixel, px.
@@ -83,7 +83,7 @@ class PixelResponse(Module):
 
     @abstractmethod
     def until_gaussian(self, x: ArrayLike, std: ArrayLike) -> jax.Array:
-        """Return the integral of `of_gaussian` up to x, no unit.
+        """Integrate `of_gaussian` up to x, no unit.
 
         The integral begins at minus infinity and lies between 0 and 1. Its differences are values of the pixel for a
         Gaussian that is uniformly smeared along a line.
@@ -121,27 +121,27 @@ class BoxPixel(PixelResponse):
         self.half_width = _checked_half_width(half_width)
 
     def response(self, x: ArrayLike) -> jax.Array:
-        """Return 1 / (2 half_width) inside the square and 0 outside, 1/px."""
+        """Compute the response, 1/px: 1 / (2 half_width) inside, 0 outside."""
         return xp.where(xp.abs(checks.number("x", x)) <= self.half_width, 0.5 / self.half_width, 0.0)
 
     def mtf(self, f: ArrayLike) -> jax.Array:
-        """Return the signed transfer function of the box, without the lens.
+        """Compute the signed transfer function of the box, without the lens.
 
-        It is sin(2 pi half_width f) / (2 pi half_width f), which is negative beyond 1 / (2 half_width).
+        It is sin(2 pi half_width f) / (2 pi half_width f), which changes sign at 1 / (2 half_width).
         """
         return xp.sinc(2 * self.half_width * checks.number("f", f))
 
     def of_gaussian(self, x: ArrayLike, std: ArrayLike) -> jax.Array:
-        """Return the value of a pixel for a Gaussian line profile, 1/px.
+        """Compute the value of a pixel for a Gaussian line profile, 1/px.
 
         It is [erf((x + p) / (sqrt2 std)) - erf((x - p) / (sqrt2 std))] / (4 p), p = half_width (docs/model.md 2).
         """
         return gaussian_over_interval(xp.asarray(x), self.half_width, xp.asarray(std))
 
     def until_gaussian(self, x: ArrayLike, std: ArrayLike) -> jax.Array:
-        """Return the integral of `of_gaussian` up to x, no unit.
+        """Integrate `of_gaussian` up to x, no unit.
 
-        It is [f(x + p) - f(x - p)] std / (2 p), where f is z ndtr(z) + pdf(z) at z = x / std and p = half_width.
+        The integral is [f(x + p) - f(x - p)] std / (2 p), where f is z ndtr(z) + pdf(z) at z = x / std and p = half_width.
         """
         ends = ((xp.asarray(x) + side * self.half_width) / std for side in (1, -1))
         above, below = (z * _normal_until(z) + xp.exp(-(z**2) / 2) / np.sqrt(2 * np.pi) for z in ends)
@@ -155,8 +155,8 @@ class WindowedGaussianPixel(PixelResponse):
 
     Args:
         sigma: standard deviation of the Gaussian before truncation, px, positive.
-        half_width: distance from the centre at which the Gaussian is truncated, px, (0, 0.5]. Default: 0.5, the whole
-            pixel.
+        half_width: distance from the centre at which the Gaussian is truncated, px, (0, 0.5]. Default: 0.5, the border
+            of the pixel.
 
     Raises:
         ArgumentError: a parameter is out of range, or not a single number.
@@ -182,7 +182,7 @@ class WindowedGaussianPixel(PixelResponse):
         self.half_width = _checked_half_width(half_width)
 
     def response(self, x: ArrayLike) -> jax.Array:
-        """Return the truncated Gaussian of unit area, 1/px; 0 outside the window."""
+        """Compute the truncated Gaussian of unit area, 1/px; 0 outside the window."""
         x = checks.number("x", x)
         inside = normal_density(x, self.sigma) / self._share_inside
         return xp.where(xp.abs(x) <= self.half_width, inside, 0.0)
@@ -214,7 +214,7 @@ class WindowedGaussianPixel(PixelResponse):
         return normal_density(x, total) * inside / self._share_inside
 
     def until_gaussian(self, x: ArrayLike, std: ArrayLike) -> jax.Array:
-        """Return the integral of `of_gaussian` up to x, no unit.
+        """Integrate `of_gaussian` up to x, no unit.
 
         The integral over the window uses 48 Gauss-Legendre nodes.
         """
@@ -232,7 +232,7 @@ class WindowedGaussianPixel(PixelResponse):
 
 
 def _normal_until(z: jax.Array) -> jax.Array:
-    """Integrate the standard normal distribution up to z, in a sixth of the time of `ndtr`."""
+    """Evaluate the standard normal distribution function, faster than by `ndtr`."""
     return erfc(-z / np.sqrt(2)) / 2
 
 
@@ -243,7 +243,7 @@ def gaussian_over_interval(x: jax.Array, half_width: ArrayLike, std: jax.Array) 
     wide = ratio > 0.02
 
     def mixed() -> jax.Array:
-        """For half widths below 0.02 standard deviations, a series is more accurate than differences of erf."""
+        # for half widths below 0.02 standard deviations, a series is more accurate than differences of erf
         return xp.where(wide, _by_difference(x, xp.where(wide, half_width, std), std), _by_series(x, ratio, std))
 
     if is_concrete(wide):

@@ -17,7 +17,7 @@ origin of the parameters, because a correction requires the uncertainty of the k
 
 Older versions are supported: version 4 without DSNU, version 3 without "zernike", "colour" and "seidel", version 2
 without a field, and version 1 without "defocus", "halo" and sensors. A published version never changes: additions are
-made in the next one. The published schemas are docs/camera-profile-v1.schema.json to -v5 (`profile_schemas.py`).
+made in the next version. The published schemas are docs/camera-profile-v1.schema.json to -v5 (`profile_schemas.py`).
 pydantic validates the JSON.
 """
 
@@ -48,7 +48,7 @@ _WHAT = "a camera profile"
 
 
 def model_name(module: Module) -> str:
-    """Return the name of the model of a lens or a pixel."""
+    """Look up the name of the model of a lens or a pixel."""
     return next(name for name, cls in MODELS.items() if type(module) is cls)
 
 

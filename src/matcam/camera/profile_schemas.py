@@ -1,6 +1,6 @@
 """Schemas of the published versions of the camera profile (pydantic).
 
-A published version never changes: additions are made in the next one, and each version has its own lenses.
+A published version never changes: additions are made in the next version, and each version has its own lenses.
 """
 
 from __future__ import annotations
@@ -142,5 +142,5 @@ VERSIONS = {
 
 
 def json_schema(version: int = VERSION) -> dict[str, Any]:
-    """Return the JSON Schema of a version of the profile."""
+    """Build the JSON Schema of a version of the profile."""
     return VERSIONS[version].model_json_schema()

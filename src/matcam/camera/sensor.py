@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     Seed = int | jax.Array
 else:
     Seed = Any
-"""Integer, or a key of jax.random."""
+"""Seed of random numbers: an integer, or a key of jax.random."""
 
 
 class PixelNoise(NamedTuple):
@@ -165,7 +165,7 @@ class Sensor(Module):
         return xp.minimum(self.full_well, (2**self.bits - 1 - self.black_level) / self.gain)
 
     def channel_map(self, height: int, width: int) -> np.ndarray:
-        """Return the channel of each pixel of a mosaic.
+        """Compute the channel of each pixel of a mosaic.
 
         The channels 0, 1 and 2 are R, G and B.
 
@@ -191,8 +191,8 @@ class Sensor(Module):
 
         Args:
             radiance: radiance of the pixels, any unit, shape (H, W) or (H, W, channels). With a cfa the shape must be
-                (H, W, 3), R, G, B; each pixel records one of the three. Channels without a cfa are exposures of one
-                sensor behind filters, so they share its patterns. NaN is kept.
+                (H, W, 3), in the order R, G, B; each pixel records one of them. Without a cfa, the channels are exposures
+                of one sensor behind filters, so they share its patterns. NaN is kept.
             exposure: electrons per unit of radiance, positive.
             time: duration, s, for the dark current. Default: 0.
 
@@ -249,7 +249,7 @@ class Sensor(Module):
         return (checks.numbers("digital", digital) - self.black_level) / self.gain
 
     def variance(self, electrons: ArrayLike) -> jax.Array:
-        """Return the variance of a pixel, e-^2.
+        """Compute the variance of a pixel, e-^2.
 
         It includes shot noise, read noise and rounding. Evaluate it at the value of a model, not at the noisy value of
         the pixel (docs/model.md 8).

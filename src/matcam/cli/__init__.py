@@ -27,7 +27,7 @@ INTERRUPTED = 130
 
 def main(arguments: list[str] | None = None) -> None:
     """Run one command and exit with its code."""
-    # in a short process with many imports and traces, rare garbage collection saves a tenth of the time
+    # garbage collection is rare, because it would only slow down a short process with many imports and traces
     gc.set_threshold(50_000, 20, 50)
     use_one_blas_thread()
     use_one_heap()
@@ -51,8 +51,8 @@ def main(arguments: list[str] | None = None) -> None:
 def without_dask() -> Iterator[None]:
     """Hide Dask from imports, unless it is already imported or a cluster requires it.
 
-    xarray imports Dask, if it is installed, to check the types of arrays, which takes half a second. Here all arrays are those
-    of NumPy.
+    xarray imports Dask, if it is installed, to check the types of arrays. The import is slow, and all arrays of the commands
+    are those of NumPy.
     """
     if "xarray" not in sys.modules:  # xarray checks once whether Dask is installed
         sys.modules.setdefault("dask", None)  # type: ignore[arg-type]
@@ -97,7 +97,7 @@ def _interrupted() -> int:
 
 
 def _unwritable() -> OSError | None:
-    """Return the error of standard output, if it cannot be written."""
+    """Flush standard output, and return the error if that fails."""
     try:
         sys.stdout.flush()
     except OSError as error:
@@ -110,7 +110,7 @@ def _nowhere() -> TextIO:
 
 
 def _output_failed(error: OSError, code: int) -> int:
-    """Return the exit code if standard output could not be written; a closed pipe is not a failure."""
+    """Report that standard output cannot be written, and return the exit code. A closed pipe is not a failure."""
     sys.stdout = _nowhere()  # Python would report the error again at exit
     if isinstance(error, BrokenPipeError):
         return code

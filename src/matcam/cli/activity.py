@@ -20,7 +20,7 @@ from matcam.core.readers.names import printable
 
 _FIRST, _EACH = 0.8, 0.25  # delay before the line appears, and interval between its updates, s
 _LONG = 10.0
-"""Elapsed time, s, from which the line shows the duration of the last run, which is of no interest for a short command."""
+"""Elapsed time from which the line shows the duration of the last run, s. A shorter command needs no estimate."""
 _SIGNS = "|/-\\"
 _CLEAR = "\r\033[2K"
 
@@ -67,7 +67,7 @@ class Activity:
             _remember(self.name, took)
 
     def line(self) -> str:
-        """Return the current text of the line."""
+        """Format the current text of the line."""
         took = time.monotonic() - self.started
         text = f"{self.doing[-1]} {took:.0f} s"
         if took >= _LONG and self._last is not None:

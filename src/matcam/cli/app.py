@@ -33,7 +33,7 @@ from matcam.cli.options import Command, Group
 app = typer.Typer(
     cls=Group,
     pretty_exceptions_enable=False,
-    rich_markup_mode=None,  # the help is plain text, and Rich takes a fifth of a second to load
+    rich_markup_mode=None,  # the help is plain text, and Rich is slow to load
     context_settings={"help_option_names": ["-h", "--help"]},
     help="Correct reflectance measurements for the camera that recorded them.",
 )

@@ -25,8 +25,8 @@ def command(
         option(
             "--host",
             "ADDRESS",
-            "Address to listen on. With another address than the default, other machines that know the token can "
-            "connect, without encryption.",
+            "Address to listen on. With an address other than the default, other machines can connect with the "
+            "token, without encryption.",
         ),
     ] = "127.0.0.1",
     port: Annotated[int, option("--port", "PORT", "Port to listen on. Default: 0, any free port.")] = 0,
@@ -49,8 +49,8 @@ def command(
     server = AppServer(files or (), host, port)
     if host not in ("127.0.0.1", "localhost", "::1"):
         show.remark(
-            f"--host {host}: every machine that can reach this one and knows the address below can use the app with "
-            "your permissions, and the traffic is not encrypted"
+            f"--host {host}: anyone who has the address below and can reach this machine can use the app with your "
+            "permissions, and the traffic is not encrypted"
         )
     show.say(server.address)
     if browser:
@@ -75,7 +75,6 @@ def _leave() -> None:
 
 
 def _open(address: str) -> None:
-    """Open the page in a browser, if there is one."""
     import contextlib
     import webbrowser
 

@@ -28,7 +28,7 @@ def command(
     sampling: Sampling = "centre",
     square: Annotated[
         int,
-        option("--square", "N", "Resolution of a .bsdf to write: number of values along each side; 192 give 36 MB."),
+        option("--square", "N", "Resolution of a .bsdf to write: number of values along each side; 192 gives 36 MB."),
     ] = 192,
     error: Annotated[
         float | None,

@@ -236,7 +236,6 @@ def _write_sfr(result: Any, path: Path, pitch: float | None, force: bool) -> Non
 
 
 def _write_budget(result: Any, path: Path, force: bool) -> None:
-    """Write the uncertainty budgets of both values of MTF50 and of the parameters of the lens."""
     from matcam.numerics.budget import fit_budget, parameter_budgets, write_budgets
 
     fit = result.parametric

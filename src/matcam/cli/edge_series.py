@@ -29,7 +29,6 @@ def focus_positions(text: str, count: int, method: str) -> list[float]:
 
 
 def _draw_focus(rows: Any, of_file: dict[str, float], foci: Any, figure: Path, force: bool) -> None:
-    """Draw MTF50 over the focus position, and write the values beside the figure."""
     import numpy as np
 
     from matcam.figures.style import save
@@ -61,10 +60,10 @@ def run_series(
     json: bool,
     measure: Any,
 ) -> int:
-    """Measure many edges, and show or write a row for each. Return the exit code: 1 if some could not be measured.
+    """Measure many edges, and show or write a row for each. The exit code is 1 if an edge could not be measured.
 
-    positions: focus position of each photograph; None: the photographs are not a through-focus series. table: CSV file
-    with a row for each edge; None: none. figure: figure of MTF50 over the focus position; None: none.
+    `positions` are the focus positions of the photographs, or None if they are not a through-focus series. `table` is a CSV
+    file to write with a row for each edge. `figure` is a figure of MTF50 over the focus position to write.
     """
     from functools import partial
 

@@ -35,7 +35,9 @@ def command(
         *(f"figure-6-{path.stem}" for path in sources or [Path("simulated-chromium")]),
     ]
     if len(set(stems)) < len(stems):
-        raise ArgumentError("two files have the same name, and so would their figures: draw them into two folders")
+        raise ArgumentError(
+            "two files have the same name, and their figures would overwrite each other: draw them into two folders"
+        )
     check_outputs(outputs(output, stems, vector), force=force, inputs=sources)
     use_caches()
     of_stem = [*[None] * 3, *sources] if sources else [None] * 4

@@ -38,7 +38,11 @@ def command(
     per_channel: Annotated[bool, typer.Option("--per-channel", help="Fit a lobe for each channel.")] = False,
     lens: Annotated[
         Literal["auto", "fixed", "prior", "free"],
-        typer.Option("--lens", help="Lens blur: fixed as in the profile, within its uncertainty (prior), or free."),
+        typer.Option(
+            "--lens",
+            help="Lens blur: fixed as in the profile, fitted within its uncertainty (prior), or free; auto: prior if the "
+            "profile has an uncertainty, otherwise fixed.",
+        ),
     ] = "auto",
     blind: Annotated[bool, typer.Option("--no-camera", help="Fit as if the camera were perfect.")] = False,
     spline: Annotated[
@@ -51,7 +55,7 @@ def command(
     ] = 0.0,
     rival: Annotated[
         bool,
-        typer.Option("--rival", help="Compare the camera with free shadowing: which of both fits the data better."),
+        typer.Option("--rival", help="Also fit with free shadowing instead of the camera, and compare both fits."),
     ] = False,
     slice_step: Annotated[int, option("--slice-step", "N", "Use every n-th slice of theta_d.")] = 1,
     masking: Masking = "smith",

@@ -98,7 +98,7 @@ def command(
         compared = known_wavelengths(table) is not None
         if metal is not None and not compared:
             raise ArgumentError(
-                f"--metal is for the channels R, G, B, because {file} has other wavelengths: omit this option"
+                f"--metal is for the channels R, G, B, and {file} has other wavelengths: omit this option"
             )
         recorded = rig.of_table()
         import_behind("matcam.figures.curves", "matcam.files.datasets")

@@ -40,7 +40,7 @@ class HelpLine(NamedTuple):
 
 
 def entry(param: Any, context: Any) -> HelpLine:
-    """Return the help line of a parameter. A flag has no value."""
+    """Build the help line of a parameter. A flag has no value."""
     if param.param_type_name == "argument":
         name = param.metavar or param.name.upper() + ("..." if param.nargs == -1 else "")
         return HelpLine(name, "", param.help or "", "" if param.required else "optional")
@@ -53,7 +53,7 @@ def entry(param: Any, context: Any) -> HelpLine:
 
 
 def _choices(label: str) -> str:
-    """Return the choices or the type of an option without a metavar, as typer writes them after its names."""
+    """Extract the choices or the type of an option without a metavar from the label that typer writes."""
     found = re.search(r"[<\[](.*?)[>\]]\.*$", label)
     return found[1] if found else label.rpartition(" ")[2]
 
@@ -73,7 +73,7 @@ def parts(command: Any) -> tuple[str, list[str]]:
 
 
 def entries(command: Any, context: Any) -> tuple[list[HelpLine], list[HelpLine]]:
-    """Return the arguments and options of a command."""
+    """List the help lines of the arguments and of the options of a command."""
     params = command.get_params(context)
     shown = [p for p in params if not getattr(p, "hidden", False)]
     arguments = [entry(p, context) for p in shown if p.param_type_name == "argument"]
@@ -81,7 +81,7 @@ def entries(command: Any, context: Any) -> tuple[list[HelpLine], list[HelpLine]]
 
 
 def usage(command: Any, context: Any) -> str:
-    """Return the usage line of a command."""
+    """Format the usage line of a command."""
     arguments, _ = entries(command, context)
     words = [f"[{a.names}]" if a.default else a.names for a in arguments]
     tail = ["COMMAND ..."] if hasattr(command, "commands") else []
@@ -89,7 +89,7 @@ def usage(command: Any, context: Any) -> str:
 
 
 def groups(commands: Any) -> Iterator[tuple[str, list[str]]]:
-    """Yield the groups of existing commands, and last the ungrouped commands."""
+    """Yield the groups of the existing commands, and finally the ungrouped commands."""
     left = [name for name in commands if not getattr(commands[name], "hidden", False)]
     rest = "Commands"
     for title, members in GROUPS.items():
@@ -103,7 +103,7 @@ def groups(commands: Any) -> Iterator[tuple[str, list[str]]]:
 
 
 def page(command: Any, context: Any) -> str:
-    """Return the complete help of a command or of a group of commands."""
+    """Format the complete help of a command or of a group of commands."""
     width = max(50, min(shutil.get_terminal_size().columns, 100))
     text, examples = parts(command)
     lines = [f"Usage: {usage(command, context)}", ""]
@@ -125,7 +125,7 @@ def page(command: Any, context: Any) -> str:
 
 
 def summary(command: Any) -> str:
-    """Return the first sentence of the description of a command."""
+    """Extract the first paragraph of the description of a command."""
     return parts(command)[0].split("\n\n")[0].replace("\n", " ").replace("`", "")
 
 

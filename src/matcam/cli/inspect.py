@@ -229,7 +229,6 @@ def _print_variables(variables: dict[str, Any]) -> None:
 
 
 def _plain(value: Any) -> str:
-    """Format a value, or a list of values separated by commas."""
     if isinstance(value, list):
         return ", ".join(map(_plain, value))
     return f"{value:.6g}" if isinstance(value, float) else str(value)

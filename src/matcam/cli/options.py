@@ -61,7 +61,7 @@ _VERBS = "must|can|belongs|needs|asks|as|may"
 def option(names: str, metavar: str, help: str, **more: Any) -> Any:  # noqa: A002
     """Declare an option with a value.
 
-    names: names of the option, separated by blanks. more: further arguments of `typer.Option`.
+    `names` contains the names of the option, separated by blanks. `more` are further arguments of `typer.Option`.
     """
     return typer.Option(*names.split(), metavar=metavar, help=help, **more)
 
@@ -146,7 +146,7 @@ HalfWidth = Annotated[float, option("--half-width", "PX", "Half the width of a p
 
 
 def use_caches() -> Workspace:
-    """Keep compiled functions, and results that depend on a rig alone, in the user's cache folder.
+    """Cache compiled functions, and results that depend on a rig alone, in the user's cache folder.
 
     Returns:
         Workspace with these results.
@@ -159,11 +159,11 @@ def use_caches() -> Workspace:
 
 
 def choose_device(device: str | None) -> None:
-    """Select the device for JAX, and print it if the machine has a GPU.
+    """Select the device for JAX. By default, print a remark if the machine has a GPU.
 
     Args:
-        device: "cpu" or "gpu", choice of the user; None: the processor, which is faster for one table because a GPU
-            requires longer compilation.
+        device: "cpu" or "gpu". None: the processor, which is faster for one table, because a GPU requires longer
+            compilation.
     """
     from matcam.core.jax import has_gpu, use_device
 
@@ -257,7 +257,6 @@ def in_options(message: str, command: TyperCommand) -> str:
 
 
 def _translated(message: str, option_of: Mapping[str, str]) -> str:
-    """Translate a message by the option of each argument."""
     message = re.sub(r"; if \S+ is in degrees, give np\.radians\(\S+\)$", "", message)  # options take degrees
     for phrase, words in _PHRASES.items():
         message = message.replace(phrase, words)

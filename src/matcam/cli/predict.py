@@ -147,7 +147,7 @@ def _false_light(rig: Any, lobes: list[Any]) -> list[Any]:
 
 
 def _haze(false: Any, degrees: float = 2.0) -> float:
-    """Compute the ratio of added to true BRDF at an angle from the half vector."""
+    """Compute the ratio of added to true BRDF at an angle from the half vector, degrees."""
     at = false.isel(channel=0).sel(theta_h=math.radians(degrees), method="nearest")
     return float(at["added"] / at["true"])
 

@@ -57,7 +57,7 @@ def command(
     inputs = [*files, *([environment] if environment else [])]
     linear = target.suffix.lower() == ".exr"
     if linear and len(files) > 1:
-        raise ArgumentError("an .exr contains one sphere: render the files one by one")
+        raise ArgumentError("an .exr contains one sphere: render each file with a command of its own")
     (check_output if linear else check_picture)(target, force=force, inputs=inputs)
     check_inputs(inputs)
     from matcam.exchange.contents import material_of, read_contents

@@ -57,7 +57,7 @@ _MEANINGLESS = {("sample", "shape"): "sphere"}
 
 
 def read_rig_file(path: Path, known: set[str], command: str) -> dict[str, Any]:
-    """Return the values of a rig file for the parameters of a command.
+    """Read the values of a rig file for the parameters of a command.
 
     Args:
         path: the file (TOML).
@@ -97,7 +97,6 @@ def _entries(path: Path) -> dict[tuple[str, ...], Any]:
 
 
 def _value(path: Path, keys: tuple[str, ...], value: Any) -> Any:
-    """Convert an entry to the type of its option: number, pair of numbers, name, or path of the profile."""
     where = ".".join(keys)
     if keys == ("table", "phase_px"):
         if not isinstance(value, list) or len(value) != 2 or not all(_is_number(one) for one in value):

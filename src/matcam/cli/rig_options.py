@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class RigOptions:
-    """Options that describe a rig: the MERL rig, with the parts that they replace.
+    """Options that describe a rig by its differences from the MERL rig.
 
-    A command has a parameter `Annotated[RigOptions, "camera radius"]`, which stands for the named options.
+    A command has a parameter `Annotated[RigOptions, "camera radius"]`, which represents the named options.
     """
 
     camera: Annotated[
@@ -98,7 +98,7 @@ class RigOptions:
 
     @property
     def files(self) -> list[Path]:
-        """Return the files that the options name."""
+        """Files that the options name."""
         return [] if self.camera is None else [self.camera]
 
     def build(self, **more: Any) -> Rig:

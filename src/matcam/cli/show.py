@@ -124,7 +124,7 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]], title: str = "") -
 
 
 def _width() -> int | None:
-    """Return the width of tables if that of the environment is too small; None otherwise."""
+    """Return the smallest width of tables if that of the environment is smaller, and None otherwise."""
     stated = os.environ.get("COLUMNS", "")
     return _LEAST_WIDTH if stated.isdigit() and int(stated) < _LEAST_WIDTH else None
 
@@ -170,7 +170,7 @@ def _print(text: str, end: str = "\n") -> None:
 
 
 def broken_output() -> OSError | None:
-    """Return the error of writing standard output, once; None if there was no error."""
+    """Return and clear the error of writing standard output. The result is None if there was no error."""
     return _broken.pop() if _broken else None
 
 
@@ -180,7 +180,6 @@ working = activity.doing
 
 @contextlib.contextmanager
 def _bar(*columns: Any, **options: Any) -> Iterator[Any]:
-    """Show a progress bar on standard error, if it is a terminal."""
     from rich import progress as rich
     from rich.console import Console
 
@@ -192,7 +191,7 @@ def _bar(*columns: Any, **options: Any) -> Iterator[Any]:
 
 @contextlib.contextmanager
 def counting(what: str) -> Iterator[Any]:
-    """Show a progress bar over bytes on standard error; yield update(done, total)."""
+    """Show a progress bar over bytes on standard error, and yield the function update(done, total)."""
     from rich import progress as rich
 
     with _bar(rich.DownloadColumn(), rich.TransferSpeedColumn(), rich.TimeRemainingColumn()) as progress:
@@ -202,7 +201,7 @@ def counting(what: str) -> Iterator[Any]:
 
 @contextlib.contextmanager
 def tallying(what: str) -> Iterator[Any]:
-    """Show the progress of jobs and the remaining time; yield update(done, total).
+    """Show the progress of jobs and the remaining time, and yield the function update(done, total).
 
     The bar is written to standard error. If standard error is not a terminal, at most two lines a minute are written.
     """
@@ -257,7 +256,6 @@ class _Log:
         self.what, self.started, self.last, self.first = what, time.monotonic(), -math.inf, 0
 
     def update(self, done: int, total: int) -> None:
-        """Report the progress, and the remaining time at the current speed."""
         now = time.monotonic()
         if self.last == -math.inf:
             self.first, self.started = done, now
@@ -269,7 +267,7 @@ class _Log:
 
 
 def _span(seconds: float) -> str:
-    """Format a time in the largest unit of which there are at least two."""
+    """Format a time in the largest unit in which it is at least 2."""
     for unit, size in (("days", 86400), ("h", 3600), ("min", 60)):
         if seconds >= 2 * size:
             return f"{seconds / size:.0f} {unit}"

@@ -124,7 +124,7 @@ def command(
         raise ArgumentError("give --output for a table or an image, or --capture for a folder")
     if capture is not None:
         if table or preview or exposure:
-            raise ArgumentError("--capture is for the lobe of a metal: leave out TABLE, --preview and --exposure")
+            raise ArgumentError("--capture is for the lobe of a metal: omit TABLE, --preview and --exposure")
         plan: dict[str, Any] = {"azimuth": math.radians(azimuth), "shape": size}
         if rig.sample == "flat":
             plan["exposures"] = 2  # exposures without clipping

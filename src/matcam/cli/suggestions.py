@@ -17,7 +17,7 @@ _OF_MERL = 3
 
 
 def after(name: str, values: dict[str, Any]) -> str | None:
-    """Return the suggested next command, or None if there is none.
+    """Suggest the next command. The result is None if there is no suggestion.
 
     Args:
         name: words of the command, such as "data merl".
@@ -31,7 +31,7 @@ def after(name: str, values: dict[str, Any]) -> str | None:
 
 
 def _unused(output: Path) -> str:
-    """Name an output of the next command, with a number if a file has its name, which would require --force."""
+    """Choose an unused name for an output, because replacing a file would require --force."""
     path, number = output, 1
     while is_there(where_written(path)):
         number += 1
@@ -49,12 +49,11 @@ def _camera(values: dict[str, Any]) -> list[Any]:
 
 
 def _of_table(values: dict[str, Any], file: Path | None) -> list[Any] | None:
-    """Correct the table, unless it was fitted without a camera."""
     return None if file is None or values.get("blind") else _correct(file, values)
 
 
 def _correct(file: Path, values: dict[str, Any]) -> list[Any]:
-    """Correct a table; without a MERL file if the table has other channels."""
+    """Suggest the correction of a table, without a MERL file if the table has other channels."""
     words = ["matcam", "correct", file, *_camera(values)]
     if values.get("channels", _OF_MERL) == _OF_MERL:
         return words
@@ -62,7 +61,7 @@ def _correct(file: Path, values: dict[str, Any]) -> list[Any]:
 
 
 def _after_predict(values: dict[str, Any]) -> list[Any] | None:
-    """Compute the bounds of the same rig; they require a curved sample and a Gaussian lens."""
+    """Suggest the bounds of the same rig, which require a curved sample and a Gaussian lens."""
     if values.get("sample") == "flat":
         return None
     if values.get("camera"):
@@ -75,9 +74,10 @@ def _after_predict(values: dict[str, Any]) -> list[Any] | None:
 
 
 def _after_edge(values: dict[str, Any]) -> list[Any] | None:
-    """Calibrate a camera with the same reading of the images, if they may contain enough edges; otherwise draw a chart.
+    """Suggest a calibration with the same options if the images may contain enough edges, and otherwise a chart.
 
-    A region is a part of a photograph that may contain more edges. A through-focus series is no camera.
+    A photograph of which only a region was measured may contain more edges. A through-focus series does not describe one
+    camera.
     """
     if values.get("focus"):
         return None
@@ -103,7 +103,6 @@ def _after_simulate(values: dict[str, Any]) -> list[Any] | None:
 
 
 def _after_inspect(values: dict[str, Any]) -> list[Any] | None:
-    """Correct a recorded table with enough values; convert a corrected one for a renderer."""
     file, report = values["file"], values["report"]
     if report["format"] == "camera profile":
         return ["matcam", "predict", "--camera", file]
@@ -122,7 +121,7 @@ def _after_inspect(values: dict[str, Any]) -> list[Any] | None:
 
 
 def _after_convert(values: dict[str, Any]) -> list[Any] | None:
-    """Inspect the new file; neither a fitted surface nor the columns of a result can be inspected."""
+    """Suggest an inspection of the new file. A fitted surface and the columns of a result cannot be inspected."""
     target = values["target"]
     if values.get("content") == "result" and target.suffix.lower() == ".csv":
         return None
@@ -140,7 +139,6 @@ def _after_correct(values: dict[str, Any]) -> list[Any] | None:
 
 
 def _after_reconstruct(values: dict[str, Any]) -> list[Any] | None:
-    """Inspect the MERL file, or the NetCDF file of maps or of an anisotropic material."""
     target = values["output"] or Path(f"{values['capture'].resolve().name}-reconstructed.binary")
     return ["matcam", "inspect", target if is_there(where_written(target)) else target.with_suffix(".nc")]
 

@@ -1,7 +1,6 @@
 """Checks of arguments: conversion to float64, and range checks of concrete values.
 
-Traced values (inside jit, grad, vmap) are not checked, because their numbers are unknown; the outermost caller has
-checked them.
+Traced values (inside jit, grad, vmap) are not checked, because they are unknown; the outermost caller has checked them.
 """
 
 from __future__ import annotations
@@ -108,21 +107,21 @@ def positive(name: str, value: ArrayLike, unit: str = "") -> jax.Array:
 
 
 def scalar(name: str, value: jax.Array) -> jax.Array:
-    """Return `value` if it has no axes; ArgumentError with its shape otherwise."""
+    """Check that a value has no axes. Otherwise an ArgumentError with its shape is raised."""
     if value.ndim:
         raise ArgumentError(f"{name} must be a single number, got an array of shape {value.shape}")
     return value
 
 
 def outside_jit(value: ArrayLike, what: str) -> float:
-    """Return a number that controls a computation, without its derivative.
+    """Convert a parameter that controls a computation to a float, without its derivative.
 
     Args:
-        value: the number.
-        what: name of the numbers, plural, for the message.
+        value: the parameter.
+        what: name of the parameters, plural, for the message.
 
     Raises:
-        ArgumentError: the number is traced, because the call is inside jax.jit or vmap.
+        ArgumentError: the parameter is traced, because the call is inside jax.jit or vmap.
     """
     value = constant(value)
     if not is_concrete(value):
@@ -139,14 +138,14 @@ def viewing_angle(name: str, value: ArrayLike) -> jax.Array:
 
 
 def choice(name: str, value: Any, allowed: tuple[Any, ...]) -> Any:
-    """Return `value` if it is one of `allowed`; ArgumentError otherwise."""
+    """Check that `value` is one of `allowed`. Otherwise an ArgumentError is raised."""
     if not any(_is_one(value, one) for one in allowed):
         raise ArgumentError(f"{name} must be one of {', '.join(map(repr, allowed))}, got {_shown(value)}")
     return value
 
 
 def _is_one(value: Any, one: Any) -> bool:
-    """Compare a value of any type with a choice. Arrays of several values are never equal, and True is not equal to 1."""
+    """Compare a value of any type with a choice. An array of several values never matches, and True does not match 1."""
     same = value == one
     return (
         isinstance(same, bool | np.bool_) and bool(same) and isinstance(value, bool | np.bool_) == isinstance(one, bool)
@@ -158,7 +157,7 @@ def whole_number(
 ) -> int | None:
     """Check that `value` is an int in [low, high].
 
-    None is allowed if `optional` is set. ArgumentError otherwise.
+    None is allowed if `optional` is set. An ArgumentError is raised for any other value.
     """
     if (optional and value is None) or (type(value) is int and low <= value and (high is None or value <= high)):
         return value
@@ -169,9 +168,9 @@ def whole_number(
 
 
 def flag(name: str, value: Any) -> bool:
-    """Check that `value` is True or False, also of NumPy.
+    """Check that `value` is True or False, of Python or of NumPy.
 
-    ArgumentError otherwise, because Python would treat a string or an array as true.
+    An ArgumentError is raised for other types, because Python would treat a string or an array as true.
     """
     if not isinstance(value, bool | np.bool_):
         raise ArgumentError(f"{name} must be True or False, got {_shown(value)}")
@@ -181,7 +180,8 @@ def flag(name: str, value: Any) -> bool:
 def instance(name: str, value: Any, kind: type[T], example: str = "") -> T:
     """Check that `value` is an instance of a class.
 
-    ArgumentError otherwise; the message contains the class and an example of an instance. Default: no example.
+    Otherwise an ArgumentError is raised, whose message contains the class and an example of an instance. Default: no
+    example.
     """
     if not isinstance(value, kind):
         such = f" such as {example}" if example else ""
@@ -190,9 +190,9 @@ def instance(name: str, value: Any, kind: type[T], example: str = "") -> T:
 
 
 def instances(name: str, values: Any, kind: type[T]) -> list[T]:
-    """List values that must all be instances of a class.
+    """Check that all values are instances of a class, and list them.
 
-    ArgumentError otherwise; the message contains the class.
+    Otherwise an ArgumentError is raised, whose message contains the class.
     """
     if isinstance(values, str | bytes) or not isinstance(values, Iterable):
         raise ArgumentError(f"{name} must be a sequence of {kind.__name__}, got {_shown(values)}")
@@ -235,7 +235,7 @@ def extra(what: str, name: str, module: str) -> None:
         ArgumentError: the module is not installed; the message contains the command that installs it.
     """
     if find_spec(module) is None:
-        raise ArgumentError(f"{what} needs an extra: python -m pip install 'matcam[{name}]'")
+        raise ArgumentError(f"{what} needs an extra: run python -m pip install 'matcam[{name}]'")
 
 
 def not_masked(name: str, value: Any) -> None:
@@ -262,7 +262,7 @@ def plain_array(name: str, value: Any) -> np.ndarray:
 
 
 def _kept(array: np.ndarray, value: Any) -> Any:
-    """Return a checked array as one of JAX if `value` contains an array of JAX, otherwise as an immutable array of NumPy."""
+    """Convert a checked array to JAX if `value` contains an array of JAX. Otherwise make it immutable."""
     if has_jax(value):
         from matcam.core.jax import placed
 
@@ -287,7 +287,6 @@ def _as_float64(name: str, value: ArrayLike | npt.ArrayLike) -> np.ndarray:
 
 
 def _shown(value: Any) -> str:
-    """Format an argument in a few words, on one line."""
     try:
         return " ".join(repr(value).split())[:60]
     except Exception:  # an integer of ten thousand digits has no repr, and foreign classes have arbitrary ones

@@ -49,7 +49,7 @@ class RegionError(FitError):
 
 
 def one_line(error: Exception) -> str:
-    """Format the error of a library as one line, truncated."""
+    """Format the error of a library on one line of at most 120 characters."""
     return " ".join(str(error).split())[:120] or type(error).__name__
 
 
@@ -59,7 +59,7 @@ def described(error: Exception) -> str:
 
 
 def unknown_name(kind: str, name: object, known: Iterable[str]) -> ArgumentError:
-    """Build the error for an unknown name, with the nearest known name."""
+    """Build the error for an unknown name. The message suggests the nearest known name, or lists all of them."""
     known = sorted(known)
     if not isinstance(name, str):
         return ArgumentError(

@@ -43,9 +43,9 @@ class Grid(NamedTuple):
     """Angles at which the cells of a MERL table are sampled.
 
     Attributes:
-        theta_h: half angles, rad (90,).
-        theta_d: difference angles, rad (90,).
-        phi_d: azimuths of the difference, rad (180,).
+        theta_h: half angles, shape (90,), rad.
+        theta_d: difference angles, shape (90,), rad.
+        phi_d: azimuths of the difference, shape (180,), rad.
 
     Example:
         >>> from matcam.core.grid import merl_grid
@@ -95,7 +95,7 @@ def _cell_of(name: str, angle: ArrayLike, count: int) -> Any:
 
 
 def merl_grid(sampling: Sampling) -> Grid:
-    """Return the angles at which the cells of a MERL table are sampled.
+    """Compute the angles at which the cells of a MERL table are sampled.
 
     theta_h is spaced quadratically, theta_h = (i / 90)^2 pi / 2 (MERL's reader: index = floor(90 sqrt(theta_h / (pi /
     2)))).
@@ -110,7 +110,7 @@ def merl_grid(sampling: Sampling) -> Grid:
 
 
 def theta_h_edges() -> np.ndarray:
-    """Return the borders of the theta_h cells, rad, shape (91,)."""
+    """Compute the borders of the theta_h cells, rad, shape (91,)."""
     return (np.arange(GRID_SHAPE[0] + 1) / GRID_SHAPE[0]) ** 2 * np.pi / 2
 
 
@@ -126,9 +126,9 @@ def cosines(theta_h: ArrayLike, theta_d: ArrayLike, phi_d: ArrayLike) -> tuple[j
 
 
 def azimuth_difference(theta_h: AnyArray, theta_d: AnyArray, phi_d: AnyArray) -> jax.Array:
-    """Compute the azimuth between light and view about the surface normal.
+    """Compute the azimuth between light and view about the surface normal, rad.
 
-    It is in rad, in [0, pi]. It is pi if light and view lie on opposite sides of the normal, as for a mirror.
+    The result lies in [0, pi]. It is pi if light and view lie on opposite sides of the normal, as for a mirror.
     """
     # with the half vector in the x-z plane, the light is Ry(theta_h) (sin td cos pd, sin td sin pd, cos td) and the
     # view the same with pd + pi; their projections on the surface:
@@ -187,8 +187,8 @@ def below_horizon(sampling: Sampling) -> np.ndarray:
 def brdf_table(values: np.ndarray, sampling: Sampling, **attrs: object) -> xr.DataArray:
     """Label BRDF values on the MERL grid.
 
-    values: BRDF (90, 90, 180, channels), 1/sr; NaN: missing. sampling: sampling position of the values in their cells.
-    attrs: further attributes of the table.
+    The values have the shape (90, 90, 180, channels) and the unit 1/sr; missing values are NaN. `sampling` is their
+    sampling position in the cells. `attrs` are further attributes of the table.
     """
     import xarray as xr
 
@@ -238,7 +238,7 @@ def checked_table(table: xr.DataArray) -> xr.DataArray:
         check_unit(f"coordinate {name}", table.coords[name], "rad")
     check_unit("a BRDF table", table, "1/sr")
     if np.isinf(table.values).any():
-        raise ArgumentError("a BRDF table must not contain infinities; a missing value is NaN")
+        raise ArgumentError("a BRDF table must not contain infinities: use NaN for missing values")
     return in_order(table, "a BRDF table")
 
 
@@ -265,10 +265,7 @@ def in_order(table: xr.DataArray, what: str) -> xr.DataArray:
 
 
 def check_unit(what: str, values: xr.DataArray, unit: str) -> None:
-    """Check that values have this unit, or that their unit is missing.
-
-    ArgumentError otherwise.
-    """
+    """Check that the unit of values is `unit` or missing. Otherwise an ArgumentError is raised."""
     stated = values.attrs.get("units", unit)
     if not isinstance(stated, str) or stated not in _SAME_UNIT[unit]:
         raise ArgumentError(f"{what} must be in {unit}, but its attribute units is {stated!r:.40}")
@@ -279,13 +276,13 @@ _SAME_UNIT = {
     "rad": ("rad", "radian", "radians"),
     "nm": ("nm", "nanometer"),
 }
-"""Spellings of each unit, as UDUNITS reads them."""
+"""Spellings of each unit that UDUNITS accepts."""
 
 
 def azimuth_of(table: xr.DataArray) -> float | None:
-    """Return the azimuth of the lamp in the images of a table.
+    """Read the azimuth of the lamp in the images of a table, rad.
 
-    It is the attribute `lamp_azimuth` of the table, rad; None if the attribute is missing.
+    It is the attribute `lamp_azimuth` of the table. The result is None if the attribute is missing.
     """
     azimuth = table.attrs.get("lamp_azimuth")
     if azimuth is None:
@@ -296,9 +293,9 @@ def azimuth_of(table: xr.DataArray) -> float | None:
 
 
 def sample_of(table: xr.DataArray) -> str | None:
-    """Return the kind of sample of a table: its attribute `sample`.
+    """Read the shape of the sample from the attribute `sample` of a table.
 
-    None if the attribute is missing.
+    The result is None if the attribute is missing.
     """
     kind = table.attrs.get("sample")
     if kind is None or kind in ("sphere", "cylinder", "flat"):
@@ -307,7 +304,7 @@ def sample_of(table: xr.DataArray) -> str | None:
 
 
 def sampling_of(table: xr.DataArray) -> Sampling:
-    """Return the sampling position of a table: its attribute `sampling`."""
+    """Read the sampling position from the attribute `sampling` of a table."""
     sampling = table.attrs.get("sampling")
     if sampling not in SAMPLINGS:
         raise ArgumentError(f"attrs['sampling'] of a BRDF table must be 'centre' or 'edge', got {sampling!r}")

@@ -93,7 +93,7 @@ def check_picture(path: str | Path, *, force: bool, inputs: Iterable[str | Path]
     """Check an output image, whose suffix determines the format, like `check_output`."""
     path = check_output(path, force=force, inputs=inputs)
     if path.suffix.lower() not in _PICTURES:
-        raise OutputError(f"output {path} is an image, whose name must end in {', '.join(_PICTURES)}")
+        raise OutputError(f"output {path} is an image: its name must end in {', '.join(_PICTURES)}")
     return path
 
 
@@ -101,7 +101,7 @@ class Outputs:
     """Files that get their final names together, and the folders created for them.
 
     Attributes:
-        staged: name of each file -> temporary file with its content.
+        staged: temporary file with the content, by final path.
         are_published: True if the files have their final names.
     """
 
@@ -136,7 +136,7 @@ class Outputs:
                 return temporary
 
     def publish(self) -> None:
-        """Give all files their final names.
+        """Rename all files to their final names.
 
         If this fails for one file, no file gets its final name, and the replaced files are restored.
         """
@@ -188,7 +188,7 @@ _LONGEST_NAME = 240
 """Longest name of a file, bytes, to which the suffix of a temporary file can be added: file systems allow 255."""
 _outputs: ContextVar[Outputs | None] = ContextVar("outputs", default=None)
 _unfinished: set[Outputs] = set()
-"""Outputs that remain after an interruption between two statements; they are removed at the end of the process."""
+"""Outputs that are not published yet. Those that remain after an interruption are removed at the end of the process."""
 
 
 @atexit.register
@@ -218,11 +218,10 @@ def replacing(path: str | Path, *, force: bool = False) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def all_or_nothing() -> Iterator[Outputs]:
-    """Give files their final names together, at the end of the block.
+    """Rename the files written in the block to their final names together, at its end.
 
-    These are the files that are written in the block. After an exception no file gets its final name. A nested block is
-    part of the outer block. Files of other threads are not included. An interruption while files are renamed is delayed
-    until all are renamed.
+    After an exception no file gets its final name. A nested block is part of the outer block. Files of other threads are
+    not included. An interruption while files are renamed is delayed until all are renamed.
     """
     outer = _outputs.get()
     if outer is not None:
@@ -245,7 +244,7 @@ def all_or_nothing() -> Iterator[Outputs]:
 
 @contextlib.contextmanager
 def one_by_one() -> Iterator[None]:
-    """Give each file its final name immediately, even inside `all_or_nothing`."""
+    """Rename each file to its final name immediately, even inside `all_or_nothing`."""
     token = _outputs.set(None)
     try:
         yield
@@ -254,7 +253,7 @@ def one_by_one() -> Iterator[None]:
 
 
 class _Waiting:
-    """Signals that are delayed by a short operation.
+    """Signals that are delayed during a short operation.
 
     Attributes:
         is_lifted: True if signals take effect immediately.
@@ -266,7 +265,6 @@ class _Waiting:
 
     @contextlib.contextmanager
     def lifted(self) -> Iterator[None]:
-        """Let signals take effect immediately in the block."""
         self.is_lifted = True
         try:
             yield
@@ -323,9 +321,9 @@ def make_folder(path: Path) -> None:
 
 
 def where_written(path: Path) -> Path:
-    """Return the current path of the content of an output.
+    """Return the path at which the content of an output can be read.
 
-    This is the final name, or the temporary file before publication.
+    This is the temporary file before publication, and the final name afterwards.
     """
     outputs = _outputs.get()
     return path if outputs is None else outputs.staged.get(path, path)
@@ -380,7 +378,6 @@ def write_columns(path: str | Path, data: xr.Dataset | dict[str, Sequence[Any]],
 
 
 def _cells(column: Sequence[Any]) -> list[str]:
-    """Format the values as text; missing values are empty."""
     return [("" if one != one else f"{one:.10g}") if isinstance(one, float) else str(one) for one in column]
 
 
@@ -397,7 +394,7 @@ def user_cache_folder() -> Path:
         if sys.platform == "linux":
             folder = Path.home() / ".cache" / "matcam"
         else:
-            import pooch  # imported only if required, because the import takes a fifth of a second
+            import pooch  # imported only if required, because the import is slow
 
             folder = Path(pooch.os_cache("matcam"))
     except RuntimeError:  # a user without a home has no private folder

@@ -53,7 +53,7 @@ Runs = Literal["once", "some", "many", "mostly"]
 Device = Literal["cpu", "gpu"]
 
 
-_LARGEST_CACHE = 1 << 30  # limit of the size of the cached functions, bytes
+_LARGEST_CACHE = 1 << 30  # total size of the cached functions above which the oldest are removed, bytes
 _SEALED = "compiled"
 
 
@@ -87,7 +87,7 @@ def use_device(device: Device) -> None:
     """
     if device == "gpu" and not has_gpu():
         raise ArgumentError(
-            f"device must be 'cpu', got {device!r}: JAX finds no GPU here; for a GPU of NVIDIA, run "
+            f"device must be 'cpu', got {device!r}: JAX finds no GPU here; for an NVIDIA GPU, run "
             "python -m pip install 'matcam[gpu]'"
         )
     jax.config.update("jax_platforms", "cpu" if device == "cpu" else None)
@@ -137,8 +137,8 @@ def plainly_compiled(runs: Runs = "some") -> dict[str, Any] | None:
 def jit_plainly(function: Callable[P, T], *, runs: Runs = "some", static: tuple[str, ...] = ()) -> Callable[P, T]:
     """Compile a function as `jax.jit` does, with the options of `plainly_compiled`.
 
-    The result must not be called inside another compiled function, because the options apply to a whole program. runs:
-    expected number of runs, as in `plainly_compiled`. static: names of arguments that are not arrays.
+    The result must not be called inside another compiled function, because the options apply to an entire program. `runs`
+    is the expected number of runs, as in `plainly_compiled`. `static` contains the names of arguments that are not arrays.
     """
     programs: dict[bool, Callable[P, T]] = {}
 
@@ -155,7 +155,6 @@ def jit_plainly(function: Callable[P, T], *, runs: Runs = "some", static: tuple[
 
 @cache
 def _is_known(option: str, value: Any) -> bool:
-    """Check whether this version of XLA supports an option."""
     try:
         jax.jit(lambda x: x, compiler_options={option: value}).lower(0.0).compile()
     except jax.errors.JaxRuntimeError:
@@ -164,7 +163,7 @@ def _is_known(option: str, value: Any) -> bool:
 
 
 def use_compilation_cache() -> None:
-    """Keep compiled functions in the user's cache folder between runs.
+    """Cache compiled functions in the user's cache folder between runs.
 
     A program may choose this for its user; a library must not. Each shape of an image has its own functions, so the
     least recently used files are removed beyond a limit.
@@ -186,7 +185,7 @@ def program_folder() -> Path | None:
 
 
 def _use_sealed_cache() -> bool:
-    """Make JAX use a sealed cache. False if this version of JAX has no interface for that; it then uses its own cache."""
+    """Replace the cache of JAX by a sealed cache. The result is False if this version of JAX does not support it."""
     try:
         from jax._src import compilation_cache
     except ImportError:

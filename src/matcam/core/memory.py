@@ -16,7 +16,7 @@ _GROUPS = Path("/sys/fs/cgroup")
 
 
 def available_memory() -> int:
-    """Return the bytes that this process may still allocate.
+    """Estimate the memory that this process may still allocate, bytes.
 
     Returns:
         The minimum of the available memory of the machine, of the control groups (versions 1 and 2) of this process,
@@ -98,7 +98,7 @@ def _of_process() -> int:
 
 
 def _groups() -> list[tuple[int, int]]:
-    """Return limit and usage, bytes, of every control group of this process that has a limit."""
+    """Read the limit and the usage, bytes, of every control group of this process that has a limit."""
     try:
         lines = Path("/proc/self/cgroup").read_text(encoding="utf-8").splitlines()
     except OSError:

@@ -1,7 +1,7 @@
 """Serialisation of a compiled program, without arbitrary code in its description.
 
 JAX writes the description of a program as a pickle, which may call any function. Here the pickle may use only a short
-list of JAX's descriptions of arrays. The program itself is machine code, which must come from the user (sealed.py).
+list of classes by which JAX describes arrays. The program itself is machine code, which must come from the user (sealed.py).
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class _Unpickler(serialize_executable._JaxPjrtUnpickler):
 
 
 class _DescriptionUnpickler(_Unpickler):
-    """Unpickler of the description alone. Loading the machine code takes a tenth of the time of its compilation."""
+    """Unpickler of the description without the machine code, which takes long to load."""
 
     def persistent_load(self, pid: Any) -> Any:
         return None if pid[0] == "exec" else super().persistent_load(pid)

@@ -31,8 +31,9 @@ T = TypeVar("T")
 _ARRAYS = (jax.Array, np.ndarray, np.generic)
 _CPU_INFO = Path("/proc/cpuinfo")
 _MOST_HELD = 30 << 20
-"""Largest size on disk of all programs in the memory of a process, bytes. A program in memory takes twenty times as
-much.
+"""Largest total size on disk of the programs that a process keeps in memory, bytes.
+
+In memory they take twenty times as much, 600 MiB.
 """
 _log = logging.getLogger("matcam")
 
@@ -68,7 +69,6 @@ def kept_program(function: Callable[P, T] | None = None, *, runs: Runs = "some",
 
 
 def _kept_program(function: Callable[P, T], *, runs: Runs, returns: Any) -> Callable[P, T]:
-    """Compile and cache a function."""
     compiled = eqx.filter_jit(function)
     ready: dict[Hashable, _Program] = {}
     making = threading.RLock()
@@ -102,7 +102,7 @@ _TRACED = ("traced",)
 
 
 def _kind(leaf: Any) -> tuple[Any, ...]:
-    """Return the kind of an argument: shape and type of an array, or the value of anything else."""
+    """Describe an argument: shape and type of an array, or type and value of any other argument."""
     if isinstance(leaf, jax.core.Tracer):
         return _TRACED
     if isinstance(leaf, _ARRAYS):
@@ -176,7 +176,7 @@ class _Kept(NamedTuple):
         """Load the program from disk, or compile and store it.
 
         Returns:
-            Program; and the result of the call, which is None for a program that was compiled.
+            The program, and the result of the call. The result is None if the program was compiled.
         """
         name = f"{self.function.__module__}.{self.function.__qualname__}"
         description = f"{name}\n{self.tree}\n{_types(self.tree)}\n{self.kinds!r}\n{self.runs}\n{self.returns}"
@@ -208,14 +208,14 @@ class _Kept(NamedTuple):
         return _Program(self._of_its_kind(program), size), None
 
     def _of_its_kind(self, program: Callable[..., Any]) -> Callable[..., Any]:
-        """Rebuild the structure of flat results."""
+        """Restore the structure of the results, which the program returns as a flat tuple."""
         if self.returns is None:
             return program
         structure = jax.tree.structure(_positions(self.returns))
         return lambda *arrays: jax.tree.unflatten(structure, program(*arrays))
 
     def _of_arrays(self) -> Callable[..., Any]:
-        """Return the function with arrays as its only arguments.
+        """Build a function whose only arguments are the arrays.
 
         JAX keeps this function, so it must not contain the arrays themselves.
         """
@@ -232,7 +232,7 @@ class _Kept(NamedTuple):
 
 
 def _positions(kind: Any) -> Any:
-    """Return the structure of a nested named tuple, with a placeholder for each array."""
+    """Build a nested named tuple with a placeholder for each array."""
     if get_origin(kind) is tuple:
         return tuple(map(_positions, get_args(kind)))
     if isinstance(kind, type) and issubclass(kind, tuple):
@@ -241,7 +241,7 @@ def _positions(kind: Any) -> Any:
 
 
 def _types(tree: Any) -> list[str]:
-    """Return the full names of the types of a tree, because its text contains only short names."""
+    """List the full names of the types of a tree, because its text contains only short names."""
     data = tree.node_data()
     own = [f"{data[0].__module__}.{data[0].__qualname__}"] if data else []
     return own + [name for child in tree.children() for name in _types(child)]
@@ -251,7 +251,7 @@ def _types(tree: Any) -> list[str]:
 def _surroundings() -> str | None:
     """Describe all dependencies of programs except their arguments.
 
-    None if the source of the package cannot be read.
+    The result is None if the source of the package cannot be read.
     """
     source = hashlib.sha256()
     folder = Path(__file__).parents[1]

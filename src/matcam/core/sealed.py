@@ -29,7 +29,7 @@ _log = logging.getLogger("matcam")
 
 
 def read_sealed(path: Path, key: bytes) -> bytes | None:
-    """Read the content of a key; None if it is missing or damaged."""
+    """Read the content of a key. The result is None if it is missing or damaged."""
     try:
         with _opened(path.parent) as folder:
             whole = _read_own(folder, path)
@@ -69,7 +69,7 @@ class SealedFile(NamedTuple):
 
 
 def sealed_files(path: Path) -> list[SealedFile]:
-    """List the files of a cache folder; empty if it is not usable."""
+    """List the files of a cache folder. The list is empty if the folder cannot be used."""
     try:
         with _opened(path) as folder:
             return [
@@ -136,7 +136,7 @@ def _opened(path: Path) -> Iterator[_Folder]:
 
 
 def _read_own(folder: _Folder, path: Path) -> bytes | None:
-    """Read a file that no other user could have written; None for any other file."""
+    """Read a file that no other user could have written. The result is None for any other file."""
     with os.fdopen(folder.open(path.name, _READ), "rb") as file:
         status = os.fstat(file.fileno())
         if not stat.S_ISREG(status.st_mode):
@@ -148,7 +148,6 @@ def _read_own(folder: _Folder, path: Path) -> bytes | None:
 
 
 def _make(path: Path) -> None:
-    """Create a folder for this user alone, and its parents."""
     for folder in (*reversed(path.parents), path):
         if not folder.exists():
             folder.mkdir(mode=0o700, exist_ok=True)
@@ -200,7 +199,7 @@ class CompiledFunctions:
             cls._passed_by.now = False
 
     def get(self, key: str) -> bytes | None:
-        """Return the content of a key, or None."""
+        """Read the content of a key. The result is None if there is none."""
         return None if self._is_passed_by else read_sealed(self._file(key), key.encode())
 
     def put(self, key: str, value: bytes) -> None:

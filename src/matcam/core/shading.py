@@ -1,4 +1,4 @@
-"""Shading geometry: from vectors to all arguments of the reflectance of a surface."""
+"""Shading geometry: computation of the arguments of a BRDF from vectors."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ class Shading(NamedTuple):
     Attributes:
         cos_i: cosine of the angle of incidence.
         cos_o: cosine of the viewing angle.
-        slope_along: half vector as the slope of a facet that mirrors light into view, along the surface's first
-            tangent.
-        slope_across: slope of the half vector along the second tangent (normal x first).
+        slope_along: slope of the half vector along the first tangent of the surface, that is, the slope of a facet that
+            mirrors the light into the view.
+        slope_across: slope of the half vector along the second tangent (normal x first tangent).
         theta_d: difference angle, rad.
         phi_d: azimuth of the difference, rad, in (-pi, pi], relative to that of the slope of the half vector, or to the
             first tangent if that slope is 0.

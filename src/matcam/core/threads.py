@@ -42,7 +42,7 @@ def use_one_heap() -> None:
     """Use one heap for all threads.
 
     This requires glibc, and a setting of the user has priority. Otherwise each compiling thread keeps a heap of its
-    peak size, in a first correction 0.15 GiB.
+    peak size.
     """
     if "MALLOC_ARENA_MAX" not in os.environ:
         with contextlib.suppress(OSError, AttributeError):
@@ -51,7 +51,7 @@ def use_one_heap() -> None:
 
 
 def available_cores() -> int:
-    """Return the number of cores that this process may use.
+    """Count the cores that this process may use.
 
     NPROC is an upper limit, as for XLA. It restricts each worker of a run to one core.
     """
@@ -63,9 +63,11 @@ def available_cores() -> int:
 def import_behind(*modules: str) -> None:
     """Import modules in another thread, for later use.
 
-    Meanwhile XLA computes without the lock of Python. A failing import fails again where the module is used. The end of
-    the process waits for the import, because an exit inside a module of C++ would abort. modules: full names of the
-    modules.
+    modules: full names of the modules.
+
+    Meanwhile XLA can compute, because it releases the global interpreter lock. A failing import fails again where the
+    module is used. The end of the process waits for the import, because an exit during the import of a C++ module would
+    abort.
     """
 
     def work() -> None:
@@ -81,12 +83,12 @@ def in_order(work: Callable[[T], U], items: Sequence[T], workers: int) -> Iterat
     """Yield the results of items in order, computed in several threads.
 
     The first item runs alone, because it sets the reference for the others and compiles their common programs. Threads
-    suffice: files are decoded in separate processes, and NumPy and JAX compute without the lock of Python.
+    suffice: files are decoded in separate processes, and NumPy and JAX release the global interpreter lock.
 
     Args:
         work: function of an item.
-        items: the items.
-        workers: number of items at a time.
+        items: arguments of `work`, one for each call.
+        workers: number of items that are computed at the same time.
 
     Example:
         >>> list(in_order(abs, [-1, -2, -3], 2))
@@ -120,7 +122,7 @@ def in_order(work: Callable[[T], U], items: Sequence[T], workers: int) -> Iterat
 class _Behind(threading.local):
     """State of a background thread.
 
-    busy: set while the foreground work runs. dropped: set if the result is not required any more.
+    `busy` is set while the foreground work runs. `dropped` is set if the result is not required.
     """
 
     busy: threading.Event | None = None
@@ -131,7 +133,7 @@ _behind = _Behind()
 
 
 class _DroppedError(Exception):
-    """Raised to end background work that is not required any more."""
+    """Signal that ends background work whose result is not required."""
 
 
 def _check_wanted() -> None:
@@ -140,7 +142,7 @@ def _check_wanted() -> None:
 
 
 def _at_a_time(workers: int) -> int:
-    """Return the number of items at a time: one, while the foreground work requires a core."""
+    """Limit the number of concurrent items to one while the foreground work requires a core."""
     return 1 if _behind.busy is not None and _behind.busy.is_set() else workers
 
 

@@ -42,12 +42,12 @@ class Contents:
 
     @property
     def table(self) -> xr.DataArray | None:
-        """Return the BRDF on the MERL grid; None for other data."""
+        """BRDF on the MERL grid; None for other data."""
         return self.data if self.content == "table" else None
 
     @property
     def kind(self) -> str:
-        """Return the kind of the contents, in words."""
+        """Kind of the contents, in words."""
         of_result = self.content == "result"
         brdf = self.data.get("brdf") if of_result else self.table
         if brdf is not None and (of_result or brdf.attrs.get(CORRECTED)):
@@ -129,7 +129,7 @@ def write(path: str | Path, thing: Any, *, force: bool = False) -> None:
 def contents_of(thing: Any) -> Contents:
     """Wrap a table, a result or an image as contents.
 
-    An ArgumentError is raised for anything else.
+    An ArgumentError is raised for an object of another type.
     """
     if isinstance(thing, Contents):
         return thing
@@ -195,7 +195,10 @@ def read_contents(path: str | Path, sampling: Sampling = "centre") -> Contents:
 
 
 def read_recorded_table(path: str | Path, sampling: Sampling = "centre") -> xr.DataArray:
-    """Read a table as `read_table` does, and refuse a table that is not as a camera recorded it."""
+    """Read a table as `read_table` does.
+
+    An ArgumentError is raised if the table is already corrected.
+    """
     table = read_table(path, sampling=sampling)
     check_recorded(table, f"{path}: the table")
     return table
@@ -215,7 +218,7 @@ def read_table(path: str | Path, sampling: Sampling = "centre") -> xr.DataArray:
     Raises:
         FileFormatError: the file contains no table, or is damaged.
     """
-    if Path(path).suffix.lower() == ".binary":  # its own reader has the best error message
+    if Path(path).suffix.lower() == ".binary":  # its reader has the most specific error message
         return _read_merl(Path(path), sampling)
     contents = read_contents(path, sampling)
     if contents.table is not None:

@@ -28,7 +28,7 @@ from matcam.material.measured import Adaptive, Tabulated
 
 _PAIRS, _FARTHEST = 4096, np.radians(80)
 _MIRRORED = 46
-"""Number of mirror directions among which the peak is searched for: one per degree, the width of a cell of a table."""
+"""Number of mirror directions in which the peak is searched for: one per degree, which is the width of a cell of a table."""
 
 
 def convert(
@@ -165,7 +165,7 @@ def _resample(
 ) -> tuple[Contents, dict[str, Any]]:
     """Resample a BRDF to the grid of the format.
 
-    Return the contents, and details for the report.
+    The result is the contents, and details for the report; contents that the format supports are unchanged.
     """
     if contents.content == "table" and form.holds == ("fields",):
         material, source = material_of(contents), str(contents.data.attrs.get("source", ""))
@@ -188,7 +188,7 @@ def _resample(
 def _smallest_grid(material: Material, error: float, description: str) -> tuple[Any, dict[str, float]]:
     """Resample a material to the smallest grid that satisfies an error, otherwise to the finest grid.
 
-    Return the fields and their error.
+    error: largest error, no unit, as in `convert`. The result is the fields and their `resampling_error`.
     """
     checks.positive("error", error)
     for size in GRID_SIZES:

@@ -168,10 +168,9 @@ REPORTED_ANGLES = (0, 15, 30, 45, 60, 70, 75, 80)
 def inspect_contents(contents: Contents, radius: float = SPHERE_RADIUS) -> dict[str, Any]:
     """Report on contents (see `read_contents`), as plain values (JSON).
 
-    radius: radius of the sphere from which a table was recorded, px.
-
     The report has `holds`, and sections for a table, samples, another result or an image. For fields of RGL it has
-    their grid, and the sections of a table after resampling.
+    their grid, and the sections of a table after resampling. radius: radius of the sphere from which a table was recorded,
+    px.
     """
     report: dict[str, Callable[[Any], dict[str, Any]]] = {
         "table": partial(inspect_table, radius=radius),

@@ -65,7 +65,7 @@ def fit_openpbr(material: Material) -> OpenPBRSurface:
         material: isotropic material with one or three channels, such as `Tabulated(table)`.
 
     Raises:
-        ArgumentError: the material is not a Material, or has another number of channels.
+        ArgumentError: the material is not a Material, or has neither one nor three channels.
 
     Source:
         OpenPBR Surface specification 1.1; Bieron and Peers (2020), *An Adaptive BRDF Fitting Metric*: roots as a
@@ -131,7 +131,7 @@ def write_openpbr(path: str | Path, surface: OpenPBRSurface, *, note: str = "", 
         force: replace an existing file. Default: False.
 
     Raises:
-        ArgumentError: `surface` or `note` is of another type.
+        ArgumentError: `surface` or `note` is of the wrong type.
         OutputError: the file cannot be written, or exists and `force` is False.
 
     Example:

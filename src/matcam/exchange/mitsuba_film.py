@@ -139,7 +139,7 @@ def _weights(camera: Camera, subpixels: int, reach: int) -> np.ndarray:
     centre = (np.arange(count) + 0.5) / subpixels - (reach + 0.5)
     at = (centre[:, None] + _NODES / (2 * subpixels)).ravel()
     weights = np.tile(_WEIGHTS / (2 * subpixels), count)
-    if camera.optics.isotropic:  # one quadrant, which the others mirror
+    if camera.optics.isotropic:  # the other quadrants are mirror images of the first one
         half = at[: at.size // 2]
         x, y = np.meshgrid(half, -half)
         quadrant = np.asarray(camera.psf(x, y))

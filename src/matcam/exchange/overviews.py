@@ -55,7 +55,7 @@ def photograph_overview(path: Path) -> dict[str, Any]:
 
 
 def result_overview(path: Path) -> dict[str, Any] | None:
-    """Report the JSON file of a correction or a reconstruction; None for any other JSON file."""
+    """Report on the JSON file of a correction or a reconstruction; None for any other JSON file."""
     document = read_json(path, "a result")
     if not isinstance(document, dict) or not isinstance(document.get("verdict"), str):
         return None
@@ -87,7 +87,7 @@ def result_overview(path: Path) -> dict[str, Any] | None:
 
 
 def folder_overview(folder: Path) -> dict[str, Any]:
-    """Report the contents of a folder: a capture, the results of a run, tables or photographs."""
+    """Report on the contents of a folder: a capture, the results of a run, tables or photographs."""
     if is_file(folder / SETTINGS):
         return _capture_overview(folder)
     if is_file(folder / _RUN_SETTINGS):

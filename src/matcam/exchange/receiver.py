@@ -25,7 +25,8 @@ from matcam.core.errors import ArgumentError
 from matcam.core.jax import jnp
 from matcam.rigs import Rig
 
-_REACH, _RINGS, _DIRECTIONS = 12.0, 6001, 64  # largest frequency, cycles/px; numbers of frequencies, directions
+_REACH, _RINGS, _DIRECTIONS = 12.0, 6001, 64
+"""Largest frequency, cycles/px, number of frequencies, and number of directions of the integral of the squared MTF."""
 
 
 def solid_angles(rig: Rig) -> dict[str, float | None]:
@@ -43,7 +44,7 @@ def solid_angles(rig: Rig) -> dict[str, float | None]:
         `lamp_sr`, sr: the source disc. `kernel_area_px2`, px^2: the kernel's noise-equivalent area.
 
     Raises:
-        ArgumentError: rig is not a `Rig`.
+        ArgumentError: `rig` is not a `Rig`.
 
     Source:
         docs/exchange.md, *The receiver's solid angle*.
@@ -79,7 +80,7 @@ def metadata(rig: Rig, **about: str) -> dict[str, Any]:
         The document, as plain values.
 
     Raises:
-        ArgumentError: an entry of about is not a string.
+        ArgumentError: an entry of `about` is not a string.
 
     Source:
         Modelled on the BRDF format of the BiRD and BxDiff projects (Lanevski et al. 2022), with another schema.

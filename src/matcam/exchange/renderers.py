@@ -61,7 +61,7 @@ def mitsuba_material(material: Microfacet) -> dict[str, Any]:
     _check(material)
     kind = "ggx" if isinstance(material.ndf, GGX | AnisotropicGGX) else "beckmann"
     if not isinstance(material.ndf, GGX | AnisotropicGGX | Beckmann | AnisotropicBeckmann):
-        raise ArgumentError(f"Mitsuba has GGX and Beckmann facets, not {material.ndf!r}: {_ELSE}")
+        raise ArgumentError(f"Mitsuba supports GGX and Beckmann facets, not {material.ndf!r}: {_ELSE}")
     along, across = _alphas(material)
     facets: dict[str, Any] = {"type": "roughconductor", "distribution": kind, "alpha_u": along, "alpha_v": across}
     albedo = _rgb(material.diffuse)
@@ -80,7 +80,9 @@ def mitsuba_material(material: Microfacet) -> dict[str, Any]:
             raise ArgumentError(f"a coloured reflectance and a diffuse albedo must not exceed 1 together: {_ELSE}")
         facets |= {"material": "none", "specular_reflectance": float(scaled[0]) if grey else _colour(scaled)}
     else:
-        raise ArgumentError(f"Mitsuba's rough conductor has no {type(material.fresnel).__name__} term: {_ELSE}")
+        raise ArgumentError(
+            f"Mitsuba's rough conductor does not support a {type(material.fresnel).__name__} term: {_ELSE}"
+        )
     if not share:
         return facets
     lambert = {"type": "diffuse", "reflectance": _colour(albedo / share)}
@@ -211,7 +213,7 @@ def rendered_sphere(
     mitsuba.set_variant("scalar_rgb")
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "material.bsdf"
-        with one_by_one():  # written at once, because Mitsuba reads it
+        with one_by_one():  # written immediately, because Mitsuba reads the file
             write_rgl(path, adaptive_grid(material))
         scene = mitsuba.load_dict(_scene(mitsuba, path, lamp_angle, environment, size, samples))
         picture = np.asarray(mitsuba.render(scene), dtype=np.float32)

@@ -55,7 +55,7 @@ def draw_camera(axes: Axes, camera: Camera) -> None:
 def draw_fit(axes: Axes, fit: MaterialFit, channel: int | None = None) -> None:
     """Draw F of every slice of a fit with its standard deviation.
 
-    channel: index of the channel; None: all channels.
+    channel: index of the channel. Default: None, all channels.
     """
     curves = fit.curves
     theta = np.degrees(curves["theta_d"].values)
@@ -73,7 +73,8 @@ def draw_fit(axes: Axes, fit: MaterialFit, channel: int | None = None) -> None:
 def draw_correction(axes: Axes, done: Correction, theta_d: float = _SHOWN, channel: int | None = None) -> None:
     """Draw the recorded and the corrected lobe over theta_h.
 
-    The azimuth phi_d is 90 degrees. theta_d: angle of the lobe, rad. channel: index of the channel; None: the middle one.
+    The azimuth phi_d is 90 degrees. `theta_d` is the difference angle of the lobe, rad. `channel` is the index of the
+    channel, by default the middle one.
     """
     _draw_lobe(axes, done.table, theta_d, channel, done.recorded)
 
@@ -103,7 +104,8 @@ def _draw_lobe(axes: Axes, table: xr.Dataset, theta_d: float, channel: int | Non
 def draw_fresnel_term(axes: Axes, result: xr.Dataset, metal: str | None = None, channel: int | None = None) -> None:
     """Draw raw and corrected F.
 
-    metal: name of a metal to compare with; None: no metal. channel: index of the channel; None: the middle one.
+    `metal` is the name of a metal for comparison, by default none. `channel` is the index of the channel, by default the
+    middle one.
     """
     from matcam.inverse.fresnel_tables import tabulated_fresnel
 
@@ -116,7 +118,7 @@ def draw_fresnel_term(axes: Axes, result: xr.Dataset, metal: str | None = None, 
 
 
 def draw_bounds(axes: Axes, data: xr.Dataset) -> None:
-    """Draw the bounds of ln roughness for each assumption about the lens."""
+    """Draw the bounds of the standard deviation of ln roughness for each assumption about the lens."""
     for name, label, colour in (
         ("width_std", "lens exact", BLUE),
         ("width_std_stated", "lens as specified by its profile", GREY),

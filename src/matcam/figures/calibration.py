@@ -40,7 +40,7 @@ def edge_figure(result: EdgeMTF, image: np.ndarray, roi: Sequence[int] | None, n
     Args:
         result: the result.
         image: image in which the edge was measured, in any codes.
-        roi: region (x, y, width, height), px; None: the whole image.
+        roi: region (x, y, width, height), px; None: the entire image.
         name: title.
     """
     with drawing(10.2, 6.2) as figure:
@@ -292,7 +292,7 @@ def targets_figure(samples: Sequence[MTFSamples], camera: Camera | None = None, 
     Args:
         samples: samples of all targets.
         camera: camera to compare with; a second panel then shows the differences in standard deviations. Default: None.
-        title: title. Default: "MTF".
+        title: title. Default: "", the title is "MTF".
     """
     with drawing(9.2, 4.2) as figure:
         axes, left = figure.subplots(1, 2, width_ratios=(1.5, 1)) if camera is not None else (figure.subplots(), None)

@@ -14,16 +14,16 @@ from matcam.core.errors import ArgumentError
 from matcam.figures.style import drawing
 from matcam.files import tone_curve as srgb
 
-_STEPS = 24  # polygons per cycle of a sine
+_STEPS = 24  # polygons per cycle of a sine; the lowest harmonic that differs from a sine is the 23rd
 _AROUND = 64  # corners of the polygon of a circle
 _INCH = 25.4
 _Polygon = tuple[np.ndarray, float]
 """Corners of a polygon, mm (n, 2), and its luminance relative to that of the paper, in [0, 1] (no unit)."""
-_MOST = 2e8  # pixels of a raster
+_MOST = 2e8  # largest number of pixels of a raster, which takes 0.8 GB as RGBA
 
 
 def chart_figure(chart: Chart) -> Figure:
-    """Draw the page of a chart in true size, with a ruler.
+    """Draw the page of a chart at true size, with a ruler.
 
     Vector formats are preferable for printing.
     """
@@ -79,7 +79,7 @@ def element_polygons(element: Element) -> Iterator[_Polygon]:
 
 
 def _nearest_code(level: float) -> float:
-    """Round a level to the nearest 8-bit sRGB code, in [0, 1]. Writers would otherwise truncate it."""
+    """Round a level to the nearest 8-bit sRGB code, in [0, 1], because file writers truncate it."""
     return min((round(255 * float(srgb.encoded(level))) + 0.25) / 255, 1.0)
 
 

@@ -25,9 +25,9 @@ from matcam.figures.style import (
 from matcam.forward.prediction import LOSS, Prediction
 
 _LIMIT = f"{100 * LOSS:g} % loss"
-"""Label of the loss limit."""
+"""Label of the loss limit in a figure."""
 RAW_LABEL = "raw: from the recorded peak, camera ignored"
-"""Label of `fresnel`'s raw curve."""
+"""Label of the raw curve of a result of `fresnel`."""
 
 
 def fresnel_figure(result: xr.Dataset, tables: xr.Dataset | None = None, channel: int | None = None) -> Figure:
@@ -41,7 +41,7 @@ def fresnel_figure(result: xr.Dataset, tables: xr.Dataset | None = None, channel
         channel: index of the channel. Default: None, the middle one (green).
     """
     channel = result.sizes["channel"] // 2 if channel is None else channel
-    with drawing(9.6, 5.0, layout=None) as figure:  # fixed margins: a search for them takes as long as drawing
+    with drawing(9.6, 5.0, layout=None) as figure:  # fixed margins, because the computation of margins is slow
         left, right = figure.subplots(1, 2, width_ratios=(2.1, 1))
         draw_fresnel(left, result, tables, channel)
         handles, labels = left.get_legend_handles_labels()
@@ -258,11 +258,11 @@ def draw_lobe(
 ) -> None:
     """Draw a BRDF over theta_h, degrees, on logarithmic axes.
 
-    seen: mask of the drawn angles. good: mask of the supported angles. label: label of the curve.
+    `seen` is the mask of the drawn angles, `good` that of the supported angles, and `label` the label of the curve.
     """
     axes.plot(theta_h[seen], value[seen], color=BLUE, label=label)
     low = np.maximum(value - std, value * 1e-2)
     axes.fill_between(theta_h[seen], low[seen], (value + std)[seen], color=BLUE, alpha=0.25, lw=0, label="± 1 std")
     axes.plot(theta_h[good], value[good], ".", color=GREEN, ms=5, label="supported")
     axes.set(xscale="log", yscale="log", xlabel=r"half angle $\theta_h$ [degrees]", ylabel="BRDF [1/sr]")
-    axes.minorticks_off()  # a hundred artists for each panel take two thirds of the time of a page
+    axes.minorticks_off()  # a hundred artists for each panel would take most of the time of a page

@@ -14,14 +14,14 @@ if TYPE_CHECKING:
     from matcam.calibration.camera.evidence import EdgeTable
     from matcam.calibration.camera.lateral_colour import LateralColour
 
-_LONGER, _SHORTER = 8, 6  # parts along the sides of the image
+_LONGER, _SHORTER = 8, 6  # numbers of parts along the longer and the shorter side of the image
 _FEWEST = 2  # smallest number of edges in a part, for robustness against one bad edge
 
 
 class BlurMap(NamedTuple):
     """Median blur in parts of the image, (rows, columns).
 
-    It is NaN in parts with too few edges.
+    The blur is NaN in parts with too few edges.
 
     Attributes:
         x: borders of the columns, px.
@@ -102,7 +102,7 @@ def draw_lateral_colour(axes: Axes, found: Calibration, shape: tuple[int, int]) 
 def lateral_shift(lateral: LateralColour, radius: np.ndarray, corner: float) -> np.ndarray:
     """Compute the radial displacement of a colour, px.
 
-    radius: distances from the centre of the image, px. corner: distance of the corners, px.
+    `radius` contains distances from the centre of the image, px. `corner` is the distance of the corners, px.
     """
     linear = lateral.scale * corner
     rho = radius / corner

@@ -1,7 +1,7 @@
 """HTML pages of `correct`: page of a corrected table, and index of a run over many tables.
 
 Each page is one file that works offline and can be stored with the data. The index can be sorted and links to the page
-of each material. Figures have fixed margins, because computing them would take half of the time of a page.
+of each material. Figures have fixed margins, because the computation of margins is slow.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ from matcam.inverse.fresnel_term import fresnel_of_peaks
 from matcam.inverse.peak_curve import NORMALISED_OVER
 from matcam.inverse.rig.rig_axes import LAMP, LENS
 
-_SPHERE = 180  # px
+_SPHERE = 180  # height and width of the image of a sphere, px
 _READ_AS = {
     "hwhm_rad": "half width at half maximum, rad",
     "tail_exponent": "tail exponent",
@@ -232,7 +232,6 @@ def _material(record: dict[str, Any]) -> _Cell:
 
 
 def _verdict(record: dict[str, Any]) -> _Cell:
-    """Return the verdict in two words, with the full text and the remarks as details."""
     short = record.get("determination") or "not determined"
     verdict = record.get("verdict") or ""
     return _Cell(short, short, details=(verdict, *(remark["text"] for remark in record.get("remarks") or ())))
@@ -262,7 +261,6 @@ def _lobe(record: dict[str, Any]) -> _Cell:
 
 
 def _roughness(record: dict[str, Any]) -> _Cell:
-    """Return the first parameter of the lobe, or the half width of a spline-modified lobe."""
     params, std = record["fit"]["params"], record["fit"]["std"]
     name = None if record["fit"].get("spline_modified") else next(iter(params), None)
     return _Cell("", "-") if name is None else _with_std(params[name], std.get(name))

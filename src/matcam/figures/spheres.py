@@ -27,7 +27,8 @@ def table_sphere(
     The result has shape (size, size, channel).
 
     Args:
-        values: a table's values (theta_h, theta_d, phi_d, channel); the nearest entry is used, and missing entries are dark.
+        values: values of a table (theta_h, theta_d, phi_d, channel), 1/sr. The cell that contains a direction is used, and
+            missing entries are dark.
         size: height and width, px.
         zoom: magnification about the highlight (no unit). Default: 1, the whole sphere.
         lamp: angle between lamp and camera, rad. Default: 50 degrees.
@@ -75,7 +76,7 @@ def encoded_for_screen(picture: np.ndarray, white: float) -> np.ndarray:
 
 
 def body_white(corrected: np.ndarray) -> float:
-    """Compute the radiance of white for a well exposed sphere.
+    """Compute the radiance that is displayed as white for a well exposed sphere.
 
     This is the 99th percentile of the lit pixels.
     """
@@ -130,7 +131,7 @@ def logarithmic(picture: np.ndarray, black: float, white: float) -> np.ndarray:
 
 
 SIZE = 64
-"""Height of the image and width of each half, px."""
+"""Height of a thumbnail and width of each of its halves, px."""
 _INSET = 26
 """Side of the magnified highlight in a thumbnail, px, which fits into the unlit side of the sphere."""
 

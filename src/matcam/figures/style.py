@@ -1,6 +1,6 @@
 """Style and writing of all figures and pages.
 
-pyplot is not used, because it has global state and takes half a second to import. The colours are those of Okabe & Ito,
+pyplot is not used, because it has global state and is slow to import. The colours are those of Okabe & Ito,
 which colour-blind readers can distinguish. Pages are Jinja2 templates (templates/*.html), which escape all values.
 """
 
@@ -36,7 +36,7 @@ GREY = "#6E6E6E"
 
 
 def channel_colour(name: str, index: int) -> str:
-    """Select the colour of a channel. Channels of other names than those of `CHANNELS` follow the cycle of colours."""
+    """Select the colour of a channel. Channels whose names are not in `CHANNELS` use the cycle of colours."""
     return CHANNELS.get(name[:1] if name[1:].isdigit() else name, CYCLE[index % len(CYCLE)])
 
 
@@ -61,7 +61,7 @@ _RC: Any = {
 
 
 def styled() -> AbstractContextManager[None]:
-    """Return the style context in which every figure is drawn."""
+    """Create the style context in which every figure is drawn."""
     return matplotlib.rc_context(_RC)
 
 
@@ -69,7 +69,7 @@ def styled() -> AbstractContextManager[None]:
 def drawing(width: float, height: float, layout: Any = "constrained", **options: Any) -> Iterator[Figure]:
     """Create a figure, and draw it in the style of all figures.
 
-    width, height: size, inches. layout, options: see `Figure`.
+    `width` and `height` are the size of the figure, inches. For `layout` and `options`, see `Figure`.
     """
     with styled():
         yield Figure(figsize=(width, height), layout=layout, **options)
@@ -119,7 +119,10 @@ def fit_titles(figure: Figure) -> bool:
 
 
 def _end(figure: Figure, axes: Axes) -> float:
-    """Compute the end of the space for the title of a panel, in dots: the next panel of its row, or the edge of the figure."""
+    """Compute the right end of the space for the title of a panel, dots.
+
+    This is the next panel of the row, or the edge of the figure.
+    """
     here = axes.get_window_extent()
     # colour bars, which Matplotlib labels so, lie beside the panel and below its title
     panels = [one.get_window_extent() for one in figure.axes if one.get_label() != "<colorbar>"]
@@ -128,7 +131,7 @@ def _end(figure: Figure, axes: Axes) -> float:
 
 
 def _fit(title: Text, room: float) -> bool:
-    """Fit a title into a width in dots; return True if it was changed."""
+    """Fit a title into a width in dots. The result is True if the title was changed."""
     width = title.get_window_extent().width
     if width <= room:
         return False
@@ -150,7 +153,7 @@ def degrees_axis(axes: Axes, label: str) -> None:
 
 
 def draw_with_std(axes: Axes, x: Any, value: Any, std: Any, colour: Any, **line: Any) -> None:
-    """Draw a curve, and a band of one standard deviation on each side."""
+    """Draw a curve with a band of width `std` on each side."""
     axes.fill_between(x, value - std, value + std, color=colour, alpha=0.25, lw=0)
     axes.plot(x, value, color=colour, **line)
 
@@ -184,7 +187,7 @@ def data_url(png: bytes) -> str:
 
 
 def _png(figure: Figure, dpi: float) -> bytes:
-    """Encode a figure as a PNG file. `savefig` would compute the layout twice."""
+    """Encode a figure as a PNG file, without `savefig`, which would compute the layout twice."""
     stream, drawn_for = io.BytesIO(), figure.dpi
     with styled():
         figure.dpi = dpi

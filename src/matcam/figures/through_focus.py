@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 
 
 FocusSeries = tuple[np.ndarray, np.ndarray, np.ndarray, "BestFocus | None"]
-"""Focus positions of a series, MTF50 and its standard deviations, cycles/px, (n,) each, and the best focus; None if the
-series does not show it.
+"""Focus positions of a series, MTF50 and its standard deviations, cycles/px, shape (n,) each, and the best focus. The best
+focus is None if the series does not determine it.
 """
 
 

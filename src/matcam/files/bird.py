@@ -52,7 +52,7 @@ def read_bird(path: str | Path) -> xr.DataArray:
         "BRDF".
 
     Raises:
-        FileFormatError: the file is not a BiRD document, or the lengths of its arrays differ.
+        FileFormatError: the file is not a BiRD document, or an array has a wrong length, unit or value.
 
     Example:
         >>> import tempfile, pathlib
@@ -121,7 +121,7 @@ def write_bird(path: str | Path, samples: xr.DataArray, *, force: bool = False) 
         force: replace an existing file. Default: False.
 
     Raises:
-        ArgumentError: `samples` has other dims, units or labels, or more than two million values.
+        ArgumentError: `samples` has wrong dims, units or labels, or more than two million values.
         OutputError: the file cannot be written, or exists and `force` is False.
 
     Example:

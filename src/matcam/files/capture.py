@@ -74,24 +74,24 @@ class Capture:
 
     @property
     def exposures(self) -> list[str]:
-        """Return the exposures of the sample, in order of their nominal time."""
+        """Exposures of the sample, in order of their nominal time."""
         times: dict[str, float] = {}
         for frame in self.of("frames"):
             times.setdefault(frame.exposure, frame.time)
         return sorted(times, key=lambda name: (math.isnan(times[name]), times[name]))
 
     def time(self, exposure: str) -> float:
-        """Return the nominal time of an exposure, s; NaN if it is unknown."""
+        """Look up the nominal time of an exposure, s; NaN if it is unknown."""
         return next((f.time for f in self.frames if f.exposure == exposure and not math.isnan(f.time)), math.nan)
 
     @property
     def profile(self) -> Path | None:
-        """Return the file of the camera profile; None if it is not specified."""
+        """File of the camera profile; None if it is not specified."""
         return self._file("camera", "profile")
 
     @property
     def mask(self) -> Path | None:
-        """Return the file of the mask of the sphere; None if it is not specified."""
+        """File of the mask of the sphere; None if it is not specified."""
         return self._file("outline", "mask")
 
     def _file(self, section: str, field: str) -> Path | None:
@@ -100,10 +100,7 @@ class Capture:
 
     @property
     def circle(self) -> tuple[tuple[float, float], Stated] | None:
-        """Return centre (column, row) and radius of the sphere's outline, px.
-
-        The value is None if the outline is not specified.
-        """
+        """Centre (column, row) and radius of the sphere's outline, px; None if they are not specified."""
         section = self.settings["outline"]
         if section["radius_px"] is None:
             return None
@@ -112,64 +109,52 @@ class Capture:
 
     @property
     def radius_mm(self) -> Stated | None:
-        """Return the radius of the sample, mm; None if it is not specified."""
+        """Radius of the sample, mm; None if it is not specified."""
         return self.stated("radius_mm")
 
     def stated(self, name: str) -> Stated | None:
-        """Return a value of [sample] by the name of its field.
-
-        The value is None if it is not specified.
-        """
+        """Look up a value of [sample] by the name of its field; None if it is not specified."""
         return _as_stated(self.settings["sample"][name])
 
     @property
     def camera_radii(self) -> Stated | None:
-        """Return the distance of the camera, in radii of the sample.
-
-        The distance is from the centre of the sample, and None if it is not specified.
-        """
+        """Distance of the camera from the centre of the sample, radii; None if it is not specified."""
         return self._in_radii("camera_mm")
 
     @property
     def lamp_radii(self) -> Stated | None:
-        """Return the distance of the lamp, in radii of the sample.
-
-        The distance is from the centre of the sample, and None if it is not specified.
-        """
+        """Distance of the lamp from the centre of the sample, radii; None if it is not specified."""
         return self._in_radii("lamp_mm")
 
     @property
     def direction_std(self) -> float:
-        """Return the standard deviation of each angle of the lamp directions, rad."""
+        """Standard deviation of each angle of the lamp directions, rad."""
         return math.radians(self.settings["lamp"]["direction_std_deg"])
 
     @property
     def reference_region(self) -> Region | None:
-        """Return the region of the reference in every frame.
-
-        The value is None if the reference is not in the frames.
-        """
+        """Region of the reference in every frame; None if the reference is not in the frames."""
         section = self.settings["reference"]
         return None if section is None or section["apart"] else self.reference_position
 
     @property
     def reference_position(self) -> Region | None:
-        """Return the region of the reference in its images.
+        """Region of the reference in its images; None if it is not specified.
 
-        These are the frames of the sample or separate images. The value is None if it is not specified.
+        The images are the frames of the sample or separate images.
         """
         section = self.settings["reference"]
         return None if section is None or section["region_px"] is None else tuple(section["region_px"])
 
     @property
     def reference_apart(self) -> bool:
-        """Check whether the reference has separate images in reference/."""
+        """True if the reference has separate images in reference/."""
         section = self.settings["reference"]
         return section is not None and bool(section["apart"])
 
     @property
     def region(self) -> Region | None:
-        """Return the used region of the frames; None for the whole frame."""
+        """Region of the frames that is used; None: the whole frame."""
         box = self.settings["sample"]["region_px"]
         return None if box is None else tuple(box)
 
@@ -191,7 +176,7 @@ class Capture:
             The image as stored, with metadata.
 
         Raises:
-            FileFormatError: the file is missing, damaged, or no longer inside the folder.
+            FileFormatError: the file is missing, damaged, or outside the folder.
         """
         return open_photograph(_inside(self.folder, frame.file), region)
 
@@ -239,7 +224,7 @@ def read_capture(folder: str | Path) -> Capture:
 
 
 def _check_light(folder: Path, settings: dict[str, Any], lamps: dict[str, LampGuess]) -> None:
-    """Raise FileFormatError if data are missing for the specified source of the lamp intensities."""
+    """Raise FileFormatError if the data contradict the specified source of the lamp intensities."""
     said, path = settings["lamp"]["intensity"], folder / SETTINGS
     lacking = [name for name, guess in lamps.items() if not guess.intensity]
     if said == "reference" and settings["reference"] is None:
@@ -260,7 +245,7 @@ def _check_light(folder: Path, settings: dict[str, Any], lamps: dict[str, LampGu
 
 
 def read_settings(path: Path) -> dict[str, Any]:
-    """Read and check a `capture.toml`. The message of a FileFormatError contains the field."""
+    """Read and check a `capture.toml`. A FileFormatError names the invalid field."""
     check_within(path, path.parent)
     document = read_toml(path, _WHAT)
     checked_version(document, path, _WHAT, FORMAT, (VERSION,))
@@ -277,12 +262,12 @@ def read_settings(path: Path) -> dict[str, Any]:
 
 
 def json_schema() -> dict[str, Any]:
-    """Return the JSON Schema of capture.toml."""
+    """Build the JSON Schema of capture.toml."""
     return CaptureSettings.model_json_schema()
 
 
 def _inside(folder: Path, name: str) -> Path:
-    """Return the path of a file of the folder; a FileFormatError is raised if it is outside."""
+    """Resolve the name of a file. A FileFormatError is raised if the file is outside the folder."""
     return listed_file(folder, name, "the capture's folder")
 
 
@@ -362,7 +347,7 @@ def _frame(
         except ValueError:
             raise FileFormatError(f"{path}: {column} must be a number, got {row[column]!r:.20}") from None
         if math.isinf(values[column]) or (column == "time_s" and values[column] <= 0):
-            raise FileFormatError(f"{path}: {column} must be finite and, if a time, above 0, got {row[column]:.20}")
+            raise FileFormatError(f"{path}: {column} must be finite, and a time must be above 0, got {row[column]:.20}")
     for column in ("lamp", "exposure"):
         if row[column] and not re.fullmatch(r"[\w.+-]{1,60}", row[column]):
             raise FileFormatError(
@@ -371,7 +356,7 @@ def _frame(
     lamp, guess = row["lamp"], None
     if kind == "frames":
         if not lamp or not row["exposure"]:
-            raise FileFormatError(f"{path}: a frame needs a lamp and an exposure")
+            raise FileFormatError(f"{path}: a frame must have a lamp and an exposure: fill them in")
         if not (math.isnan(values["angle_deg"]) or 0 <= values["angle_deg"] <= 180):
             raise FileFormatError(
                 f"{path}: angle_deg, from the axis towards the camera, must lie in [0, 180] degrees, got {row['angle_deg']:.20}"
@@ -391,7 +376,6 @@ def _frame(
 
 
 def _unlisted(folder: Path, frames: Iterable[CaptureFrame], problems: Iterable[Remark]) -> list[Remark]:
-    """List the images of the folder that are not in frames.csv."""
     listed = {frame.file for frame in frames}
     named = {str(problem).partition(": ")[0] for problem in problems}
     extra: list[str] = []

@@ -49,10 +49,7 @@ class LampGuess(NamedTuple):
 
     @property
     def direction(self) -> np.ndarray:
-        """Return the unit vector (x, y, z) towards the lamp.
-
-        It is NaN if an angle is unknown.
-        """
+        """Unit vector (x, y, z) towards the lamp; NaN if an angle is unknown."""
         sin = math.sin(self.angle)
         return np.array([sin * math.cos(self.azimuth), sin * math.sin(self.azimuth), math.cos(self.angle)])
 
@@ -60,7 +57,7 @@ class LampGuess(NamedTuple):
 def stated_intensity(path: Path, text: str) -> tuple[float, ...]:
     """Parse the relative intensity of a lamp.
 
-    text: one positive number, or one per colour, separated by blanks; empty: unknown.
+    path: photograph, for messages. text: one positive number, or one per colour, separated by blanks; empty: unknown.
     """
     try:
         light = tuple(float(part) for part in text.split())

@@ -46,14 +46,14 @@ class Listing:
     def copy_to(self, folder: Path, *, force: bool = False) -> None:
         """Copy the images into the folder of the capture.
 
-        Existing equal files are kept.
+        Images that are already in their positions are not copied.
 
         Args:
             folder: folder of the capture.
-            force: replace different files of these names (no unit). Default: False.
+            force: replace existing files of these names (no unit). Default: False.
 
         Raises:
-            OutputError: a different file of one of these names exists and `force` is False, or a file cannot be written.
+            OutputError: another file of one of these names exists and `force` is False, or a file cannot be written.
         """
         wanted = [(source, folder / name) for source, name in self.copies.items()]
         wanted = [(source, target) for source, target in wanted if source.resolve() != target.resolve()]
@@ -89,14 +89,14 @@ def list_photographs(source: str | Path, light_positions: str | Path | None = No
     found = {kind: _pictures(source / kind) for kind in KINDS}
     found["frames"] = sorted([*_pictures(source), *found["frames"]], key=_in_order)
     if not found["frames"]:
-        text = f"{source}: contains no photograph of the sample ({', '.join(PICTURES[:6])} or camera raw)"
+        text = f"{source}: the folder contains no photograph of the sample ({', '.join(PICTURES[:6])} or camera raw)"
         raise ArgumentError(text)
     listing = Listing()
     others = [
         path.name for path in _files(source) if path.suffix.lower() not in (*PICTURES, ".lp", ".csv", ".toml", ".json")
     ]
     if others:
-        listing.notes.append(f"{some_of(others)}: the format is not supported; convert to TIFF or PNG")
+        listing.notes.append(f"{some_of(others)}: the format is not supported; convert the images to TIFF or PNG")
     times = {path: read_exif(path).time for paths in found.values() for path in paths}
     names = _exposure_names([time for time in times.values() if time is not None])
     positions = _light_positions(source, light_positions)
@@ -178,7 +178,7 @@ def _lamp_names(
     """Find the lamp position and the exposure of each photograph. The exposure is "" if its file name does not contain it."""
     by_name = {one.file.lower(): one for one in positions or ()}
     stated = {path: one for path in frames if (one := _matching(path, by_name)) is not None}
-    if stated and len(stated) == len(frames):  # some tables list one photograph per bracket
+    if stated and len(stated) == len(frames):  # some light position files list one photograph per lamp position
         seen: list[np.ndarray] = []
         found = {}
         for path, one in stated.items():
@@ -214,17 +214,17 @@ def _named(frames: Sequence[Path], at: dict[Path, int], count: int) -> dict[Path
 
 
 def _kind_notes(path: Path) -> list[str]:
-    """Describe a processed image, and the settings with which it is accepted."""
     try:
         values = open_photograph(path).values
     except MatcamError as error:
         return [str(error)]
-    what = ["of 8 bits"] if values.dtype == np.uint8 else []
-    what += ["in full colour"] if values.ndim == 3 else []
+    what = ["has 8 bits"] if values.dtype == np.uint8 else []
+    what += ["is in full colour"] if values.ndim == 3 else []
     if not what:
         return []
-    text = f"{path.name}: is {' and '.join(what)}; raw frames are more accurate. Set camera.accept_processed = true to use it"
-    return [text + (', and camera.tone = "srgb" if it is not linear' if what[0] == "of 8 bits" else "")]
+    text = f"{path.name}: the image {' and '.join(what)}; raw frames are more accurate. "
+    text += "Set camera.accept_processed = true to use it"
+    return [text + (', and camera.tone = "srgb" if it is not linear' if what[0] == "has 8 bits" else "")]
 
 
 def _notes(
@@ -237,7 +237,7 @@ def _notes(
     lamps = {row["lamp"] for row in rows if row["lamp"]}
     exposures = {row["exposure"] for row in rows if row["file"].startswith("frames/")}
     notes.append(
-        f"{len(found['frames'])} images of the sample: {len(lamps)} lamp positions, {len(exposures)} exposures"
+        f"images of the sample: {len(found['frames'])}; lamp positions: {len(lamps)}; exposures: {len(exposures)}"
     )
     notes += _kind_notes(found["frames"][0])
     unknown = [path.name for path, time in times.items() if time is None]

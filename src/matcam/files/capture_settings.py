@@ -37,7 +37,7 @@ def _stated(low: float, high: float = math.inf) -> tuple[BeforeValidator, WithJs
         pair = value if isinstance(value, list) else [value, 0.0]
         if len(pair) != 2 or any(isinstance(v, bool) or not isinstance(v, int | float) for v in pair):
             raise ValueError("must be a value or [value, standard deviation]")
-        if not all(abs(v) < 1e12 for v in pair) or pair[1] < 0:  # whole numbers may be too large for a float
+        if not all(abs(v) < 1e12 for v in pair) or pair[1] < 0:  # integers may be too large for a float
             raise ValueError("must be finite, with a standard deviation of at least 0")
         number, std = map(float, pair)
         if not low <= number <= high:

@@ -1,4 +1,4 @@
-"""Writing of captures: a commented template, and the files of a whole capture (read by capture.py)."""
+"""Writing of captures: a commented template, and the files of a complete capture (read by capture.py)."""
 
 from __future__ import annotations
 

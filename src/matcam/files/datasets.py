@@ -37,11 +37,11 @@ def write_netcdf(path: str | Path, data: xr.Dataset, *, force: bool = False, com
         path: file to write (.nc).
         data: result with labels and units.
         force: replace an existing file (no unit). Default: False.
-        compress: whether to compress the arrays losslessly by deflate at level 1, which every reader of NetCDF-4
-            supports. Default: True.
+        compress: compress the arrays losslessly by deflate at level 1, which every reader of NetCDF-4 supports.
+            Default: True.
 
     Raises:
-        ArgumentError: `data` is not a Dataset.
+        ArgumentError: `data` is not a Dataset, or `compress` is not a bool.
         OutputError: the file cannot be written, or exists and `force` is False.
 
     Example:

@@ -1,8 +1,8 @@
 """Decoders of labelled arrays (NetCDF-4 and Zarr), which run in a separate process (apart.py).
 
-Files are not trusted. Before any value is read, these are rejected: links to other files and storage in them, groups,
-filters and codecs that are not on a short list (plugins would be loaded for them), and arrays larger than 16 times the
-file.
+Files are not trusted. The following are rejected before any value is read: links to other files, storage in other files,
+groups, filters and codecs that are not on a short list (HDF5 would load plugins for them), and arrays larger than 16 times
+the file.
 """
 
 from __future__ import annotations
@@ -45,7 +45,8 @@ def check_stored_sizes(path: Path, size: int, variables: Mapping[str, tuple[tupl
     """
     if len(variables) > _MOST_VARIABLES:
         raise FileFormatError(
-            f"{path}: the file contains {len(variables)} variables, more than a result: damaged, or of another format"
+            f"{path}: the file contains {len(variables)} variables, but a result has at most {_MOST_VARIABLES}: damaged, or "
+            "of another format"
         )
     total = 0
     for name, (shape, kind) in variables.items():

@@ -31,13 +31,13 @@ SOURCE_SETTING = "MATCAM_MERL_SOURCE"
 
 _SIZE = 34_992_012  # bytes of every MERL file
 _TIMEOUT = 60  # longest time without data, s
-_DEADLINE = 1800.0  # longest time for one file, s
-_BLOCK = 1 << 16  # bytes
+_DEADLINE = 1800.0  # longest time for one file, s: 20 kB/s suffice
+_BLOCK = 1 << 16  # largest piece of a file in memory, bytes
 
 
 @cache
 def merl_checksums() -> dict[str, str]:
-    """Return the SHA-256 checksums of the 100 published MERL files, by material."""
+    """Read the SHA-256 checksums of the 100 published MERL files, by material."""
     lines = resources.files("matcam").joinpath("data/merl_sha256.txt").read_text(encoding="ascii").splitlines()
     return {name.removesuffix(".binary"): sha256 for sha256, _, name in (line.split() for line in lines)}
 
@@ -52,7 +52,7 @@ def fetch_merl(
 ) -> Path:
     """Fetch one published MERL file and check it.
 
-    An existing correct file is kept. After an error no file remains. No more bytes than the published file are read.
+    An existing correct file is kept. No file remains after an error. At most the size of the published file is read.
 
     Args:
         material: name as published, such as "chrome".
@@ -100,7 +100,7 @@ def _sha256(path: Path) -> str:
 
 def _pieces(source: str, material: str) -> Generator[bytes]:
     """Yield a published file in pieces, up to its published size. All failures raise DownloadError."""
-    # imported here, because the import takes half a second, and only a download requires it
+    # imported here, because the import is slow and only a download requires it
     import requests
     import urllib3
 
@@ -201,7 +201,7 @@ class _Web:
 
 
 class _RemoteFile(io.RawIOBase):
-    """Remote file for zipfile. Its end is kept in memory, and the remainder is streamed while it is read sequentially.
+    """Remote file for zipfile. The end of the file is kept in memory, and the remainder is streamed sequentially.
 
     Attributes:
         size: size of the file, bytes.

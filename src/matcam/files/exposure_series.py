@@ -33,7 +33,7 @@ _TIME = re.compile(r"(?<![a-zA-Z0-9.])(\d+(?:\.\d+)?)\s?(ns|us|ms|s)(?![a-zA-Z0-
 _KINDS = {"dark": False, "bias": False, "flat": True, "bright": True}
 """True for lit frames and False for dark frames, by the beginning of the name of a file or of its folder."""
 _MOST_LINES = 20_000
-"""Largest number of lines of a descriptor. Most lines name a file, whose path takes 40 us to check."""
+"""Largest number of lines of a descriptor. It limits the time for checking the paths of the files that the lines name."""
 
 
 class ExposureSet(NamedTuple):
@@ -53,7 +53,7 @@ class ExposureSet(NamedTuple):
 
     @property
     def name(self) -> str:
-        """Return a short description for messages."""
+        """Short description for messages."""
         light = f", {self.photons:g} photons" if math.isfinite(self.photons) and self.lit else ""
         return f"{'flat' if self.lit else 'dark'} frames of {self.time:g} s{light}"
 
@@ -74,13 +74,13 @@ class ExposureSeries:
 
     @property
     def light_unit(self) -> str:
-        """Return the unit of `light`, "photons" or "s"."""
+        """Unit of `light`, "photons" or "s"."""
         return "photons" if all(math.isfinite(one.photons) for one in self.sets if one.lit) else "s"
 
     def light(self, one: ExposureSet) -> float:
-        """Return the relative light of an exposure.
+        """Select the measure of the light of an exposure.
 
-        This is the number of photons per pixel, or the exposure time, s (see `light_unit`).
+        It is the number of photons per pixel, or the exposure time, s (see `light_unit`).
         """
         return one.photons if self.light_unit == "photons" else one.time
 
@@ -167,7 +167,6 @@ def _number(cell: str) -> float:
 
 
 def _listed(folder: Path) -> ExposureSeries:
-    """Find the frames of a folder by their names."""
     found: dict[tuple[bool, str], ExposureSet] = {}
     files = sorted(one for one in folder.rglob("*") if one.suffix.lower() in PICTURES and is_file(one))
     for file in files:

@@ -52,7 +52,7 @@ def as_float32(picture: ArrayLike) -> np.ndarray:
             f"picture has the channels {', '.join(labels)[:60]}, but must have {', '.join(_names(len(labels)))}"
         )
     if given.dtype.kind not in "fiub":
-        raise ArgumentError(f"picture must hold real numbers, got {given.dtype}")
+        raise ArgumentError(f"picture must contain real numbers, got {given.dtype}")
     if given.ndim not in (2, 3) or given.size == 0 or given.size > LARGEST:
         raise ArgumentError(
             f"picture must have shape (H, W) or (H, W, channels) with at most {LARGEST} values, got {given.shape}"
@@ -252,7 +252,8 @@ def _checked_header(path: Path) -> tuple[tuple[str, ...], int, int]:
                 length = struct.unpack("<i", file.read(4))[0]
                 if not 0 <= length <= size - 8 - offset:
                     raise FileFormatError(
-                        f"{path}: truncated or damaged: byte {offset + 4} specifies a chunk of {length} bytes of {size}"
+                        f"{path}: truncated or damaged: byte {offset + 4} specifies a chunk of {length} bytes, but the file "
+                        f"has {size}"
                     )
     except (struct.error, IndexError, KeyError, UnicodeDecodeError):
         raise FileFormatError(f"{path}: damaged OpenEXR header") from None

@@ -38,7 +38,7 @@ MEASUREMENTS = ("table", "fields", "samples", "result", "picture")
 
 @dataclass(frozen=True)
 class Format:
-    """One file format.
+    """File format with its reader and writers.
 
     Attributes:
         name: short name, as in reports.
@@ -64,7 +64,7 @@ class Format:
 
     @property
     def written(self) -> tuple[str, ...]:
-        """Return the keys of `CONTENTS` that can be written in this format.
+        """Keys of `CONTENTS` that can be written in this format.
 
         Camera profiles and charts have their own writers.
         """
@@ -78,9 +78,9 @@ class Format:
         return _function(self.reader)(path, **options)
 
     def writer(self, content: str) -> Callable[..., None]:
-        """Return the function that writes (path, data, force=...).
+        """Select the function that writes a content.
 
-        An ArgumentError is raised if the format does not support the content.
+        Its arguments are (path, data, force=...). An ArgumentError is raised if the format does not support the content.
         """
         if content in self.writers:
             return _function(self.writers[content])
@@ -214,13 +214,13 @@ FORMATS = (
         mark=b'"matcam chart"',
     ),
 )
-"""All formats."""
+"""All formats, in the order of the printed lists."""
 
-_HEAD = 4096  # bytes
+_HEAD = 4096  # number of bytes at both ends of a file that are searched for marks
 
 
 def format_named(name: str) -> Format:
-    """Return the format with this short name."""
+    """Look up a format by its short name."""
     return next(form for form in FORMATS if form.name == name)
 
 
@@ -282,7 +282,7 @@ def identify(path: str | Path) -> str:
 
 
 def format_for(path: str | Path, *contents: str) -> Format:
-    """Return the format of an output by the suffix of its name.
+    """Select the format of an output by the suffix of its name.
 
     contents: keys of `CONTENTS`, of which the format supports at least one. Default: any measurement. An ArgumentError is
     raised for a name with another suffix.
@@ -314,7 +314,7 @@ _DECODERS = {
 def decoded_by(paths: Iterable[Path]) -> list[str]:
     """List the modules that decode files, by the suffixes of the files.
 
-    paths: files, and folders of files. Missing ones are ignored.
+    paths: files, and folders of files. Missing files are ignored.
     """
     suffixes = set()
     for path in paths:

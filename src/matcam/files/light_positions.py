@@ -38,7 +38,7 @@ class LightPosition(NamedTuple):
 
     @property
     def angles(self) -> tuple[float, float]:
-        """Return the angle from the optical axis and the azimuth, rad.
+        """Angle from the optical axis, and azimuth, rad.
 
         The azimuth is from +x towards +y.
         """

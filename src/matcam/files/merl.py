@@ -110,11 +110,11 @@ def write_merl(path: str | Path, brdf: xr.DataArray, *, force: bool = False) -> 
     if np.isnan(lowest):
         raise ArgumentError("a MERL file must have at least one value: all values of this table are missing")
     if lowest < 0:
-        raise ArgumentError(f"a MERL file cannot hold negative values (they mean missing), got {lowest:g} 1/sr")
+        raise ArgumentError(f"a MERL file cannot contain negative values (they mean missing), got {lowest:g} 1/sr")
     with np.errstate(over="ignore"):
         stored /= SCALE[:, None, None, None]
     if np.isinf(stored).any():
-        raise ArgumentError(f"a MERL file cannot hold {highest:g} 1/sr: its stored value would overflow")
+        raise ArgumentError(f"a MERL file cannot contain {highest:g} 1/sr: its stored value would overflow")
     stored[np.isnan(stored)] = -1.0
     with replacing(path, force=force) as temporary, temporary.open("wb") as file:
         np.array(GRID_SHAPE, dtype=_HEADER).tofile(file)
@@ -147,7 +147,7 @@ def _read_stored(path: Path) -> np.ndarray:
                 raise FileFormatError(f"{path}: {what}: {size} bytes, but a MERL file has {FILE_BYTES}")
             values = np.fromfile(file, dtype=_VALUE)
     if values.nbytes != FILE_BYTES - _HEADER_BYTES:
-        raise FileFormatError(f"{path}: changed while it was read: try again")
+        raise FileFormatError(f"{path}: the file changed while it was read: try again")
     return values.astype(np.float64, copy=False).reshape(len(CHANNELS), *GRID_SHAPE)
 
 

@@ -22,12 +22,12 @@ SUFFIXES = (
     ".3fr", ".arw", ".cr2", ".cr3", ".crw", ".dng", ".erf", ".fff", ".iiq", ".kdc", ".mrw", ".nef", ".nrw", ".orf", ".pef",
     ".raf", ".raw", ".rw2", ".rwl", ".sr2", ".srf", ".srw", ".x3f",
 )  # fmt: skip
-
+"""Suffixes of camera raw files."""
 
 _DECODERS = "matcam.files.picture_decoders"
 _LIBRARIES = ("tifffile", "imagecodecs._zlib", "imagecodecs._png", "imagecodecs._jpeg8")
 _EXR = b"\x76\x2f\x31\x01"
-_LARGEST = 2 << 30  # bytes
+_LARGEST = 2 << 30  # largest size of a file, bytes
 PICTURES = (".tif", ".tiff", ".png", ".jpg", ".jpeg", ".exr", *SUFFIXES)
 """Suffixes of files that are listed as photographs."""
 

@@ -88,7 +88,7 @@ def _tiff_size(shape: tuple[int, ...]) -> tuple[int, int, int]:
 
 
 def decode_raw(path: Path, *, there: int, region: Sequence[int] | None = None) -> dict[str, Any]:
-    """Decode the mosaic of a camera raw file, or a region.
+    """Decode the mosaic of a camera raw file, or a region of it.
 
     The result has `values`, float32 counts above the black level, `cfa`, the colours of the first 2 x 2 px row by row
     ("RGGB"), and `saturation`, the counts of a saturated pixel.

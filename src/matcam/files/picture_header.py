@@ -21,7 +21,10 @@ from matcam.core.errors import FileFormatError
 from matcam.core.memory import available_memory
 from matcam.core.readers.apart import files_are_trusted
 
-_UNASKED, _MOST_TIMES = 1 << 30, 100  # bytes that any image may take; a larger one: multiple of its file size
+_UNASKED, _MOST_TIMES = 1 << 30, 100
+"""Memory that any image may take, bytes, and largest ratio of the size of a larger image to that of its file. No camera writes
+a file with a higher compression.
+"""
 _MOST_SEGMENTS = 200
 LARGEST = 1 << 29
 """Largest number of values in an image of floats (2 GiB). A header with a larger number is treated as damaged."""
@@ -35,9 +38,9 @@ _TIFF = {b"II*\0": "<", b"MM\0*": ">", b"IIRO": "<", b"IIU\0": "<"}
 
 
 def picture_memory() -> int:
-    """Return the memory for one image with its working copies, bytes.
+    """Compute the memory for one image with its working copies, bytes.
 
-    This is half of the available memory.
+    It is half of the available memory.
     """
     return int(0.5 * available_memory())
 
@@ -45,8 +48,8 @@ def picture_memory() -> int:
 def check_memory(path: Path, height: int, width: int, channels: int, depth: int, there: int) -> None:
     """Check that an image and its working copies fit into memory.
 
-    depth: bytes per sample. there: available memory, bytes. Raise FileFormatError otherwise. Unless files are trusted, a
-    large image of more than 100 times the size of its file is also rejected, because no camera writes such a file.
+    Raise FileFormatError otherwise. Unless files are trusted, a large image of more than 100 times the size of its file is
+    also rejected. depth: bytes per sample. there: available memory, bytes.
     """
     decoded = height * width * channels * depth
     # a plane of float64, its mask, and two temporary copies take 24 bytes per pixel
@@ -196,7 +199,7 @@ def _directory(file: BinaryIO, base: int) -> Exif:
 
 
 def _is_float(file: BinaryIO, base: int, entry: tuple[int, int, bytes] | None, order: str) -> bool:
-    """Check whether SampleFormat, which has an entry for each channel, is floating point. Default: unsigned integers."""
+    """Check whether samples are floats. SampleFormat has one value per channel; without it, samples are unsigned integers."""
     if entry is None:
         return False
     _, count, value = entry

@@ -154,7 +154,7 @@ def write_rgl(path: str | Path, fields: xr.Dataset, *, force: bool = False) -> N
 def check_fields(fields: xr.Dataset) -> xr.Dataset:
     """Check the fields of a BRDF, and label their dimensions.
 
-    The message of an ArgumentError contains the wrong field.
+    An ArgumentError names the wrong field.
     """
     return _checked({str(name): field.values for name, field in fields.variables.items()})
 
@@ -164,7 +164,6 @@ def _next_aligned(at: int) -> int:
 
 
 def _checked(fields: dict[str, np.ndarray]) -> xr.Dataset:
-    """Check and label the fields (see `check_fields`)."""
     colour = "spectra" if "wavelengths" in fields else "rgb"
     missing = [name for name in (*_REQUIRED, colour) if name not in fields]
     if missing:
@@ -177,9 +176,11 @@ def _checked(fields: dict[str, np.ndarray]) -> xr.Dataset:
                     f"field {name} must be float32 with dims {dims}, got {array.dtype} of shape {array.shape}"
                 )
             if not np.all(np.isfinite(array)):
-                raise ArgumentError(f"field {name} must hold finite numbers, got {array[~np.isfinite(array)].flat[0]}")
+                raise ArgumentError(
+                    f"field {name} must contain finite numbers, got {array[~np.isfinite(array)].flat[0]}"
+                )
     if fields["jacobian"].dtype != np.uint8 or fields["jacobian"].shape != (1,):
-        raise ArgumentError("field jacobian must be one uint8")
+        raise ArgumentError("field jacobian must be a single uint8 value")
     labelled = {
         name: (_DIMS.get(name, tuple(f"{name}_{i}" for i in range(array.ndim))), array)
         for name, array in fields.items()
@@ -198,7 +199,7 @@ def _check_numbers(data: xr.Dataset, colour: str) -> None:
             raise ArgumentError(f"field {name} must increase strictly")
     for name in ("phi_i", "theta_i"):
         if np.abs(data[name].values).max() > 6.3:
-            raise ArgumentError(f"field {name} must hold angles in rad, got {np.abs(data[name].values).max():g}")
+            raise ArgumentError(f"field {name} must contain angles in rad, got {np.abs(data[name].values).max():g}")
     for name in ("ndf", "sigma", "vndf", "luminance"):
         if min(data[name].shape[-2:]) < 2:
             raise ArgumentError(f"field {name} must have at least 2 x 2 values, got {data[name].shape[-2:]}")

@@ -36,7 +36,7 @@ from matcam.files.table_decoders import HALF as _HALF
 from matcam.files.table_decoders import PAIR as _PAIR
 from matcam.files.table_decoders import VALUE as _VALUE
 
-_ON_THE_GRID = 1e-6  # rad
+_ON_THE_GRID = 1e-6  # largest difference of the angles of a sample from those of its cell, rad
 _LABEL = re.compile(r"[^,\x00-\x1f\"]{1,60}")
 """Pattern of channel labels that can be names of columns: without commas, quotes and control characters."""
 
@@ -92,13 +92,13 @@ def table_of(samples: xr.DataArray) -> xr.DataArray:
 def checked_samples(samples: xr.DataArray) -> xr.DataArray:
     """Check samples of a BRDF, dims (sample, channel).
 
-    The message of an ArgumentError contains the wrong dims, coordinate, label or unit.
+    An ArgumentError is raised for wrong dims, coordinates, labels or units.
     """
     if not isinstance(samples, xr.DataArray) or samples.dims != ("sample", "channel"):
         dims = getattr(samples, "dims", type(samples).__name__)
         raise ArgumentError(f"samples must have dims (sample, channel) (see read_samples), got {dims}")
     if samples.dtype.kind not in "fiu":
-        raise ArgumentError(f"samples must hold real numbers, got {samples.dtype}")
+        raise ArgumentError(f"samples must contain real numbers, got {samples.dtype}")
     check_unit("samples", samples, "1/sr")
     for name in _HALF:
         if name not in samples.coords or samples[name].dims != ("sample",) or samples[name].dtype.kind not in "fiu":
@@ -125,7 +125,7 @@ def write_samples(path: str | Path, samples: xr.DataArray, *, force: bool = Fals
         force: replace an existing file (no unit). Default: False.
 
     Raises:
-        ArgumentError: `samples` has other dims, units or labels.
+        ArgumentError: `samples` has wrong dims, units or labels.
         OutputError: the file cannot be written, or exists and `force` is False.
 
     Example:

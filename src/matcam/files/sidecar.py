@@ -115,7 +115,7 @@ class _Sidecar(Strict):
 
 
 def sidecar_path(picture: str | Path) -> Path:
-    """Return the path of the sidecar of an image.
+    """Derive the path of the sidecar of an image.
 
     Args:
         picture: file of the image.
@@ -233,5 +233,5 @@ def read_sidecar(path: str | Path) -> dict[str, Any]:
 
 
 def json_schema() -> dict[str, Any]:
-    """Return the JSON Schema of the sidecar."""
+    """Build the JSON Schema of the sidecar."""
     return _Sidecar.model_json_schema()

@@ -34,7 +34,7 @@ _MOST_FIELDS, _MOST_DIMENSIONS, _LONGEST_NAME = 64, 8, 64
 def decode_csv(path: Path) -> dict[str, Any]:
     """Decode a CSV file of BRDF samples.
 
-    The result has the names of the columns, their units in rad or 1/sr, and the values, (lines, columns).
+    The result has `names` of the columns, `scale`, the factors to rad or 1/sr, and `values`, (lines, columns).
     """
     names, scale = _columns(path)
     _check_lines(path)
@@ -57,7 +57,7 @@ def _check_lines(path: Path) -> None:
 
 
 def _columns(path: Path) -> tuple[list[str], list[float]]:
-    """Read the name of each column, and its unit in rad or 1/sr."""
+    """Read the name of each column, and its factor to rad or 1/sr."""
     with path.open("rb") as file:
         head = file.readline(_LONGEST_HEAD)
     try:
@@ -91,7 +91,6 @@ def _columns(path: Path) -> tuple[list[str], list[float]]:
 
 
 def _values(path: Path, columns: int) -> np.ndarray:
-    """Read the values below the names of the columns, (lines, columns)."""
     import pandas as pd
 
     # the default converter of these versions loses the last digit

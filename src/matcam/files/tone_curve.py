@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 from matcam.core.errors import ArgumentError, FileFormatError
 from matcam.core.readers.texts import read_lines
 
-_DEEPEST = 65535
+_DEEPEST = 65535  # largest code of an image of 16 bits
 
 
 def encoded(light: ArrayLike) -> np.ndarray:
@@ -71,7 +71,7 @@ def read_numbers(path: str | Path, columns: int | None = None) -> np.ndarray:
         try:
             rows.append([float(word) for word in words])
         except ValueError:
-            raise FileFormatError(f"{path}: line {number}: {line.strip()[:40]!r} must be numbers") from None
+            raise FileFormatError(f"{path}: line {number}: {line.strip()[:40]!r} must consist of numbers") from None
         if len(words) != (columns or len(rows[0])) or (columns is None and len(words) > 3):
             wanted = columns or "the same count (one, two or three)"
             raise FileFormatError(f"{path}: line {number} has {len(words)} numbers, but every line must have {wanted}")

@@ -53,7 +53,7 @@ def read_zemax(path: str | Path) -> xr.DataArray:
     x, y, z = np.sin(r) * np.cos(phi), np.sin(r) * np.sin(phi), np.cos(r)
     x, z = x * np.cos(theta_i) - z * np.sin(theta_i), x * np.sin(theta_i) + z * np.cos(theta_i)
     above = (z > 1e-6) & (theta_i < np.pi / 2)
-    # at radial 0 all azimuths are one direction
+    # at radial 0 all azimuths describe the same direction, which is used once
     above &= (r > 0) | (phi == phi[:, :1])
     directions = (
         theta_i[above],

@@ -43,7 +43,7 @@ def decode_zemax(path: Path) -> dict[str, Any]:
     if len(axes["SampleRotation"]) > 1:
         raise FileFormatError(
             f"{path}: the file has {len(axes['SampleRotation'])} sample rotations, but only isotropic samples "
-            "with one are supported"
+            "with one rotation are supported"
         )
     shape = (len(axes["AngleOfIncidence"]), len(axes["ScatterAzimuth"]), len(axes["ScatterRadial"]))
     names, values = _blocks(path, words[start:], shape)

@@ -25,11 +25,11 @@ _POINTS: dict[CellValue, tuple[float, ...]] = {
     "unknown": (0.5,),
     "mean": (0.5 - np.sqrt(1 / 12), 0.5 + np.sqrt(1 / 12)),  # two Gauss-Legendre points along theta_h and phi_d
 }
-"""Evaluation points in a cell, as shares of its sides."""
+"""Evaluation points in a cell for each `cell_value`, as shares of the sides of the cell."""
 
 
 def cell_sampling(cell_value: CellValue) -> Sampling:
-    """Return the position in each cell at which a table is sampled: "centre" or "edge"."""
+    """Select the position in each cell at which a table is sampled, "centre" or "edge"."""
     return "edge" if cell_value == "edge" else "centre"
 
 
@@ -71,7 +71,8 @@ class CellChoice(NamedTuple):
             return _table_cells(sample, self, lamp_nearness)
         if not sample.distant or lamp_nearness is not None:
             raise ArgumentError(
-                "a real pixel grid needs a distant camera and lamp, because with near ones each cell has its own image"
+                "a real pixel grid needs a distant camera and lamp, because in a near rig each cell has its own image: "
+                "specify cell_value 'centre' or 'edge', without pixel_phase"
             )
         if self.pixel_phase is None:
             raise ArgumentError(
@@ -207,9 +208,9 @@ def _real_cells(radius: float, chosen: CellChoice, phase: PixelPhase) -> RealCel
 
 
 def cell_means(radiance: jax.Array, cells: TableCells | RealCells) -> AnyArray:
-    """Average the BRDF over the positions of each cell in both directions, 1/sr, (theta_h, theta_d, phi_d, channels).
+    """Average the BRDF over the positions of each cell in both directions.
 
-    The mean is NaN where no position is visible.
+    The means have the shape (theta_h, theta_d, phi_d, channels) and the unit 1/sr. They are NaN where no position is visible.
 
     radiance: radiance at the positions of the cells, 1/sr, (positions, channels).
     """
@@ -242,13 +243,12 @@ _means_on_gpu = eqx.filter_jit(_means)
 
 
 def _joined(parts: list[AnyArray], axis: int = 0) -> AnyArray:
-    """Concatenate arrays of NumPy, or arrays of JAX."""
     in_numpy = all(isinstance(part, np.ndarray) for part in parts)
     return np.concatenate(parts, axis) if in_numpy else jnp.concatenate(parts, axis)
 
 
 def _summed(size: int, index: AnyArray, values: AnyArray) -> AnyArray:
-    """Add values, (positions, channels), to the entries of an array of zeros."""
+    """Sum values, (positions, channels), by index, into an array of shape (size, channels)."""
     if not isinstance(values, np.ndarray):
         return jnp.zeros((size, values.shape[1])).at[index].add(values)
     return np.stack([np.bincount(index, column, size) for column in values.T], axis=-1)

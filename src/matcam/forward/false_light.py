@@ -39,7 +39,7 @@ def false_light(material: Material, rig: Rig, theta_d: float = np.pi / 8) -> xr.
     Args:
         material: the material.
         rig: a rig with a `Sphere` and a `HaloOptics`.
-        theta_d: slice of the table, in [0, pi/4], rad. Default: pi / 8.
+        theta_d: difference angle of the slice of the table, in [0, pi/4], rad. Default: pi / 8.
 
     Returns:
         Dataset over theta_h (rad) and channel, 1/sr: `true` BRDF, `recorded` BRDF, and `added`, the recorded BRDF minus

@@ -100,10 +100,10 @@ def picture(
     if error is not None:
         error = float(checks.within("error", error, 1e-6, 0.1, "of the image's peak"))
     view = view_of(material, rig, (lamp_angle, azimuth), shape, error)
-    material = transferred(material)  # once, not at each call of a compiled program
+    material = transferred(material)  # here, so that compiled programs do not transfer it at each call
     offset = np.asarray(checks.within("shift", shift, -1e4, 1e4, "px"))  # type: ignore[arg-type]
     if offset.shape != (2,):
-        raise ArgumentError(f"shift must be two numbers, columns to the right and rows down, got shape {offset.shape}")
+        raise ArgumentError(f"shift must be two numbers (right, down), px, got an array of shape {offset.shape}")
     right, down = offset.tolist()
     if right or down:
         view = view._replace(x=view.x - right, y=view.y + down)
@@ -215,14 +215,15 @@ def _record_within(error: float, material: Material, view: View) -> jax.Array:
 
 
 def _turned(view: View) -> bool:
-    """Check whether the rows of pixels are rotated relative to the axes of the scene; for a cylinder they are not."""
+    """Check whether the rows of pixels are rotated relative to the axes of the scene, which occurs only for a sphere."""
     return isinstance(view.imaging.sample, Sphere) and bool(np.any([point.azimuth for point in view.points]))
 
 
 _Positions = Sequence[np.ndarray]
 """Arrays of x and y, px."""
 _ALONG = 0.5
-"""Step along the limb between positions at which the radiance is evaluated, px."""
+"""Step along the limb between positions at which the radiance is evaluated, px. Every pixel on the limb contains one of them.
+"""
 _BELOW_LIMB = 1.5 * 3.0 ** -np.arange(16)
 """Distances of these positions from the limb, px. Any lit crescent contains at least one of them."""
 
@@ -248,9 +249,10 @@ def _on_sphere(
 
 
 def _most_at_limb(scene: Scene, radius: float, light: np.ndarray, wide: _Positions) -> np.ndarray:
-    """Compute the larger of two radiances in each pixel, 1/sr.
+    """Compute the largest radiance found in each pixel, 1/sr.
 
-    They are the radiance at the centre of the pixel, `light`, and the largest radiance along the limb inside the pixel.
+    It is the larger of the radiance at the centre of the pixel, `light`, and the largest radiance along the limb inside the
+    pixel.
     """
     count = few_lengths(int(np.ceil(2 * np.pi * radius / _ALONG)))
     azimuth = 2 * np.pi * np.arange(count) / count
@@ -292,7 +294,7 @@ def _raw_conversion(
     if sensor is None:
         raise ArgumentError("exposure needs a camera with a sensor: Camera(optics, pixel, sensor=Sensor(...))")
     if seed is None:
-        raise ArgumentError("exposure needs a seed: give an integer, which selects the noise")
+        raise ArgumentError("exposure needs a seed of the noise: give seed an integer or a JAX key")
 
     def raw(values: jax.Array) -> jax.Array:
         if sensor.cfa is not None and values.shape[-1] == 1:

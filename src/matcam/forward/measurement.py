@@ -73,8 +73,8 @@ def measure(
     its record.
 
     In a near rig, each cell is recorded in the image in which its angles occur, and the record is divided by the
-    irradiance at its position. A complete table takes about 15 s on two cores for each point of the lamp; a source disc
-    has at least 20 points. For derivatives see `table_values`.
+    irradiance at its position. The computing time is proportional to the number of points of the lamp; a source disc has
+    at least 20 points. For derivatives see `table_values`.
 
     On a cylinder, cells are recorded on the line at height 0 that is perpendicular to the axis of the cylinder. Each cell
     has its own image, whose lamp is rotated about the optical axis until the normal of the cell occurs on that line.
@@ -128,7 +128,7 @@ def measure(
     if rig.pixel_phase is not None:
         attrs["pixel_phase"] = np.ravel(rig.pixel_phase).tolist()
     table = brdf_table(values, cell_sampling(rig.cell_value), **attrs)
-    about = {"units": "1", "long_name": "number of pixels in which the cell is seen"}
+    about = {"units": "1", "long_name": "number of pixels of the cell"}
     return table.assign_coords(pixels=(("theta_h", "theta_d", "phi_d"), pixels, about))
 
 
@@ -163,7 +163,7 @@ def table_values(
         ((90, 90, 180, 1), (90, 90, 180))
     """
     check_material(material)
-    material = transferred(material)  # once, not at each call of a compiled program
+    material = transferred(material)  # here, so that compiled programs do not transfer it at each call
     checks.instance("rig", rig, Rig, "rigs.merl()")
     workspace = checks.instance("workspace", default_workspace() if workspace is None else workspace, Workspace)
     if isinstance(rig.sample, Flat):
@@ -179,7 +179,7 @@ def table_values(
 
 
 def _colours(rig: Rig) -> list[tuple[Rig, tuple[float, float]]]:
-    """Return the rig and the image shift, px, of each colour of the lens; one rig if the lens has no colours."""
+    """List the rig and the image shift, px, of each colour of the lens; one rig if the lens has no colours."""
     optics = rig.camera.optics
     if not isinstance(optics, ColourOptics):
         return [(rig, (0.0, 0.0))]
@@ -253,7 +253,7 @@ class TablePlan(NamedTuple):
 
 
 def _table_plan(imaging: Imaging, chosen: CellChoice, lobe: tuple[float, float], workspace: Workspace) -> TablePlan:
-    """Compute the cells of a table and the plan of their record; ArgumentError inside jax.jit.
+    """Compute the cells of a table and the plan of their record. An ArgumentError is raised inside jax.jit.
 
     lobe: narrowest scale, rad, and elongation of the lobe, see `record_plan`.
     """
@@ -282,7 +282,10 @@ def _flat_values(material: Material, rig: Rig) -> jax.Array:
     The sample is assumed to be tilted such that each cell is visible. Blur does not change its uniform radiance.
     """
     if rig.cell_value not in ("centre", "edge", UNKNOWN):
-        raise ArgumentError("all pixels of a flat sample belong to one cell: cell_value must be 'centre' or 'edge'")
+        raise ArgumentError(
+            "cell_value must be 'centre' or 'edge' for a flat sample, because all its pixels belong to one cell, got "
+            f"'{rig.cell_value}'"
+        )
     return jnp.asarray(cell_values(material, cell_sampling(rig.cell_value)))
 
 

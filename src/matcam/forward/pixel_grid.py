@@ -1,8 +1,8 @@
 """Pixels of a real image that determine the values of the cells of a table (docs/model.md 3, *Cells on real pixels*).
 
 In a measured image of a distant sphere, the centres of the pixels do not coincide with the positions of the cells. The
-value of a cell is that of the pixel with the nearest centre, the bilinear interpolation between four pixels, or the mean
-of all pixels with directions inside the cell. Near the peak, many cells have the value of the same pixel. The value of a
+value of a cell is that of the nearest pixel, the bilinear interpolation between four pixels, or the mean of all pixels with
+directions inside the cell. Near the peak, many cells have the value of the same pixel. The value of a
 pixel is its radiance divided by the cosine of the angle of incidence at its centre, so these cells have exactly equal
 values.
 
@@ -45,17 +45,17 @@ class PixelGrid(NamedTuple):
     azimuth: float = 0.0
 
     def of_slices(self, slices: np.ndarray) -> np.ndarray:
-        """Return the phase of the image of each slice, (slices, 2), px; 0 if it is unknown. slices: indices of the slices."""
+        """Select the phase of the image of each slice, (slices, 2), px; 0 if it is unknown. slices: indices of the slices."""
         return phase_of_slices(self.phase or (0.0, 0.0))[slices]
 
 
 def phase_of_slices(phase: PixelPhase) -> np.ndarray:
-    """Return the phase of the image of every slice, (90, 2), px."""
+    """Broadcast a phase to the images of all slices, (90, 2), px."""
     return np.broadcast_to(np.asarray(phase, dtype=float), (GRID_SHAPE[1], 2))
 
 
 def grid_of(rig: Rig) -> PixelGrid | None:
-    """Return the real pixel grid of the cells of a rig; None if each cell has its own pixel or if the grid is unknown."""
+    """Build the real pixel grid of the cells of a rig; None if each cell has its own pixel or if the grid is unknown."""
     if rig.cell_value == "mean" or (rig.cell_value in ON_REAL_PIXELS and rig.pixel_phase is not None):
         return PixelGrid(rig.cell_value, rig.pixel_phase, rig.lamp_azimuth or 0.0)
     return None

@@ -41,11 +41,11 @@ class Prediction(NamedTuple):
 
     @property
     def relative_response(self) -> np.ndarray:
-        """Compute the response relative to the response at theta = 0, no unit."""
+        """Response relative to the response at theta = 0, no unit."""
         return self.response / self.response[:, :1]
 
     def columns(self) -> dict[str, Sequence[Any]]:
-        """Return the values as a table: columns by name with unit, and one row for each lobe and angle."""
+        """Tabulate the values: columns by name with unit, and one row for each lobe and angle."""
         lobes, angles = self.response.shape
         arrays = {
             "roughness": np.repeat(self.roughness, angles),
@@ -57,7 +57,7 @@ class Prediction(NamedTuple):
         return {name: array.tolist() for name, array in arrays.items()}
 
     def dataset(self) -> xr.Dataset:
-        """Return the values over (roughness, theta), with units."""
+        """Build a dataset of the values over (roughness, theta), with units."""
         import xarray as xr
 
         from matcam.core.results.labelled import named
@@ -127,7 +127,7 @@ def prediction_summary(data: xr.Dataset) -> Summary:
     names = [f"roughness {value:g}" for value in data["roughness"].values]
     losses = [f"{angle:.1f}°" if angle < 90 else "none below 90°" for angle in angles]
     return Summary(
-        f"Peaks of {data.attrs['family']} lobes, as a rig records them",
+        f"Recorded peaks of {data.attrs['family']} lobes",
         sections={
             "Recorded share of the peak at 0°": [Quantity(*pair) for pair in zip(names, kept.tolist(), strict=True)],
             f"First angle with a relative loss of {100 * LOSS:g} %": [

@@ -5,7 +5,7 @@
 - The effect of the camera is the difference between recorded and true lobe, multiplied by the radiance at the peak. The
   effect is added to the image of the sphere.
 
-Limb and terminator are therefore not blurred in a preview. The shape of the lobe is that at the highlight everywhere, a
+Limb and terminator are therefore not blurred in a preview. The lobe has the same shape everywhere as at the highlight. A
 source disc is replaced by a Gaussian of the same variance, and the aperture of a rig is neglected. A program is compiled
 once for all rigs with the same kinds of lens and pixel.
 """
@@ -82,8 +82,8 @@ def highlight_preview(
 ) -> xr.Dataset:
     """Simulate a close-up of the highlight, with and without the camera.
 
-    The lobe is computed in the tangent plane. For lobes up to 0.05 rad and up to 60 degrees on a sphere of 60 px, the
-    error is 1 % of the peak of the exact image if neither limb nor terminator is in the image.
+    The lobe is computed in the tangent plane. On a sphere of 60 px, the error is 1 % of the peak of the exact image for
+    lobes up to 0.05 rad and angles up to 60 degrees, if neither limb nor terminator is in the image.
 
     Args:
         material: a metal or dielectric whose lobe is a sum of Gaussians: ggx, beckmann or gaussian.
@@ -121,8 +121,8 @@ def highlight_preview(
 def sphere_preview(material: Microfacet, rig: Rig, theta_d: float, side: int = 192) -> xr.Dataset:
     """Simulate a sphere under the lamp, with and without the camera.
 
-    For lobes up to 0.1 rad and up to 60 degrees on a sphere of 60 px, the error is 1 % of the peak of the exact image,
-    and 3 % for lobes of 0.3 rad, away from limb and terminator. A halo of 2 % of the light spreads limb and terminator
+    On a sphere of 60 px, the error away from limb and terminator is 1 % of the peak of the exact image for lobes up to
+    0.1 rad and angles up to 60 degrees. For lobes of 0.3 rad it is 3 %. A halo of 2 % of the light spreads limb and terminator
     far into the image; the error is then 1.5 %.
 
     Args:
@@ -372,6 +372,6 @@ def _sphere(
 
 
 def _mean_lines(std: jax.Array, at: jax.Array, width: jax.Array) -> jax.Array:
-    """Average one-dimensional Gaussians, whose peaks are 1, over intervals of a width about positions, (positions, n)."""
+    """Average Gaussians of peak 1 over intervals about positions, shape (positions, n). width: length of an interval, px."""
     ends = [jax.scipy.special.ndtr((at[:, None] + side * width / 2) / std) for side in (1, -1)]
     return jnp.sqrt(2 * jnp.pi) * std / width * (ends[0] - ends[1])

@@ -215,7 +215,7 @@ class _PixelEdges(eqx.Module):
 
 
 def _gaussians(camera: Camera) -> list[tuple[jax.Array, jax.Array]]:
-    """Return the weight and the standard deviation, px, of each Gaussian of the lens."""
+    """List the weight and the standard deviation, px, of each Gaussian of the lens."""
     if not isinstance(camera, Camera):
         raise ArgumentError(f"camera must be a Camera (optics and pixel), got {type(camera).__name__}")
     if not isinstance(camera.pixel, BoxPixel):

@@ -127,8 +127,8 @@ def simulate_capture(
     shape = sample.shape
     checked_isotropic(rig.camera.optics, "a capture, whose outline has edges in all directions,")
     if not 1 <= plan.exposures <= 12 or not plan.step > 1 or not len(plan.theta_d):
-        got = f"{len(plan.theta_d)}, {plan.exposures} and {plan.step:g}"
-        raise ArgumentError(f"plan must have lamp positions, 1 to 12 exposures and a step above 1, got {got}")
+        got = f"a theta_d of length {len(plan.theta_d)}, exposures {plan.exposures} and step {plan.step:g}"
+        raise ArgumentError(f"plan must have a theta_d of length >= 1, exposures in [1, 12] and step > 1, got {got}")
     folder = Path(folder)
     check_output_folder(folder)
     if _holds_files(folder) and not force:
@@ -218,7 +218,7 @@ def sensor_or_usual(rig: Rig) -> Rig:
 
 
 def _holds_files(folder: Path) -> bool:
-    """Check whether a folder contains files. Hidden files do not count, because they remain from interrupted runs."""
+    """Check whether a folder contains files. Hidden files are ignored, because interrupted runs leave them behind."""
     return any(not is_folder(path) and not path.name.startswith(".") for path in folder.rglob("*"))
 
 
@@ -267,7 +267,7 @@ def _patch_radiance(patch: WhitePatch, rig: Rig, lamp: dict[str, Any], shape: tu
 
 
 def _of_curved(rig: Rig, name: str) -> float:
-    """Return the attribute `name` of a curved sample, its radius or camera distance; infinity for a flat sample."""
+    """Read the radius or the camera distance of a curved sample; infinity for a flat sample. name: name of the attribute."""
     return float(getattr(rig.sample, name, math.inf))
 
 

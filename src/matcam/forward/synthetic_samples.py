@@ -39,7 +39,13 @@ _MM_PER_PX = 0.02
 
 
 class LampErrors(NamedTuple):
-    """Standard deviations of specified lamp direction, rad, relative intensity of the lamp, and shift of the sample, px."""
+    """Standard deviations of the errors of a synthetic capture.
+
+    Attributes:
+        direction: standard deviation of the specified lamp direction, rad.
+        gain: relative standard deviation of the intensity of the lamp, no unit.
+        shift: standard deviation of the position of the sample, px.
+    """
 
     direction: float
     gain: float
@@ -70,7 +76,7 @@ class SyntheticSample(Protocol):
         """
 
     def settings(self) -> dict[str, Any]:
-        """Return the section [sample] of capture.toml."""
+        """Build the section [sample] of capture.toml."""
 
 
 def synthetic_sample(rig: Rig, shape: tuple[int, int] | None, seed: int) -> SyntheticSample:
@@ -82,12 +88,12 @@ def synthetic_sample(rig: Rig, shape: tuple[int, int] | None, seed: int) -> Synt
         seed: seed of a flat sample's textures.
 
     Raises:
-        ArgumentError: the sample has no images, or a shape is given for a curved one.
+        ArgumentError: the sample has no images, or a shape is given for a curved sample.
     """
     if isinstance(rig.sample, Flat):
         return _FlatSample(rig, shape or (256, 256), seed)
     if shape is not None:
-        raise ArgumentError("the size of the images follows from the radius: omit it for a sphere or cylinder")
+        raise ArgumentError("the size of the images of a sphere or cylinder follows from the radius: omit the size")
     if isinstance(rig.sample, Sphere):
         return _SphereSample(rig, rig.sample)
     if isinstance(rig.sample, Cylinder):

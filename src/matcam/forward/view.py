@@ -110,7 +110,7 @@ def view_of(
 def _lens_of(material: Material, rig: Rig, sample: Curved, error: float | None) -> PictureLens | None:
     """Build the filter of the image; None if a sum of Gaussians describes the lens."""
     optics = rig.camera.optics
-    # a cylinder extends beyond any image: in a distant rig one row represents all
+    # a cylinder extends beyond any image: in a distant rig one row represents all rows
     if isinstance(sample, Cylinder) and not (sample.distant and rig.lamp.nearness is None):
         checked_isotropic(optics, "a cylinder's image with a near camera or lamp")
         return None
@@ -125,7 +125,7 @@ def _lens_of(material: Material, rig: Rig, sample: Curved, error: float | None) 
 
 
 def _picture_shape(rig: Rig, shape: tuple[int, int] | None, reach: float) -> tuple[int, int]:
-    """Return (height, width) of the image, px.
+    """Choose the height and width of an image, px.
 
     The result is the given shape, the crop of the rig, or a square that contains the sample with a margin for its blur of at
     most 8 px.

@@ -50,7 +50,7 @@ class Lamp(Module):
 
     @abstractmethod
     def with_angular_radius(self, angular_radius: float) -> Lamp:
-        """Return the same lamp with a disc of another angular radius.
+        """Build the same lamp with a disc of another angular radius.
 
         Args:
             angular_radius: angular radius seen from the sample's centre, rad; not checked.
@@ -81,16 +81,16 @@ class DistantLamp(Lamp):
 
     @property
     def nearness(self) -> None:
-        """Return None, because the light is parallel."""
+        """None, because the light is parallel."""
         return
 
     @property
     def angular_radius(self) -> jax.Array:
-        """Return the radius, rad."""
+        """Angular radius of the disc, rad."""
         return self.radius
 
     def with_angular_radius(self, angular_radius: float) -> DistantLamp:
-        """Return a distant lamp of another radius."""
+        """Build a distant lamp with another angular radius, rad."""
         return replaced(self, "radius", xp.asarray(angular_radius))
 
 
@@ -135,11 +135,11 @@ class NearLamp(Lamp):
 
     @property
     def angular_radius(self) -> jax.Array:
-        """Return the angular radius of the disc, rad."""
+        """Angular radius of the disc, rad."""
         return xp.arctan(self.radius / self.distance)
 
     def with_angular_radius(self, angular_radius: float) -> NearLamp:
-        """Return a lamp at the same distance with another radius."""
+        """Build a lamp at the same distance with another angular radius, rad."""
         return replaced(self, "radius", xp.tan(angular_radius) * self.distance)
 
 
@@ -219,12 +219,12 @@ def rings_and_spokes(fineness: float) -> tuple[int, int]:
 
 
 def disc_of(lamp: Lamp) -> float:
-    """Return the angular radius of a source disc, rad. It determines the number of points, so it must be concrete."""
+    """Compute the angular radius of a source disc, rad. It must be concrete, because it determines the number of points."""
     return checks.outside_jit(lamp.angular_radius, "the lamp's parameters")
 
 
 def checked_azimuth(azimuth: ArrayLike, name: str = "azimuth") -> float:
-    """Check one azimuth in [-2 pi, 2 pi] rad. Larger values are likely degrees. name: name of the argument."""
+    """Check one azimuth in [-2 pi, 2 pi] rad. Larger values are probably in degrees. name: name of the argument."""
     return float(checks.scalar(name, checked_azimuths(azimuth, name)))
 
 
@@ -253,7 +253,7 @@ def checked_lamp_angles(lamp_angle: ArrayLike, lamp: Lamp, camera_distance: Arra
     camera_distance = checks.outside_jit(camera_distance, "the rig's parameters")
     nearness = 0.0 if lamp.nearness is None else checks.outside_jit(lamp.nearness, "the lamp's parameters")
     most = float(np.arccos(1 / camera_distance) + np.arccos(nearness))
-    behind = f"rad (beyond {'pi' if most == np.pi else 'that'} the lamp is behind the sample)"
+    behind = f"rad (beyond {'pi' if most == np.pi else 'this limit'} the lamp is behind the sample)"
     angle = checks.within("lamp_angle", lamp_angle, 0, most, behind, open_high=True)
     if nearness and np.isfinite(camera_distance):
         apart = xp.hypot(1 / nearness * xp.sin(angle), 1 / nearness * xp.cos(angle) - camera_distance)

@@ -27,8 +27,11 @@ def departure(coefficients: ArrayLike, cos_i: ArrayLike, cos_o: ArrayLike, theta
         theta_d: half the angle between light and view, rad.
 
     Returns:
-        The ratio, of the common shape of the angles. Source: Koenderink and van Doorn, "Phenomenological description of
-        bidirectional surface reflection", JOSA A 15 (1998), where rho^2 is 1 - cos; Burley, SIGGRAPH course 2012.
+        The ratio, of the common shape of the angles.
+
+    Source:
+        Koenderink and van Doorn, "Phenomenological description of bidirectional surface reflection", JOSA A 15 (1998),
+        where rho^2 is 1 - cos; Burley, SIGGRAPH course 2012.
 
     Example:
         >>> float(departure([0.0, 0.0, 0.0, 0.0, -0.5, 0.0], 1.0, 0.0, 0.4))

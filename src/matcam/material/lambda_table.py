@@ -34,7 +34,7 @@ def cots_of_table(entries: int) -> np.ndarray:
 
 
 def table_of(lambdas: AnyValues) -> AnyValues:
-    """Compute a table from Lambda in the directions of `cots_of_table`, (entries,)."""
+    """Compute a table, (entries,), from Lambda in the directions of `cots_of_table`, (entries,)."""
     return xp.log(cots_of_table(lambdas.size) * (1 + lambdas))
 
 
@@ -67,7 +67,10 @@ class TabulatedDirections(NamedTuple):
 
     @classmethod
     def of(cls, cos: np.ndarray, entries: int) -> TabulatedDirections:
-        """Locate directions in a table of a number of entries. cos: cosines of their angles to the normal, (cells, ...)."""
+        """Locate directions in a table.
+
+        cos: cosines of the angles to the normal, (cells, ...). entries: number of entries of the table.
+        """
         position = np.asarray(position_of(cos))
         first, _ = four_about(position * (entries - 1), entries)
         return cls(first, position * (entries - 1) - first - 1, np.log(_KNEE * np.sinh(_END * position)))
@@ -107,7 +110,7 @@ def _cubics(table: np.ndarray) -> np.ndarray:
 def integrated_lambda(slope_density: SlopeDensity, scale: jax.Array, cos: jax.Array) -> jax.Array:
     """Compute Smith's Lambda of an isotropic slope density by quadrature.
 
-    It is interpolated in a table if there are more directions than entries of the table, with an error of 1e-9 of
+    If there are more directions than entries of a table, Lambda is interpolated in the table, with an error of 1e-9 of
     1 / (1 + Lambda).
 
     Args:

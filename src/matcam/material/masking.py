@@ -30,7 +30,7 @@ SlopeDensity = Callable[["jax.Array"], "jax.Array"]
 _STEPS = np.linspace(-3.7, 3.7, 201)
 _FARTHEST = 1e9  # largest cot theta; Lambda is 0 to rounding at smaller angles
 NEAREST = 1e-30
-"""Smallest cosine or cot theta; keeps Lambda finite at the horizon, where 1 / Lambda is effectively 0."""
+"""Smallest cosine and cot theta. It keeps Lambda finite at the horizon, where 1 / Lambda is effectively 0."""
 
 
 def smith_lambda(slope_density: SlopeDensity, scale: jax.Array, cot: jax.Array) -> jax.Array:

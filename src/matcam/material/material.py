@@ -27,7 +27,7 @@ class Material(Module):
 
     @abstractmethod
     def reflected(self, shading: Shading) -> jax.Array:
-        """Return the BRDF times both cosines, 1/sr.
+        """Compute the BRDF times both cosines, 1/sr.
 
         It is finite up to the horizon, 0 if light or view are below the horizon, and NaN for missing data.
 
@@ -48,7 +48,7 @@ class Material(Module):
 
     @property
     def elongation(self) -> float:
-        """Return the ratio of length to width of the lobe, no unit."""
+        """Ratio of length to width of the lobe, no unit."""
         return 1.0
 
     def brdf(self, theta_h: ArrayLike, theta_d: ArrayLike, phi_d: ArrayLike, phi_h: ArrayLike = 0.0) -> jax.Array:
@@ -96,7 +96,7 @@ def shading_at(theta_h: ArrayLike, theta_d: ArrayLike, phi_d: ArrayLike, phi_h: 
 def cell_values(material: Material, sampling: Sampling) -> jax.Array:
     """Evaluate a BRDF at the cells of the MERL grid, mean of both reciprocal directions.
 
-    Returns: 1/sr, (90, 90, 180, channels); NaN below the horizon.
+    The result has shape (90, 90, 180, channels), unit 1/sr, and is NaN below the horizon.
     """
     theta_h, theta_d, phi_d = np.meshgrid(*merl_grid(sampling), indexing="ij")
     values = (material.brdf(theta_h, theta_d, phi_d) + material.brdf(theta_h, theta_d, phi_d + np.pi)) / 2
@@ -107,8 +107,8 @@ def cell_values(material: Material, sampling: Sampling) -> jax.Array:
 def above_horizon(shading: Shading) -> tuple[Shading, jax.Array]:
     """Replace directions of `shading` below the horizon by directions above it.
 
-    Returns the shading, and a mask of the directions that were above the horizon. NaN in an unused branch would affect
-    derivatives.
+    The result is the shading, and a mask of the directions that are above the horizon in `shading`. The replacement prevents
+    NaN in an unused branch, which would affect derivatives.
     """
     above = (shading.cos_i > 0) & (shading.cos_o > 0)
     cos_i, cos_o = (xp.where(above, c, 0.5) for c in (shading.cos_i, shading.cos_o))

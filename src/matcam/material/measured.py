@@ -62,7 +62,7 @@ class Tabulated(Material):
         shift: position of a value in its cell, in cells: 0.5 for "centre", 0 for "edge".
 
     Raises:
-        ArgumentError: the table has other dimensions or another shape.
+        ArgumentError: the table has wrong dimensions or a wrong shape.
 
     Source:
         Matusik et al. (2003), "A Data-Driven Reflectance Model" (the grid).
@@ -84,7 +84,7 @@ class Tabulated(Material):
 
     @compiled_by_jax
     def reflected(self, shading: Shading) -> jax.Array:
-        """Return the interpolated BRDF times both cosines, 1/sr."""
+        """Interpolate the BRDF times both cosines, 1/sr."""
         shading, above = above_horizon(shading)
         brdf = self._interpolate(theta_h_of(shading), xp.asarray(shading.theta_d), xp.asarray(shading.phi_d))
         return xp.where(above[..., None], brdf * (shading.cos_i * shading.cos_o)[..., None], 0.0)
@@ -149,7 +149,7 @@ class Blend(NamedTuple):
     weight: jax.Array
 
     def of(self, grids: jax.Array, *at: jax.Array) -> jax.Array:
-        """Return the sum of weight * grids[slices, ..., *at], shape (points,) and the remaining axes of the grid."""
+        """Compute the sum of weight * grids[slices, ..., *at], of shape (points,) and the remaining axes of the grid."""
         values = entries(grids, self.slices, *(a[:, None] for a in at))
         return xp.sum(self.weight.reshape(*self.weight.shape, *(1,) * (values.ndim - 2)) * values, axis=1)
 
@@ -270,7 +270,7 @@ def _running(values: np.ndarray) -> np.ndarray:
 
 
 def _within(first: np.ndarray, last: np.ndarray, area: np.ndarray) -> np.ndarray:
-    """Compute the t in [0, 1] up to which a density, linear from `first` to `last`, integrates to `area`."""
+    """Compute the position in [0, 1] up to which a density, linear from `first` to `last`, integrates to `area`."""
     root = np.sqrt(np.maximum(first**2 + 2 * area * (last - first), 0))
     total = first + root
     return np.clip(2 * area / np.where(total > 0, total, 1.0), 0, 1)
@@ -339,7 +339,7 @@ class Adaptive(Material):
 
     @compiled_by_jax
     def reflected(self, shading: Shading) -> jax.Array:
-        """Return the interpolated BRDF times both cosines, 1/sr."""
+        """Interpolate the BRDF times both cosines, 1/sr."""
         shading, above = above_horizon(shading)
         shape = above.shape
         flat = Shading(*(xp.broadcast_to(xp.asarray(a, dtype=xp.float64), shape).ravel() for a in shading))
@@ -363,7 +363,7 @@ class Adaptive(Material):
         safe = xp.where(none, 1.0, slope)
         c, s = xp.where(none, 1.0, shading.slope_along / safe), xp.where(none, 0.0, shading.slope_across / safe)
         theta_m = xp.arctan(slope)
-        # the light, first with the half vector in the x-z plane (angles.azimuth_difference), then rotated to its
+        # the light, first with the half vector in the x-z plane (core.grid.azimuth_difference), then rotated to its
         # azimuth
         x = xp.cos(theta_m) * xp.sin(shading.theta_d) * xp.cos(shading.phi_d) + xp.sin(theta_m) * xp.cos(
             shading.theta_d

@@ -64,7 +64,7 @@ class Microfacet(Material):
 
     @eqx.filter_jit
     def reflected(self, shading: Shading) -> jax.Array:
-        """Return the BRDF times both cosines, 1/sr.
+        """Compute the BRDF times both cosines, 1/sr.
 
         It is F D G / 4 + diffuse cos_i cos_o / pi.
         """
@@ -86,7 +86,7 @@ class Microfacet(Material):
 
     @property
     def elongation(self) -> float:
-        """Return the ratio of the largest to the smallest roughness, no unit."""
+        """Ratio of the largest to the smallest roughness, no unit."""
         return self.ndf.elongation
 
     def _joint_masking(self, shading: Shading) -> jax.Array:

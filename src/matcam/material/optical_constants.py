@@ -59,9 +59,9 @@ def metals(name: str | None = None) -> dict[str, tuple[str, ...]]:
 
 
 def metal(name: str, wavelength: ArrayLike, source: str | None = None) -> MetalIndex:
-    """Return the complex refractive index of a metal at some wavelengths.
+    """Interpolate the complex refractive index of a metal at given wavelengths.
 
-    Values are interpolated linearly in a published table.
+    The interpolation in a published table is linear.
 
     Args:
         name: name of the metal, one of `metals()`, such as "Cr" or "brass".
@@ -106,7 +106,7 @@ def metal(name: str, wavelength: ArrayLike, source: str | None = None) -> MetalI
 
 @cache
 def _files() -> list[tuple[str, str]]:
-    """Return (metal, source) of every table."""
+    """List (metal, source) of every table."""
     names = [entry.name for entry in resources.files("matcam").joinpath("data/metals").iterdir()]
     return sorted(tuple(name.split(".")[:2]) for name in names if name.endswith(".csv"))  # type: ignore[misc]
 

@@ -76,7 +76,7 @@ class Reflectance(eqx.Module):
 
     @abstractmethod
     def at(self, theta: jax.Array) -> jax.Array:
-        """Return the reflectance at an angle of incidence.
+        """Compute the reflectance at an angle of incidence.
 
         Args:
             theta: angle between the light and the normal of the facet (theta_d), rad, [0, pi/2].
@@ -140,7 +140,7 @@ class Conductor(Reflectance):
         return cls(index.n, index.k)
 
     def at(self, theta: jax.Array) -> jax.Array:
-        """Return `fresnel_conductor` at theta."""
+        """Evaluate `fresnel_conductor` at theta."""
         return fresnel_conductor(_beside_channels(theta, self.n), self.n, self.k)
 
 
@@ -168,7 +168,7 @@ class Dielectric(Reflectance):
         self.eta = per_channel("eta", checks.within("eta", eta, 1, _LARGEST_INDEX, open_low=True))
 
     def at(self, theta: jax.Array) -> jax.Array:
-        """Return the unpolarised reflectance: `fresnel_conductor` with k = 0."""
+        """Compute the unpolarised reflectance: `fresnel_conductor` with k = 0."""
         return fresnel_conductor(_beside_channels(theta, self.eta), self.eta, 0.0)
 
 
@@ -197,7 +197,7 @@ class Schlick(Reflectance):
         self.f0 = per_channel("f0", checks.within("f0", f0, 0, 1))
 
     def at(self, theta: jax.Array) -> jax.Array:
-        """Return Schlick's approximation at theta."""
+        """Evaluate Schlick's approximation at theta."""
         return self.f0 + (1 - self.f0) * (1 - jnp.cos(_beside_channels(theta, self.f0))) ** 5
 
 
@@ -221,7 +221,7 @@ class Constant(Reflectance):
         self.value = per_channel("reflectance", checks.within("reflectance", value, 0, 1))
 
     def at(self, theta: jax.Array) -> jax.Array:
-        """Return the value, independent of theta."""
+        """Return the constant reflectance, in the shape of theta."""
         return self.value + 0 * _beside_channels(theta, self.value)
 
 

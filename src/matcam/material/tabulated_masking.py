@@ -21,7 +21,7 @@ from matcam.material.ndf.free_lobe import ShadowedNDF
 from matcam.material.ndf.ggx import GGX
 
 COTS = cots_of_table(187)
-"""Cotangents of the directions of the tables of lobes. The number of entries gives an error of 3e-6 of 1 / (1 + Lambda)."""
+"""Cotangents of the directions of a table. With this number of entries, 1 / (1 + Lambda) has an error of 3e-6."""
 
 
 def has_closed_lambda(ndf: NDF) -> bool:
@@ -65,11 +65,11 @@ class TabulatedMasking(SlopeDistribution):
     table: jax.Array
 
     def density(self, along: jax.Array, across: jax.Array) -> jax.Array:
-        """Return P22 of the distribution."""
+        """Compute P22 of the distribution."""
         return self.ndf.density(along, across)
 
     def lambdas(self, shading: Shading) -> tuple[jax.Array, jax.Array]:
-        """Return Smith's Lambda of light and view from the table."""
+        """Interpolate Smith's Lambda of light and view in the table."""
         first, second = (lambda_at(self.table, position_of(cos)) for cos in (shading.cos_i, shading.cos_o))
         return first, second
 

@@ -11,8 +11,8 @@ _FLOOR = 1e-10  # share of the mean eigenvalue below which steps are linearly de
 class AndersonMixing:
     """Anderson mixing of the last steps of an iteration.
 
-    Gauss-Newton iterations neglect the second derivatives of a model. For large residuals each step is then too long or
-    too short by a factor, which the differences of steps reveal.
+    Gauss-Newton iterations neglect the second derivatives of a model. For large residuals, each step is then too long or
+    too short by a factor. The factor is estimated from the differences of steps.
 
     Source:
         Anderson, J. ACM 12 (1965); Walker and Ni, SIAM J. Numer. Anal. 49 (2011), type II.

@@ -47,7 +47,7 @@ def between_entries(table: jax.Array, position: jax.Array) -> jax.Array:
 
 
 def four_about(position: Any, entries: int) -> tuple[Any, list[Any]]:
-    """Compute first index and weights of the four entries about positions."""
+    """Compute the first index and the weights of the four entries about positions."""
     left = constant(xp.clip(xp.floor(position), 1, entries - 3))
     return left.astype(int) - 1, lagrange_basis(np.arange(-1.0, 3.0), position - left)
 
@@ -127,7 +127,7 @@ def cubic_sums(position: jax.Array, weights: jax.Array, count: int, axes: int = 
 
 
 def combined(coefficients: jax.Array, basis: jax.Array) -> jax.Array:
-    """Compute sum_k coefficient_k basis_k."""
+    """Compute the linear combination sum_k coefficient_k basis_k."""
     return xp.tensordot(coefficients, basis, 1)
 
 

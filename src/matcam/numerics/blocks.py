@@ -98,9 +98,9 @@ def pad_indices(index: np.ndarray) -> np.ndarray:
 def few_lengths(size: int) -> int:
     """Round a length up to one of few lengths.
 
-    Each length requires a compilation, and a program of 10 to 20 MB. A compilation takes longer than a thousand
-    positions, so up to this number each length is four times the previous length. Beyond a thousand there are two
-    lengths per power of two, and beyond several thousand there are eight.
+    Each length requires a compilation, and a program of 10 to 20 MB. A compilation takes longer than the computation
+    of a thousand positions, so up to this number each length is four times the previous length. Above, there are two
+    lengths per power of two, and eight above several thousand positions.
     """
     length = _SHORTEST
     while length < min(size, _SHORT):

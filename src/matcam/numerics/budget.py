@@ -146,7 +146,7 @@ class UncertaintyBudget:
         return self.coverage_factor * self.combined
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the budget as a JSON object.
+        """Convert the budget to a JSON object.
 
         Returns:
             Result, sources, correlation, combined and expanded uncertainty; infinite degrees of freedom are null.
@@ -217,8 +217,8 @@ def write_budgets(path: str | Path, budgets: Sequence[UncertaintyBudget], *, for
 
     Args:
         path: file to write, .json or .csv.
-        budgets: budgets, one per result. Without budgets the file is empty.
-        force: replace an existing file. Default: False.
+        budgets: budgets, one per result; may be empty.
+        force: True to replace an existing file. Default: False.
 
     Raises:
         ArgumentError: the suffix is neither .json nor .csv.
@@ -243,7 +243,7 @@ def write_budgets(path: str | Path, budgets: Sequence[UncertaintyBudget], *, for
 
 
 def check_budget(path: str | Path, *, force: bool, inputs: Sequence[str | Path] = ()) -> None:
-    """Check before any work that `write_budgets` can write a file.
+    """Check in advance that `write_budgets` can write a file.
 
     inputs: files that are read, which must not be replaced. An ArgumentError is raised if the name does not end in .json
     or .csv, and an OutputError if the file cannot be written.
@@ -253,9 +253,8 @@ def check_budget(path: str | Path, *, force: bool, inputs: Sequence[str | Path] 
 
 
 def _check_name(path: str | Path) -> None:
-    """Raise ArgumentError for a file of budgets whose suffix is neither .json nor .csv."""
     if Path(path).suffix.lower() not in (".json", ".csv"):
-        raise ArgumentError(f"{path}: the name of a budget must end in .json or .csv")
+        raise ArgumentError(f"{path}: the name of a budget file must end in .json or .csv")
 
 
 def fit_budget(name: str, value: float, std: float) -> UncertaintyBudget:

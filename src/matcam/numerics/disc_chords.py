@@ -37,7 +37,7 @@ class Chords(NamedTuple):
 
 
 def chords_of(count: int) -> Chords:
-    """Build the chords of the unit disc; count: one of `COUNTS`."""
+    """Build the chords of the unit disc. count: number of chords, one of `COUNTS`."""
     if count == COUNTS[0]:
         at, weight = 2 * np.arange(1, count + 1) / (count + 1) - 1, np.full(count, 2 / (count + 1))
     else:
@@ -47,7 +47,7 @@ def chords_of(count: int) -> Chords:
 
 
 def half_of(chords: Chords) -> Chords:
-    """Select the chords on one side of the centre. Each represents itself and its mirror image."""
+    """Select the chords on one side of the centre. Each chord represents itself and its mirror image."""
     side = chords.at > -1e-12
     at, half, share = (a[side] for a in chords)
     return Chords(at, half, np.where(at < 1e-12, share / 2, share))

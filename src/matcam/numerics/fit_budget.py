@@ -1,6 +1,6 @@
-"""Uncertainty budgets of the results of fits, read from the covariance of the fit (JCGM 100:2008, 5).
+"""Uncertainty budgets of the results of fits, computed from the covariance of the fit (JCGM 100:2008, 5).
 
-A least-squares fit with priors is linear at its solution: p = C (J' W y + L m), where C is the covariance of the
+A least-squares fit with priors is linear at its solution: p = C (J' W y + L m). Here C is the covariance of the
 parameters, W the weights of the readings y, and m the specified values with information L. The readings and the
 specified values are independent sources, and their variances C J' W J C and C L C add up to C. A budget therefore
 follows from the covariance of a fit.
@@ -126,7 +126,7 @@ class VariancePart(NamedTuple):
         return self._replace(variance=self.variance * factor)
 
     def source(self, at: Any) -> UncertaintySource:
-        """Return the source of one result. at: index of the result."""
+        """Build the source of one result. at: index of the result."""
         std = math.sqrt(max(float(self.variance[at]), 0.0))
         if not self.uncertainty:
             return UncertaintySource(self.name, self.value, std, 1.0, self.kind, self.degrees)

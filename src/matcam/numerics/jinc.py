@@ -16,14 +16,14 @@ _SMALL = 1e-4  # argument below which 1 - v^2 / 8 is accurate to rounding
 
 
 def jinc(v: jax.Array, largest: float) -> jax.Array:
-    """Compute 2 J1(v) / v, 1 at v = 0.
+    """Compute 2 J1(v) / v, which is 1 at v = 0.
 
-    For arrays of JAX, which has no J1, it is computed as the mean of 2 cos^2 t cos(v sin t) over the chords of the disc. The
-    mean is exact if there are more nodes than v.
+    JAX has no J1. For JAX arrays, the result is the mean of 2 cos^2 t cos(v sin t) over the chords of the disc. The mean is
+    exact if the number of nodes exceeds v.
 
     Args:
         v: argument, >= 0, any shape.
-        largest: an upper limit of v.
+        largest: upper limit of v.
     """
     if has_jax(v):
         return _over_chords(24 + int(np.ceil(largest)), v)

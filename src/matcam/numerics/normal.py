@@ -28,7 +28,7 @@ _ROUNDS = 4
 
 
 def normal_density(x: ArrayLike, std: ArrayLike = 1.0) -> jax.Array:
-    """Evaluate exp(-x^2 / (2 std^2)) / (sqrt(2 pi) std)."""
+    """Evaluate the normal density exp(-x^2 / (2 std^2)) / (sqrt(2 pi) std)."""
     return xp.exp(-xp.square(xp.divide(x, std)) / 2) / (np.sqrt(2 * np.pi) * std)
 
 

@@ -1,8 +1,7 @@
-"""Choice of the lobe that explains the images best: one of two families, with a spline modification if it reduces the
-residual.
+"""Choice of the lobe that explains the images best.
 
-A prior that contradicts the images is widened until it agrees with them. A remark reports that the specified value or the
-model is wrong.
+The candidates are lobes of two families, with a spline modification if it reduces the residual. A prior that contradicts
+the images is widened until it agrees with them. A remark reports that the specified value or the model is wrong.
 """
 
 from __future__ import annotations
@@ -75,7 +74,7 @@ def chosen_fit(
     progress: Callable[[str], None] | None = None,
     fit_pictures: Callable[..., SphereFit] = fit_sphere,
 ) -> ChosenFit:
-    """Fit lobes of the candidate families and return the most probable.
+    """Fit lobes of the candidate families, and select the most probable fit.
 
     Args:
         pictures: merged images.
@@ -112,7 +111,6 @@ def chosen_fit(
     widened: dict[str, float] = {}
 
     def fitted(name: str, scene: SphereScene, start: SphereFit | None = None, **more: object) -> SphereFit:
-        """Fit a lobe. If the start is spline-modified, this lobe is, too."""
         more = {"spline": _SPLINE if start is not None and start.kind.spline_size else 0.0, **more}
         return fit_pictures(
             pictures,
@@ -133,7 +131,6 @@ def chosen_fit(
     tried = {best.kind.family: best.solution.unexplained}
 
     def with_shape(best: SphereFit) -> SphereFit:
-        """Fit a non-Lambertian diffuse part, and return that fit if its unexplained share is smaller."""
         # if the rounds did not improve a fit with few parameters, more parameters do not help
         if not diffuse or best.stuck or _explained(best) or _diffuse_pixels(best) < _DIFFUSE_PIXELS:
             return best
@@ -143,7 +140,7 @@ def chosen_fit(
         return other if less and _likelier(other, best) else best
 
     def rivalled(best: SphereFit) -> SphereFit:
-        """Fit the other candidates if noise alone does not explain a fit, and return the most probable fit."""
+        """Fit the other candidates if noise alone does not explain a fit, and select the most probable fit."""
         for name in CANDIDATES:
             if family != AUTO or name == best.kind.family or _explained(best):
                 continue
@@ -162,7 +159,7 @@ def chosen_fit(
     splines: list[SphereFit] = []
 
     def with_spline(best: SphereFit, share: float) -> SphereFit:
-        """Fit a spline modification, and return that fit if it reduces the unexplained share to less than `share`."""
+        """Fit a spline modification, and select that fit if it reduces the unexplained share below `share` of its value."""
         name = f"{best.kind.family}, spline-modified"
         if (
             family != AUTO
@@ -258,7 +255,7 @@ def chosen_fit(
             best = rivalled(best)
         best = with_spline(best, _CLEARLY)
     if best.stuck:
-        text = "the rounds of the fit were ended, because the unexplained share of the light does not decrease ("
+        text = "the fit was stopped early, because the unexplained share of the light does not decrease ("
         text += (
             f"{', '.join(f'{share:.0%}' for share in best.stuck)}): look for clipping, a tone curve, or a mirrored room"
         )
@@ -274,7 +271,7 @@ def chosen_fit(
 
 
 def _odd_pictures(fit: SphereFit) -> dict[int, float]:
-    """Find the images with an exceptional chi squared. Returns: unexplained share of the light, by index of the image."""
+    """Compute the unexplained share of the light of each image with an exceptional chi squared, by index of the image."""
     solution = fit.solution
     usual = max(float(np.median(solution.chi2)), 1.0)
     odd = np.flatnonzero(solution.chi2 > _ODD * usual).tolist()
@@ -289,7 +286,6 @@ def _odd_remark(fit: SphereFit, k: int, share: float) -> Remark:
 
 
 def _described(name: str, more: Mapping[str, object], widened: Mapping[str, float]) -> str:
-    """Format the description of a fit for progress messages: its lobe, and sources with an enlarged standard deviation."""
     name = " or ".join([name, *(str(one) for one in cast("Sequence[str]", more.get("rivals", ())))])
     spline = ", spline-modified" if more.get("spline") else ""
     shape = ", diffuse part shaped" if more.get("shaped") else ""
@@ -333,7 +329,7 @@ def _diffuse_pixels(fit: SphereFit) -> float:
 
 
 def _likelier(one: SphereFit, other: SphereFit) -> bool:
-    """Check whether a fit explains its pixels better than another, with the smaller of their unexplained shares for both."""
+    """Check whether a fit has the larger likelihood, with the smaller of the two unexplained shares for both fits."""
     judge = Likelihood(max(min(one.solution.unexplained, other.solution.unexplained), 1e-3))
 
     def surprise(fit: SphereFit) -> float:
@@ -349,8 +345,8 @@ def _preferred(one: SphereFit, other: SphereFit) -> bool:
     """Check whether a fit is preferred to another.
 
     The more probable fit is preferred. If the lobe of exactly one fit has a parameter at a bound, that fit is preferred only if
-    its unexplained share is much smaller. The width of a lobe at a bound is meaningless, because its family does not suit the
-    material.
+    its unexplained share is smaller by more than 10 %. The width of a lobe at a bound is meaningless, because its family does
+    not suit the material.
     """
     if _at_bound(one) == _at_bound(other):
         return _likelier(one, other)

@@ -83,9 +83,9 @@ class _Blame(NamedTuple):
 def contradiction(fit: SphereFit, scene: SphereScene) -> tuple[str, float, Remark] | None:
     """Find the source that contradicts the images, the factor of its standard deviation, and a remark.
 
-    A wrong but narrow prior displaces other parameters. Therefore each source is freed in turn, and the one that
-    explains most is returned. The result is None if all residuals of the priors are small, and every freed source explains
-    little.
+    A wrong but narrow prior displaces other parameters. Therefore each source is freed in turn, and the source with the
+    largest decrease of chi squared is selected. The result is None if all residuals of the priors are small, and no freed
+    source decreases chi squared much.
     """
     problem = fit.solution.problem
     away = problem.prior_rows @ fit.solution.p - problem.prior_values
@@ -103,7 +103,7 @@ def contradiction(fit: SphereFit, scene: SphereScene) -> tuple[str, float, Remar
     remark = Remark(
         f"{blamed.source.replace(' ', '-')}-contradicted",
         f"{text}: {times_off(pull)} the given standard deviation, as extrapolated from the fit; the standard deviation "
-        "was enlarged, but check the given value",
+        "was enlarged: check the given value",
     )
     return blamed.source, 1.5 * pull, remark
 

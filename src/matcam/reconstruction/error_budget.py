@@ -57,12 +57,12 @@ class Inseparable(NamedTuple):
         return f"{self.names[0]} from {self.names[1]} (correlation {self.correlation:.3f})"
 
     def to_dict(self) -> dict[str, object]:
-        """Return both fields by name."""
+        """Convert to a dictionary of plain types."""
         return {"names": list(self.names), "correlation": self.correlation}
 
 
 class Ratio(NamedTuple):
-    """Ratio of F at an angle to the mean of F from 10 to 45 degrees, with its standard deviation."""
+    """Ratio of F at theta_d, rad, to the mean of F from 10 to 45 degrees, with its standard deviation."""
 
     theta_d: float
     value: float
@@ -188,9 +188,9 @@ def _shared(fit: SphereFit) -> tuple[tuple[str, ...], np.ndarray]:
 def inseparable(fit: SphereFit) -> tuple[Inseparable, ...]:
     """Find shared parameters that the images alone do not distinguish from the lens, the distances or the outline.
 
-    The prior of each of these parameters is removed in turn. If the correlation of the freed parameter with another one then
-    exceeds 0.95, and its standard deviation more than triples, the images do not determine the freed parameter. The parameter
-    with the largest correlation is reported.
+    The prior of each of these parameters is removed in turn. The images do not determine the freed parameter if its standard
+    deviation more than triples, and its correlation with another parameter then exceeds 0.95. The parameter with the largest
+    correlation is reported.
     """
     solution, (names, slopes) = fit.solution, _shared(fit)
 
@@ -227,7 +227,8 @@ def parameter_readings(
 ) -> dict[str, FitReading]:
     """Derive the parameters of lobe, lens, F (n and k) and diffuse parts from a fit, by reported name.
 
-    curves: F of each channel. units: unit of each channel: value of the images per radiance under unit irradiance.
+    `curves` are the curves of F of each channel. `units` are the units of each channel: value of the images per radiance
+    under unit irradiance.
     """
     p, layout, unity = fit.solution.p, fit.layout, np.eye(fit.layout.size)
     found = _lobe_readings(fit)
@@ -252,7 +253,7 @@ def reflectance_readings(
 
     The mean is that from 10 to 45 degrees. If F is absolute, the mean itself is also derived.
 
-    curves, units: arguments of `parameter_readings`. theta_d: difference angle, rad.
+    `curves` and `units` are those of `parameter_readings`. `theta_d` is the difference angle, rad.
     """
     found = {}
     for index, (channel, curve, unit) in enumerate(zip(fit.channels, curves, units, strict=True)):
@@ -326,7 +327,8 @@ def _statements(fit: SphereFit) -> list[Statement]:
 def _lobe_readings(fit: SphereFit) -> dict[str, FitReading]:
     """Derive the parameters of the lobe.
 
-    A lobe of a family also has its half widths, rad; a spline-modified lobe has one among its parameters.
+    The half widths, rad, of a lobe without a spline modification are added. A spline-modified lobe has a half width among its
+    parameters.
     """
     kind, size = fit.kind, fit.layout.size
     q = fit.solution.p[: kind.size]

@@ -86,7 +86,7 @@ def reconstruct(
     checks.whole_number("workers", workers, 1)
     kind = capture.settings["sample"]["kind"]
     if rig_from is not None and kind != "sphere":
-        raise ArgumentError(f"rig_from is for photographs of a sphere, but sample.kind is {kind}: omit rig_from")
+        raise ArgumentError(f"rig_from requires photographs of a sphere, but sample.kind is {kind}: omit rig_from")
     kept = None if keep is None else KeptWork(Path(keep))
     if kind == "flat":
         return reconstruct_flat(capture, ndf, masking=masking, progress=progress, workers=workers, kept=kept)

@@ -20,7 +20,7 @@ SCATTERED = 768
 """Number of pixels of an image outside its window."""
 _STRATA = 24
 LIMB = 3.0
-"""Distance from the outline within which the rule of a single pixel or column does not resolve the border, px."""
+"""Distance from the outline within which the integration rule of a single pixel or column does not resolve the outline, px."""
 OUTSIDE = 1.5
 """Distance beyond the outline up to which a window is read, px. The background is not modelled."""
 _BESIDE = 9.0  # px from the highlight within which the limb is read, too
@@ -29,7 +29,7 @@ _SIMILAR_LEVELS = 15
 level changes this median by at most 10 %. Unlike a mean, it follows the steps of the ratio between merged exposures.
 """
 LIT = 0.1
-"""Smallest cosine of the angle of incidence. Near the terminator the rule of a pixel or column is inaccurate."""
+"""Smallest cosine of the angle of incidence. Near the terminator the integration rule of a pixel or column is inaccurate."""
 
 
 class ObservedPixels(NamedTuple):
@@ -65,8 +65,8 @@ class ObservedPixels(NamedTuple):
     def noise_at(self, level: np.ndarray) -> np.ndarray:
         """Compute the standard deviation of the noise of pixels whose expected values are known, (pixels,).
 
-        `std` partly follows from the value of each pixel, so it is too small where noise lowered this value, and as a
-        weight would bias a fit towards low values. The median ratio of variance and level of pixels of similar level is used
+        `std` is partly derived from the value of each pixel, so it is too small where noise lowered this value. As a weight
+        it would bias a fit towards low values. The median ratio of variance and level of pixels of similar level is used
         instead.
 
         Args:
@@ -152,7 +152,10 @@ def _scattered(
     seed: int,
     field: LensField | None,
 ) -> np.ndarray:
-    """Draw pixels outside the window, uniformly in strata of ln theta_h. Missing pixels have positions outside the frame."""
+    """Draw pixels outside the window, uniformly in strata of ln theta_h.
+
+    If there are fewer than `SCATTERED` such pixels, the remaining positions are outside the frame.
+    """
     height, width = picture.values.shape
     row, column = np.mgrid[0:height, 0:width]
     row, column = row.ravel() + picture.origin[0], column.ravel() + picture.origin[1]

@@ -93,7 +93,7 @@ def lamp_frame(direction: np.ndarray) -> LampFrame:
 
 
 def turned_lamp(frame: LampFrame, a: Any, b: Any) -> Any:
-    """Compute the unit vector to a lamp that is rotated by (a, b) from its base direction."""
+    """Compute the unit vector to a lamp that is rotated by (a, b), rad, from its base direction."""
     vector = frame.base + a * frame.first + b * frame.second
     return vector / jnp.sqrt(jnp.sum(vector**2))
 
@@ -154,13 +154,16 @@ class PictureModel(eqx.Module):
     def window(
         self, p: np.ndarray, frame: LampFrame, window: Window, *, slopes: bool
     ) -> tuple[Recorded, Recorded | None]:
-        """Compute the record of a window, (WINDOW, WINDOW) with v first, and its derivatives, with a last axis (size,)."""
+        """Compute the record of a window, (WINDOW, WINDOW) with v first, and its derivatives.
+
+        The derivatives have an additional last axis over the parameters, (size,).
+        """
         return _compiled("_window_slopes" if slopes else "_window_value")(self, *self._split(p, slopes), frame, window)
 
     def pixels(
         self, p: np.ndarray, frame: LampFrame, column: np.ndarray, row: np.ndarray, *, slopes: bool
     ) -> tuple[Recorded, Recorded | None]:
-        """Compute the record of single pixels, (pixels,), and its derivatives, with a last axis (size,)."""
+        """Compute the record of single pixels, (pixels,), and its derivatives, (pixels, size)."""
         name = "_pixels_slopes" if slopes else "_pixels_value"
         return _compiled(name)(self, *self._split(p, slopes), frame, (column, row))
 
@@ -299,7 +302,6 @@ class PictureModel(eqx.Module):
     def _radiance(
         self, light: ShownLight, frame: LampFrame, p_x: jax.Array, p_y: jax.Array, depth: jax.Array
     ) -> tuple[jax.Array, jax.Array]:
-        """Average the radiance of lobe and diffuse part at positions of the outline's disc over the source disc."""
         ndf, (camera, lamp, a, b), terms = self.kind.ndf(light.lobe), light.pose, light.shape
         normal = normal_at(p_x, p_y, depth, camera)
         tangent = sphere_tangent(normal)

@@ -27,7 +27,7 @@ _LIMB = 0.35  # distance from the outline within which this spacing is used, rad
 MARGIN = 4.5
 """Margin of the nodes about the pixels of a window, px."""
 _DISC_POINTS = 36
-_NO_DISC = 0.1  # share of the width of the lobe: a lamp with a smaller disc is a point
+_NO_DISC = 0.1  # share of the width of the lobe below which a source disc is treated as a point
 
 
 class Window(NamedTuple):
@@ -100,7 +100,7 @@ def window_about(
         position: positions of sphere and highlight.
         scale: angle over which the lobe changes near its peak, rad.
         plateau: angle over which a source disc spreads the peak, half the angular radius of the lamp, rad. Default: 0.
-        keep: earlier window, whose pixels are kept if the highlight has moved by at most a pixel. Default: None.
+        keep: earlier window, whose pixels are kept if the highlight has moved by at most one pixel. Default: None.
         field: distortion and blur of the lens over the field. Default: None, uniform.
 
     Returns:

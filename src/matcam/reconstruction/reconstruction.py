@@ -42,7 +42,7 @@ from matcam.reconstruction.sphere_fit import SphereFit, fit_sphere
 from matcam.reconstruction.stated.captured_scene import INCOMPLETE, CapturedScene
 
 _JUDGED = np.radians(75.0)
-"""theta_d at which the error budget is given, within the range of the images."""
+"""Angle theta_d at which the error budget is given, rad. If the images do not cover it, their largest angle is used."""
 _POOR = 0.03
 """Unexplained share of the light above which the verdict warns."""
 
@@ -128,7 +128,6 @@ class Reconstruction(Summarised):
 
     @property
     def _readings(self) -> dict[str, FitReading]:
-        """Values that have a budget, by name: parameters, F, lengths."""
         judged = min(_JUDGED, self.measured_range[1])
         return {
             **parameter_readings(self.fit, self.curves, self.units),
@@ -232,7 +231,7 @@ class Reconstruction(Summarised):
 
     @property
     def verdict(self) -> str:
-        """Summarise the result in plain sentences."""
+        """Summary of the result in plain sentences."""
         widths = [np.degrees(pair) for name, pair in self.parameters.items() if name.startswith("hwhm")]
         half_width = " and ".join(
             f"{with_std(value, std) if 0 < std < np.inf else f'{value:.4g}'}°" for value, std in widths
@@ -357,8 +356,8 @@ def reconstructed(
     Args:
         captured: merged images with approximate geometry, and prior knowledge of camera, outline, lamps and distances.
         family: family of the lobe. Default: "auto".
-        sample: kind of the sample, "sphere" or "cylinder". Default: "sphere", with a pinhole table of the images that the
-            fit explains.
+        sample: kind of the sample, "sphere" or "cylinder". For a sphere, a pinhole table of the images that the fit explains
+            is included. Default: "sphere".
         masking: masking G of the lobe. Default: "smith".
         diffuse: True to include a Lambertian part. Default: True.
         progress: function that is called with a line about each step. Default: None.

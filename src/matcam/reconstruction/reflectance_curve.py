@@ -1,6 +1,7 @@
-"""F over theta_d, fitted to the strengths of all images: a curve of n and k if it explains the strengths, or a smooth curve.
+"""F as a function of theta_d, fitted to the strengths of all images.
 
-The strengths have independent and common errors. The curve interpolates F between the angles of the images.
+The curve is that of n and k if it explains the strengths, otherwise a smooth curve. The strengths have independent and
+common errors. The curve interpolates F between the angles of the images.
 """
 
 from __future__ import annotations
@@ -51,7 +52,7 @@ class ReflectanceCurve:
         return self.by_scale + self.by_misfit
 
     def at(self, theta: np.ndarray) -> np.ndarray:
-        """Evaluate F at angles, rad."""
+        """Evaluate F at angles theta_d, rad."""
         return _curve(self.model, self.coefficients, theta)[0]
 
     def slopes(self, theta: np.ndarray) -> np.ndarray:
@@ -59,7 +60,7 @@ class ReflectanceCurve:
         return _curve(self.model, self.coefficients, theta)[1]
 
     def parameters(self) -> dict[str, tuple[float, np.ndarray]]:
-        """Return n and k with their derivatives with respect to the coefficients. A smooth curve has neither."""
+        """Compute n and k and their derivatives with respect to the coefficients. A smooth curve has neither."""
         if self.model != "conductor":
             return {}
         found = {}
@@ -74,7 +75,7 @@ class ReflectanceCurve:
 def reflectance_curve(
     theta: np.ndarray, strengths: np.ndarray, covariance: np.ndarray, unit: Stated | None
 ) -> ReflectanceCurve:
-    """Fit F over theta_d to strengths. The curve has the unit of the strengths.
+    """Fit F as a function of theta_d to strengths. The curve has the unit of the strengths.
 
     Args:
         theta: angles of the strengths, rad, (pictures,).

@@ -48,7 +48,7 @@ _BETWEEN, _ABOUT = np.array([0.75, 1.33]), np.array([0.4, 0.7, 1.1, 1.8])
 
 
 Observe = Callable[..., tuple[PixelModel, list[ObservedPixels], list[FieldChange]]]
-"""Choice of the pixels and the model for a kind of sample: `sphere_pixels`, or a function with its interface."""
+"""Function that chooses the pixels and the model for a kind of sample, with the interface of `sphere_pixels`."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ class SphereFit:
 
     @property
     def layout(self) -> JointLayout:
-        """Order of the parameters."""
+        """Order of the parameters of the fit."""
         return self.solution.problem.layout
 
     @property
@@ -111,7 +111,7 @@ class SphereFit:
         return rows @ (self.solution.covariance if covariance is None else covariance) @ rows.T
 
     def strengths_rows(self) -> np.ndarray:
-        """Compute the derivatives of the strengths at fixed angles, (strengths, size)."""
+        """Compute the derivatives of the strengths at fixed angles with respect to all parameters, (strengths, size)."""
         layout, solution, strengths = self.layout, self.solution, self.strengths
         rows = np.zeros((layout.pictures * layout.channels, layout.size))
         for k in range(layout.pictures):
@@ -153,13 +153,17 @@ def fit_sphere(
         lamps: directions to the lamps, derived from the highlights, (pictures, 3), with which the search starts. Default:
             None, those of the scene.
         start: earlier fit of all or some of these images, with any lobe, from which this fit starts. Default: None.
-        widths: lattice of widths (first parameter of the lobe) for a search without `start`.
+        widths: lattice of widths (first parameter of the lobe) for a search without `start`. Default: 14 widths from 3e-4 to
+            0.5.
         rounds: largest number of rounds of refinement. Default: 4.
         progress: function that is called with a line about each round. Default: None.
         observe: function that chooses pixels and model for a sample other than a sphere. Default: None, a sphere.
         stretched: True for a lobe with two roughnesses, "ggx" only. Default: False.
         shaped: True if the diffuse part of a sphere may depart from Lambert's law. Default: False.
         rivals: families that replace `family` if their lattice gives a smaller residual. Default: ().
+
+    Raises:
+        ArgumentError: there are fewer than 2 images.
     """
     if len(pictures) < 2:
         raise ArgumentError(f"a joint fit needs at least 2 images, got {len(pictures)}")
@@ -171,7 +175,7 @@ def fit_sphere(
     known = scene if lamps is None else replace(scene, lamps=np.asarray(lamps, dtype=float))
     if start is None:
         cost, lobe = _searched(pictures, known, kind, widths, observe)
-        if rivals:  # they are compared at their best widths
+        if rivals:  # families are compared at their best widths
             between = _searched(pictures, known, kind, np.exp(lobe[0]) * _BETWEEN, observe)
             cost, lobe = min((cost, lobe), between, key=lambda one: one[0])
         for rival in rivals:
@@ -270,7 +274,7 @@ def _searched(
     widths: np.ndarray,
     observe: Observe,
 ) -> tuple[float, np.ndarray]:
-    """Find the lobe of a lattice that fits few images best, with strengths solved for. Returns: cost and lobe."""
+    """Find the cost and the coordinates of the lobe of a lattice that fits a few images best, with strengths solved for."""
     few = evenly(len(pictures), _FEW)
     some = [pictures[k] for k in few]
     part = part_of(scene, few.tolist())
@@ -373,7 +377,10 @@ def sphere_pixels(
 
 
 def _lamps_again(fit: SphereFit, pictures: Sequence[MergedPicture]) -> np.ndarray:
-    """Return the fitted directions to the lamps. In an unexplained image, the brightest pixel determines the direction."""
+    """Choose the directions to the lamps for the next round.
+
+    They are the fitted directions. In an unexplained image, the brightest pixel determines the direction.
+    """
     lamps = fit.lamps
     for k in fit.unexplained_pictures:
         ball, far = mirror_ball(fit.layout, fit.solution.p, k)

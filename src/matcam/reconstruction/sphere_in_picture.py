@@ -64,7 +64,8 @@ def surface_shading(
 ) -> tuple[Shading, jax.Array]:
     """Compute the shading of points, and their irradiance relative to the centre, without the cosine.
 
-    normal, tangent: normals of the points, and x axis of the material. The other arguments are those of `light_and_view`.
+    `normal` and `tangent` are the normal and the x axis of the material at each point. The other arguments are those of
+    `light_and_view`.
     """
     light, view, closeness = light_and_view(point, lamp, camera_nearness, lamp_nearness)
     return shading(normal, tangent, light, view), closeness
@@ -98,7 +99,7 @@ def radiance(
     The radiance of the lobe is `Microfacet.reflected` divided by cos_o, with Smith's Lambda from a small table if Lambda is an
     integral.
 
-    table: table of Lambda. Default: None, it is computed if needed.
+    `table` is the table of Lambda; None: it is computed where required.
     """
     seen = (at.cos_o > _LEAST) & (at.cos_i > _LEAST)
     cos_i, cos_o = jnp.where(seen, at.cos_i, 1.0), jnp.where(seen, at.cos_o, 1.0)

@@ -24,10 +24,10 @@ class Sphere(Curved):
     u and v are the longitude and latitude of the normal about the y axis.
 
     Args:
-        radius: radius of its limb in the image, in (0, 1e100] px.
-        distance: distance of the camera from its centre, in radii of the sphere, above 1. Default: infinite, an
-            orthographic camera. Specify it if the camera is closer than some hundred radii, because less than half of
-            the sphere is visible from a near camera.
+        radius: radius of the limb in the image, in (0, 1e100] px.
+        distance: distance of the camera from the centre, in radii of the sphere, above 1. Default: infinite, an
+            orthographic camera. Specify the distance if it is below a few hundred radii, because less than half of the
+            sphere is visible from a near camera.
 
     Raises:
         ArgumentError: a parameter is out of range, or not a single number.
@@ -46,7 +46,7 @@ class Sphere(Curved):
         self.distant = is_infinite(distance)
 
     def surface(self, u: jax.Array, v: jax.Array) -> Element:
-        """Return the surface element at longitude u and latitude v.
+        """Compute the surface element at longitude u and latitude v.
 
         x = radius sqrt(d^2 - 1) n_x / (d - n_z), and the same for y with n_y (docs/model.md 3).
         """
@@ -56,7 +56,7 @@ class Sphere(Curved):
         return element._replace(tangent=(cos_u, xp.zeros(()), -sin_u), area=element.area * cos_v)
 
     def facing(self, normal: Vector) -> Element:
-        """Return the surface element that faces a direction.
+        """Compute the surface element that faces a direction.
 
         Its area is per solid angle of the normal, px^2/sr.
 
@@ -75,7 +75,7 @@ class Sphere(Curved):
         )
 
     def at(self, x: jax.Array, y: jax.Array) -> tuple[Element, jax.Array]:
-        """Return the point at which the line of sight meets the sphere."""
+        """Compute the surface elements at which lines of sight meet the sphere, and a mask of hits."""
         q = self.nearness
         n_z, hits = depth_of(plane_length(x, y) / self.stretch, q)
         depth = 1 - q * n_z
@@ -93,13 +93,13 @@ class Sphere(Curved):
         ), visible
 
     def _tangent(self, normal: Vector) -> Vector:
-        """Return the first tangent, along the circle of latitude."""
+        """Compute the first tangent, along the circle of latitude."""
         section = xp.sqrt(normal[0] ** 2 + normal[2] ** 2)
         section = xp.where(section > 0, section, 1.0)
         return normal[2] / section, xp.zeros(()), -normal[0] / section
 
     def coordinates(self, element: Element) -> tuple[jax.Array, jax.Array]:
-        """Return the longitude and latitude about the y axis, rad."""
+        """Compute the longitude and latitude about the y axis, rad."""
         n_x, n_y, n_z = element.normal
         return xp.arctan2(n_x, n_z), xp.arcsin(xp.clip(n_y, -1, 1))
 
@@ -150,11 +150,11 @@ class Sphere(Curved):
         )
 
     def height(self, element: Element) -> jax.Array:
-        """Return the y component of the normal."""
+        """Compute the height, the y component of the normal, radii."""
         return element.normal[1]
 
     def section(self, v: jax.Array) -> jax.Array:
-        """Return cos v."""
+        """Compute the radius of the section, cos v, radii."""
         return xp.cos(v)
 
     def _turn_across(self, half_vector: jax.Array) -> jax.Array:
@@ -168,8 +168,8 @@ class Cylinder(Curved):
     anisotropic material is the direction around the cylinder.
 
     Args:
-        radius: half the width of its image, in (0, 1e100] px.
-        distance: distance of the camera from its axis, in radii of the cylinder, above 1. Default: infinite, an
+        radius: half the width of the image of the cylinder, in (0, 1e100] px.
+        distance: distance of the camera from the axis, in radii of the cylinder, above 1. Default: infinite, an
             orthographic camera.
 
     Raises:
@@ -189,12 +189,12 @@ class Cylinder(Curved):
         self.distant = is_infinite(distance)
 
     def surface(self, u: jax.Array, v: jax.Array) -> Element:
-        """Return the surface element at angle u and axial position v."""
+        """Compute the surface element at angle u and axial position v."""
         element, _ = self._element(xp.sin(u), xp.cos(u), v)
         return element
 
     def at(self, x: jax.Array, y: jax.Array) -> tuple[Element, jax.Array]:
-        """Return the point at which the line of sight meets the cylinder."""
+        """Compute the surface elements at which lines of sight meet the cylinder, and a mask of hits."""
         n_z, hits = depth_of(x / self.stretch, self.nearness)
         depth = 1 - self.nearness * n_z
         element, cos_o = self._element(x / self.stretch * depth, n_z, y / self.stretch * depth)
@@ -202,11 +202,11 @@ class Cylinder(Curved):
         return element._replace(x=x, y=y, area=1 / xp.where(visible, cos_o, 1.0)), visible
 
     def coordinates(self, element: Element) -> tuple[jax.Array, jax.Array]:
-        """Return the angle of the normal, rad, and the axial position, radii."""
+        """Compute the angle of the normal, rad, and the axial position, radii."""
         return xp.arctan2(element.normal[0], element.normal[2]), self.height(element)
 
     def height(self, element: Element) -> jax.Array:
-        """Return the position along the axis, in radii."""
+        """Compute the position along the axis, radii."""
         return element.y / self.stretch * (1 - self.nearness * element.normal[2])
 
     def position(

@@ -73,7 +73,7 @@ class Sample(Module):
 
     @property
     def kind(self) -> str:
-        """Return the name of the shape in files: "sphere", "cylinder" or "flat"."""
+        """Name of the shape in files: "sphere", "cylinder" or "flat"."""
         return type(self).__name__.lower()
 
     def in_words(self) -> str:
@@ -82,7 +82,7 @@ class Sample(Module):
 
     @abstractmethod
     def px_per_rad(self, theta_o: jax.Array, lamp_nearness: ArrayLike | None = None) -> tuple[jax.Array, jax.Array]:
-        """Return the shift of the image per rotation of the normal, px/rad.
+        """Compute the shift of the image per rotation of the normal, px/rad.
 
         Args:
             theta_o: angle between normal and view at the highlight, rad.
@@ -111,7 +111,7 @@ class Flat(Sample):
         return xp.full_like(theta_o, xp.inf), xp.full_like(theta_o, xp.inf)
 
     def frequency_on_sensor(self, frequency: ArrayLike, theta_o: ArrayLike) -> jax.Array:
-        """Return the frequency of a texture on the sensor, cycles/px.
+        """Compute the frequency of a texture on the sensor, cycles/px.
 
         The texture varies along the direction of the tilt, which foreshortens it (paper (4)).
 
@@ -166,13 +166,13 @@ class Curved(Sample):
         """
         if is_concrete(self.radius) and is_concrete(blur) and not float(blur) < float(self.radius):
             raise ArgumentError(
-                "the sample's radius must exceed the camera's blur, which is at least half a pixel and the standard deviation "
-                f"of the lens, here {float(blur):g} px, got {float(self.radius):g} px"
+                f"the sample's radius must exceed the camera's blur of at least {float(blur):g} px, got "
+                f"{float(self.radius):g} px"
             )
 
     @abstractmethod
     def surface(self, u: jax.Array, v: jax.Array) -> Element:
-        """Return the surface element at (u, v).
+        """Compute the surface element at (u, v).
 
         Args:
             u: angle of the normal in the plane of camera and lamp, rad; broadcasts with v.
@@ -181,7 +181,7 @@ class Curved(Sample):
 
     @abstractmethod
     def at(self, x: jax.Array, y: jax.Array) -> tuple[Element, jax.Array]:
-        """Return the surface elements at image positions, and a mask of hits.
+        """Compute the surface elements at image positions, and a mask of the lines of sight that hit the sample.
 
         Args:
             x: position in the image, px; broadcasts with y.
@@ -190,7 +190,7 @@ class Curved(Sample):
 
     @abstractmethod
     def coordinates(self, element: Element) -> tuple[jax.Array, jax.Array]:
-        """Return (u, v) of a surface element.
+        """Compute (u, v) of a surface element.
 
         Args:
             element: the surface element.
@@ -213,7 +213,7 @@ class Curved(Sample):
 
     @abstractmethod
     def section(self, v: jax.Array) -> jax.Array:
-        """Return the radius of the surface's section at v, in radii of the sample.
+        """Compute the radius of the surface's section at v, in radii of the sample.
 
         Args:
             v: second coordinate of the surface.
@@ -221,14 +221,14 @@ class Curved(Sample):
 
     @abstractmethod
     def height(self, element: Element) -> jax.Array:
-        """Return the distance of surface elements from the plane of x and the axis, radii.
+        """Compute the signed distance of surface elements from the plane of x and the axis, radii.
 
         Args:
             element: the surface elements.
         """
 
     def point(self, element: Element) -> Vector:
-        """Return the points of surface elements, relative to the centre, radii.
+        """Compute the positions of surface elements relative to the centre, radii.
 
         Args:
             element: the surface elements.
@@ -237,7 +237,7 @@ class Curved(Sample):
 
     @property
     def nearness(self) -> jax.Array:
-        """Inverse of the distance; 0 for a distant camera."""
+        """Inverse of the camera's distance, 1/radii; 0 for a distant camera."""
         return 1 / self.distance
 
     @property
@@ -249,7 +249,7 @@ class Curved(Sample):
         return self.radius * xp.sqrt(1 - self.nearness**2)
 
     def visible(self, v: jax.Array) -> jax.Array:
-        """Return the largest visible |u|, rad; 0 if no u is visible.
+        """Compute the largest visible |u|, rad; 0 if no u is visible.
 
         Args:
             v: second coordinate of the surface.
@@ -257,7 +257,10 @@ class Curved(Sample):
         return xp.full_like(v, xp.pi / 2) if self.distant else self._seen_from(v, self.nearness)
 
     def _seen_from(self, v: jax.Array, nearness: jax.Array) -> jax.Array:
-        """Return the largest angle in u at v that is visible from a point in the plane of x and the axis."""
+        """Compute the largest angle of u from a point at which the surface at v is visible from the point, rad.
+
+        The point is in the plane of x and the axis. nearness: inverse of its distance, 1/radii.
+        """
         section = self.section(v)
         cosine = nearness / xp.where(section > 0, section, 1.0)
         return xp.where(cosine < 1, xp.arccos(xp.where(cosine < 1, cosine, 0.0)), 0.0)
@@ -265,7 +268,7 @@ class Curved(Sample):
     def lit(
         self, v: jax.Array, lamp_angle: jax.Array, lamp_nearness: ArrayLike | None = None
     ) -> tuple[jax.Array, jax.Array]:
-        """Return the interval of u that is visible and lit, rad.
+        """Compute the interval of u that is visible and lit, rad.
 
         The interval is empty (low = high) if no u is both visible and lit.
 
@@ -281,7 +284,7 @@ class Curved(Sample):
         return xp.minimum(low, high), high
 
     def across(self, x: jax.Array, v: jax.Array) -> jax.Array:
-        """Return the visible u at a column of the image, rad.
+        """Compute the visible u at a column of the image, rad.
 
         If no u is visible at the column, the nearest visible u is returned.
 
@@ -299,7 +302,7 @@ class Curved(Sample):
         return xp.clip(u, -end, end)
 
     def highlight(self, lamp_angle: jax.Array, lamp_nearness: ArrayLike | None = None) -> jax.Array:
-        """Return u of the highlight at v = 0, rad.
+        """Compute the angle u of the highlight at v = 0, rad.
 
         The normal is the half vector there. In a distant rig u is half of lamp_angle.
 
@@ -313,7 +316,7 @@ class Curved(Sample):
         return highlight_between(lamp_angle, self.nearness, 0.0 if lamp_nearness is None else lamp_nearness)
 
     def lamp_angle(self, theta_d: jax.Array, lamp_nearness: ArrayLike | None = None) -> jax.Array:
-        """Return the angle between lamp and optical axis, rad.
+        """Compute the angle between lamp and optical axis, rad.
 
         Args:
             theta_d: half the angle between lamp and camera, seen from the highlight, rad.
@@ -323,7 +326,7 @@ class Curved(Sample):
         return angle if lamp_nearness is None else angle - xp.arcsin(lamp_nearness * xp.sin(theta_d))
 
     def theta_d(self, lamp_angle: jax.Array, lamp_nearness: ArrayLike | None = None) -> jax.Array:
-        """Return half the angle between lamp and camera, rad.
+        """Compute half the angle between lamp and camera, rad.
 
         The angle is seen from the highlight. This is the inverse of `lamp_angle`.
 
@@ -335,7 +338,7 @@ class Curved(Sample):
         return aside if lamp_nearness is None else aside + parallax(aside, lamp_nearness)[0]
 
     def px_per_rad(self, theta_o: jax.Array, lamp_nearness: ArrayLike | None = None) -> tuple[jax.Array, jax.Array]:
-        """Return the shift of the image per rotation of the normal, px/rad.
+        """Compute the shift of the image per rotation of the normal, px/rad.
 
         For a distant camera and lamp it is (radius cos theta_o, radius), because x = radius sin theta_o (paper (5)). In
         a near rig the half vector also rotates, by half the rotation of the line to camera or lamp.
@@ -364,13 +367,13 @@ class Curved(Sample):
 
     @abstractmethod
     def _turn_across(self, half_vector: jax.Array) -> jax.Array:
-        """Return the angle between normal and half vector per radius along y.
+        """Compute the angle between normal and half vector per radius along y.
 
         half_vector: rotation of the half vector per radius.
         """
 
     def line_of_sight(self, normal: Vector, y: jax.Array) -> tuple[Vector, jax.Array, jax.Array]:
-        """Return direction, distance and depth from points to the camera.
+        """Compute direction, distance and depth from points to the camera.
 
         Distance and depth (along the optical axis) are divided by the camera's distance from the centre. They are
         scalars for a distant camera.

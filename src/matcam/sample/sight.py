@@ -61,7 +61,7 @@ def angle_on_circle(slope: jax.Array, tilt: jax.Array) -> jax.Array:
 
 
 def depth_of(slope: AnyValues, q: ArrayLike) -> tuple[AnyValues, AnyValues]:
-    """Compute cos t of the visible point with sin t = slope (1 - q cos t), and a mask of lines of sight that hit."""
+    """Compute cos t of the visible point with sin t = slope (1 - q cos t), and a mask of lines of sight that hit the circle."""
     square = slope**2
     root = 1 + square * (q**2 - 1)
     hits = root > 0

@@ -11,7 +11,7 @@ from matcam.core.remark import Remark, some_of
 from matcam.files.capture import Capture
 
 FEWEST = 3
-"""Number of images that the maps of a flat sample require."""
+"""Smallest number of images for the maps of a flat sample."""
 _SPREAD = 10.0
 """Range of half angles, degrees, below which the roughness is not determined."""
 NOT_CHECKED = Remark(
@@ -44,9 +44,7 @@ def flat_remarks(capture: Capture) -> list[Remark]:
         )
     names = list(capture.lamps)
     if len(names) < FEWEST:
-        text = (
-            f"the capture has only {len(names)} images of the flat sample, but at least {FEWEST} are needed: add some"
-        )
+        text = f"the number of lamp positions of the flat sample is {len(names)}, but it must be at least {FEWEST}: add images"
         found.append(Remark("too-few", text))
     lost = [name for name in names if not np.isfinite(capture.lamps[name].direction).all()]
     if lost:

@@ -93,7 +93,7 @@ def quick_highlights(
                 break
         if position is None and frames and kind != "flat":
             text = (
-                f"{capture.folder / frames[-1].file}: lamp {lamp} shows no highlight; check the lamp and the exposures"
+                f"{capture.folder / frames[-1].file}: no highlight of lamp {lamp} was found; check lamp and exposures"
             )
             remarks.append(Remark("no-highlight", text))
     piled = _piled(tops, radiometry)
@@ -101,15 +101,13 @@ def quick_highlights(
     for k, (lamp, (frame, above)) in enumerate(shortest.items()):
         count = above or piled.get(k, 0)
         if count:
-            text = (
-                f"lamp {lamp}: {count} pixels are clipped in the shortest exposure, {frame.exposure}: add a shorter one"
-            )
+            pixels = "pixel is" if count == 1 else "pixels are"
+            text = f"lamp {lamp}: {count} {pixels} clipped in the shortest exposure, {frame.exposure}: add a shorter exposure"
             peaks.append((lamp, Remark("peak-clipped", text)))
     return found, remarks + gathered(peaks)
 
 
 def _without_reference(capture: Capture, codes: np.ndarray) -> np.ndarray:
-    """Replace the codes of the reference region by the median."""
     if capture.reference_region is not None:
         top, left = origin_of(capture.region)
         column, row, width, height = capture.reference_region
@@ -120,14 +118,14 @@ def _without_reference(capture: Capture, codes: np.ndarray) -> np.ndarray:
 
 
 def _clip_threshold(reader: MosaicReader, radiometry: Radiometry | None) -> float:
-    """Return the smallest code of a clipped pixel, DN: that of the file format, or the clip level of the frames if lower."""
+    """Determine the smallest code of a clipped pixel, DN, from the clip level of the frames and that of the file format."""
     if radiometry is None or not radiometry.clip.pixels:
         return reader.saturation
     return min(reader.saturation, radiometry.clip.threshold)
 
 
 def _top_codes(codes: np.ndarray, frame: CaptureFrame, reader: MosaicReader, radiometry: Radiometry) -> TopCodes:
-    """Collect the largest codes of a frame, for a clip level that the complete brackets do not reveal."""
+    """Collect the largest codes of a frame, to detect a clip level that the complete brackets do not contain."""
     dark = radiometry.darkness.get(frame.exposure)
     hot = np.zeros(codes.shape, bool) if dark is None else dark.hot_pixels(codes.shape)
     level = black_level(radiometry) if dark is None else dark.level
@@ -177,7 +175,7 @@ def _position(
 
 
 def black_level(radiometry: Radiometry | None) -> float:
-    """Return the mean code without light, DN; 0 if it is unknown."""
+    """Compute the mean code without light, DN; 0 if it is unknown."""
     if radiometry is None or not radiometry.darkness:
         return 0.0
     return float(np.mean([one.mean for one in radiometry.darkness.values()]))

@@ -27,8 +27,8 @@ from matcam.files.capture import Capture, Stated
 from matcam.numerics.normal import robust_std
 
 _FEWEST = 4
-"""Number of highlights with a specified direction that a comparison requires: three angles are unknown, and one lamp
-may be wrong.
+"""Smallest number of highlights with a specified direction for a comparison: three angles are unknown, and one lamp may
+be wrong.
 """
 _OFF = 4.0
 """Distance of a single highlight from its expected position, px, below which it is not reported.

@@ -27,7 +27,7 @@ def unmeasured_lens() -> str:
 
 
 def lens_sigma(camera: Camera | None) -> float:
-    """Return the standard deviation of the lens of a camera, px.
+    """Determine the standard deviation of the lens of a camera, px.
 
     It is `GUESSED_LENS` for a lens that is not Gaussian or has no profile.
     """

@@ -80,7 +80,9 @@ def explain_lamp_table(lamps: np.ndarray, table: np.ndarray) -> TableVerdict:
         raise ArgumentError(f"lamps and table must both have shape (n, 3), got {lamps.shape} and {table.shape}")
     good = np.isfinite(lamps).all(1) & np.isfinite(table).all(1)
     if good.sum() < 3:
-        raise ArgumentError(f"only {good.sum()} lamps have a highlight and a row in the table; at least 3 are needed")
+        raise ArgumentError(
+            f"the number of lamps with a highlight and a row in the table is {good.sum()}; it must be at least 3"
+        )
     lamps, table = unit(lamps[good]), unit(table[good])
     rms = _rms(lamps, table)
     if rms < _WRONG:

@@ -1,1 +1,1 @@
-"""Light of frames: a white patch beside the sphere, and the uniformity of the pixels."""
+"""Light in the frames of a capture: brackets, white reference patch, flat field, and clipped pixels."""

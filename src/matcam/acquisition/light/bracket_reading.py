@@ -67,7 +67,6 @@ class BracketReading:
     _shape: tuple[int, ...] | None = None
 
     def __post_init__(self) -> None:
-        """Compute a fingerprint of the settings of all brackets."""
         about = (
             self.region,
             self.capture.reference_region,
@@ -138,11 +137,14 @@ class BracketReading:
                 continue
             shape = self._shape = self._shape or codes.shape
             if codes.shape != shape:
-                text = f"{path}: has {codes.shape[1]} x {codes.shape[0]} px, but the first frames have {shape[1]} x {shape[0]}"
-                remarks.append(Remark("other-size", f"{text} px, so it was omitted: give frames of one size"))
+                text = f"{path}: the frame has {codes.shape[1]} x {codes.shape[0]} px, but the first frames have "
+                text += f"{shape[1]} x {shape[0]} px, so it was omitted: give frames of one size"
+                remarks.append(Remark("other-size", text))
                 continue
             if not np.isfinite(codes).all():
-                text = f"{path}: contains values that are not finite, so it was omitted: repeat the frame, or remove it"
+                text = (
+                    f"{path}: the frame contains values that are not finite, so it was omitted: repeat it, or remove it"
+                )
                 remarks.append(Remark("bad-frame", text))
                 continue
             found[frame.exposure] = frame, codes

@@ -92,7 +92,7 @@ def measure_flat(
             text = (
                 str(error)
                 if isinstance(error, FileFormatError)
-                else f"{path}: differs in size from its dark frames: repeat them with its settings"
+                else f"{path}: the flat frame differs in size from its dark frames: repeat them with the same settings"
             )
             remarks.append(Remark("bad-flat", text))
             continue
@@ -184,7 +184,7 @@ def _wrong(
     noise: float,
     shape: Sequence[int] | None,
 ) -> str:
-    """Describe the fault of a flat frame; empty if it is usable."""
+    """Describe the fault of a flat frame; the text is empty if the frame is usable."""
     sizes = [read_exif(capture.folder / one.file).size for one in (frame, capture.of("frames")[0])]
     if shape not in (None, codes.shape) or (None not in sizes and sizes[0] != sizes[1]):
         return "the flat frame differs in size from the frames of the sample: repeat it with their settings"

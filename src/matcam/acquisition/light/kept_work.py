@@ -1,8 +1,8 @@
 """Cache on disk of results from the frames of a capture, so that an interrupted computation resumes.
 
 The key of a file contains the frames (name, size, time of change, first and last 64 KiB of each), the settings, and the
-version of the package. Only complete files are used (core/sealed.py). A successful computation removes its files, and the next
-removes files older than two weeks.
+version of the package. Only complete files are used (core/sealed.py). A successful computation removes its files, and files of
+other computations that are older than two weeks.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class KeptWork:
     _files: set[Path] = field(default_factory=set)
 
     def store(self, description: str, make: Callable[[], dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
-        """Return the arrays for a description from disk, or compute and store them.
+        """Load the arrays for a description from disk, or compute and store them.
 
         Args:
             description: text that contains all dependencies of the arrays.

@@ -159,7 +159,7 @@ def _width(noise: float, unit: float) -> float:
 def _log_share(top: TopCodes, width: float, noise: float, gain: float) -> float:
     """Compute log10 of 1 - exp(-z w / sigma), the factor of the bound for each pixel beyond the first.
 
-    It is 0 if sigma is unknown or negligible, or if the codes are near dark. width: w, DN.
+    It is 0 if sigma is unknown or negligible, or if the codes are near dark. `width` is w, DN.
     """
     own = top.gain if math.isfinite(top.gain) else gain
     sigma = math.sqrt(max(own * top.height, 0.0)) if math.isfinite(own) else 0.0
@@ -169,7 +169,7 @@ def _log_share(top: TopCodes, width: float, noise: float, gain: float) -> float:
 
 
 def _least_gain(light: np.ndarray, below: float, step: int, noise: float) -> float:
-    """Compute a lower bound of photon noise variance over light, DN; NaN if too few pixels are lit.
+    """Compute a lower bound of the ratio of photon noise variance to light, DN; NaN if too few pixels are lit.
 
     Second differences in both directions have 36 times a pixel's variance and vanish for light that is quadratic in
     position. Structure only increases them, so the smallest value among bins of brightness is a lower bound in frames

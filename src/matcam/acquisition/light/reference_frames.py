@@ -24,7 +24,7 @@ from matcam.files.capture import Capture, Region, Stated
 from matcam.files.capture_frames import CaptureFrame
 
 _UNEVEN = 1.5
-"""Ratio of the light of two quarters of the region above which the region extends beyond the reference.
+"""Ratio of the light of two halves of the region above which the region extends beyond the reference.
 
 A near lamp causes smaller ratios.
 """
@@ -95,9 +95,9 @@ def in_own_frames(
             continue
         why = ""
         if not frame.lamp or frame.lamp not in capture.lamps:
-            why = "no frame of the sample has their lamp"
+            why = "the sample has no frame of this lamp"
         elif frame.exposure not in exposures:
-            why = "no frame of the sample has their exposure"
+            why = "the sample has no frame of this exposure"
         if why:
             wrong.setdefault(why, []).append(frame.file)
             continue
@@ -119,7 +119,8 @@ def in_own_frames(
     remarks += [
         Remark(
             "reference-left-out",
-            f"{capture.folder}: {why}: {some_of(files, 3)}; correct or repeat these omitted images",
+            f"{capture.folder}: {some_of(files, 3)} {'were' if len(files) > 1 else 'was'} omitted, because {why}: correct "
+            "frames.csv, or repeat the exposure",
         )
         for why, files in wrong.items()
     ]
@@ -188,7 +189,7 @@ def _unseen(lamp: str, channels: int) -> SeenReference:
 
 
 def _uneven(capture: Capture, frame: CaptureFrame, light: np.ndarray, region: Region) -> list[Remark]:
-    """Check whether the light varies over the region by more than that of a near lamp on one patch."""
+    """Report light that varies over the region by more than that of a near lamp on one patch."""
     half = light.shape[0] // 2, light.shape[1] // 2
     parts = [light[: half[0]], light[half[0] :], light[:, : half[1]], light[:, half[1] :]]
     levels = [float(part.mean()) for part in parts if part.size]
@@ -196,7 +197,5 @@ def _uneven(capture: Capture, frame: CaptureFrame, light: np.ndarray, region: Re
     chance = 10 * float(light.std()) / np.sqrt(light.size / 2)
     if high < _UNEVEN * max(low, 0.0) or high - low < chance:
         return []
-    text = (
-        f"{capture.folder / frame.file}: one half of reference.region_px has {low:.0f} DN, and the other {high:.0f} DN"
-    )
+    text = f"{capture.folder / frame.file}: the halves of reference.region_px have mean codes from {low:.0f} to {high:.0f} DN"
     return [Remark("reference-uneven", f"{text}: check that {list(region)} lies within the reference")]

@@ -61,7 +61,7 @@ class PatchLight(NamedTuple):
         covariance: covariance of ln gain, (pictures, pictures).
         units: units of each channel, merged value per radiance under unit irradiance at the sphere's centre, with
             relative standard deviation; None if the reflectance of the patch is unknown.
-        used: whether the patch is usable in each image, (pictures,).
+        used: mask of the images in which the patch is usable, (pictures,).
     """
 
     gain: np.ndarray
@@ -118,8 +118,7 @@ def patch_light(
         gain_std: specified relative scatter of the light of an image.
         exposure_std: relative standard deviation that exposure ratios add to the unit. Default: 0.
         between: standard deviation of the change of light between an image of the patch and one of the sphere,
-            relative.
-            Default: 0, one frame shows both.
+            relative. Default: 0, one frame shows both.
 
     Returns:
         Gains, their covariance, and units; None if the patch is not usable in any image.

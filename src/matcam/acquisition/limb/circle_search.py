@@ -1,4 +1,4 @@
-"""Search for the limb of a sphere without initial values: the normals of two edges of a circle meet in its centre."""
+"""Search for the limb of a sphere without initial values: the normals of two edges of a circle meet at its centre."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def find_circles(values: np.ndarray, std: np.ndarray, *, bright_inside: bool, mo
         values: linear radiance (height, width); NaN for missing values.
         std: standard deviation of `values`.
         bright_inside: True for a lit sphere, False for a dark sphere in front of a bright field.
-        mosaic: whether neighbouring pixels have different colours.
+        mosaic: True if neighbouring pixels have different colours.
 
     Returns:
         Circles in px of the image, with edges along at least 0.15 of their circumference.

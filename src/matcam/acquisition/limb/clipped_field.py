@@ -35,7 +35,7 @@ def field_is_clipped(codes: np.ndarray, saturation: float) -> bool:
 
 
 def hidden_by_clipping(path: Path, sigma: float) -> tuple[float, Remark]:
-    """Compute the apparent shrinkage of the sample by a clipped field, px.
+    """Compute the apparent shrinkage of the sample by a clipped field, px, and build a remark.
 
     The blurred edge of a field B has the value B / 2 at the true edge. If it is clipped at C, the edge appears where the
     value is C / 2. This is a distance s z inside the true edge, where s is the standard deviation of the blur of lens and

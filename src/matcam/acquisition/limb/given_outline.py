@@ -18,14 +18,14 @@ _FEWEST = 100
 """Smallest number of pixels of a sphere in a mask."""
 _ROUND = 0.02
 """Relative difference of the radii by area and by second moments above which a mask is not a disc: 1 % for an ellipse
-whose axes differ by 28 %, 6 % for a square.
+whose axes differ by 22 %, 2.3 % for a square.
 """
 
 
 def given_outline(
     capture: Capture, sighting: Sighting, sigma: float, shape: tuple[int, int] | None = None
 ) -> Outline | None:
-    """Return the outline of a sphere from a specified circle, or else from a mask; None without both.
+    """Determine the outline of a sphere from a specified circle, or else from a mask; None: neither is specified.
 
     Args:
         capture: capture of a sphere.
@@ -90,14 +90,14 @@ def mask_outline(
     area = int(sphere.sum())
     if area < _FEWEST or (border != border[0]).any():
         raise FitError(
-            f"{path}: shows no disc inside the frame: give an image with one value on the whole sphere and another around it"
+            f"{path}: the mask shows no disc inside the frame: give an image with one value on the sphere and another around it"
         )
     rows, columns = np.nonzero(sphere)
     row, column, radius = float(rows.mean()), float(columns.mean()), float(np.sqrt(area / np.pi))
     by_moments = float(np.sqrt(2 * (rows.var() + columns.var())))  # the variance of a disc along a line is radius^2 / 4
     if abs(by_moments / radius - 1) > _ROUND:
         raise FitError(
-            f"{path}: shows no disc, because its area indicates a radius of {radius:.1f} px, and its second moments "
+            f"{path}: the mask shows no disc, because its area indicates a radius of {radius:.1f} px, and its second moments "
             f"{by_moments:.1f} px: exclude the stand from the mask"
         )
     return _outline(row, column, radius, np.array([std / 2, std / 2, std]), sighting, sigma)

@@ -75,7 +75,7 @@ def straight_outline(
     if left < _ABOUT or right > width - 1 - _ABOUT or right - left < 4 * _ABOUT:
         raise FitError(
             f"outline: the dark stripe of columns {left + origin[1]:.0f} to {right + origin[1]:.0f} must be "
-            f"{4 * _ABOUT} px wide or more, with {_ABOUT} px of the field on either side"
+            f"{4 * _ABOUT} px wide or more, with {_ABOUT} px of the field on either side: enlarge the field or the region"
         )
     borders = np.linspace(0, height, min(_BLOCKS, max(height // 4, 1)) + 1).round().astype(int)
     middle, edges = [], []
@@ -115,7 +115,7 @@ def _levelled(codes: np.ndarray, channel: np.ndarray) -> np.ndarray:
 
 
 def _edge(levels: np.ndarray, start: float, side: int) -> float:
-    """Measure the position of an edge in a block of rows, px; side: -1 if the right side is dark, otherwise 1."""
+    """Measure the position of an edge in a block of rows, px. side: -1 if the right side is dark, otherwise 1."""
     first = int(np.floor(start)) - _ABOUT
     columns = np.arange(max(first, 0), min(first + 2 * _ABOUT + 2, levels.shape[1]))
     profile = levels[:, columns].mean(axis=0)

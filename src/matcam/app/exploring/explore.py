@@ -1,4 +1,4 @@
-"""View of materials: slices, a sphere under a lamp, the Fresnel term, and comparison with another material."""
+"""View of materials: slices, a sphere under a lamp, the Fresnel term, and the comparison of two materials."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class ExploreView:
     Args:
         document: the page's document.
         downloads: registry of files to save.
-        complain: function that shows one line.
+        complain: function that shows a message of one line.
         files: files that the user opened on the command line.
     """
 
@@ -237,7 +237,7 @@ class ExploreView:
             self._chosen[0].value = str(first)
 
     def _dropped(self, path: Path) -> None:
-        """List a file after its first material has been read; an unreadable file only produces a message."""
+        """List a file after its first material has been read. An unreadable file only produces a message."""
 
         def read() -> tuple[list[Openable], OpenedTable | None]:
             entries = entries_of(path)
@@ -319,7 +319,7 @@ class ExploreView:
             sphere.show(light, name, found["exposure"])
 
     def _indices(self, name: str) -> tuple[float, float]:
-        """Return tabulated n and k of a metal in the chosen channel, no unit."""
+        """Look up n and k of a metal in the chosen channel, no unit."""
         from matcam.core.grid import CHANNEL_WAVELENGTHS
         from matcam.material.optical_constants import metal
 
@@ -367,7 +367,6 @@ class _SpherePlot:
         self._drawn = self.plot.image_rgba("image", x=-1, y=-1, dw=2, dh=2, source=self._source, visible=False)
 
     def show(self, light: np.ndarray | None, name: str, exposure: float) -> None:
-        """Show a radiance; None: an empty plot."""
         if light is not None:
             self._source.data = {"image": [on_screen(light, exposure)]}
         on_black(self.plot, self._drawn, shown=light is not None)
@@ -375,7 +374,7 @@ class _SpherePlot:
 
 
 def _chosen_table(table: OpenedTable, which: int) -> Any:
-    """Select the recorded (which = 0) or the corrected table; the other one if that table is missing."""
+    """Select the recorded (which = 0) or the corrected table. If it is missing, select the other table."""
     return table.best if which or table.recorded is None else table.recorded
 
 

@@ -27,8 +27,8 @@ def slice_of(table: OpenedTable, theta_d: float, channel: int) -> dict[str, np.n
         channel: index of the channel.
 
     Returns:
-        `theta_h` in degrees; `recorded`, `corrected`, `low`, `high` (corrected less and plus its std), 1/sr;
-        `supported` and `unsupported` corrected values. NaN for missing values.
+        `theta_h`, degrees; `recorded` and `corrected`, 1/sr; `low` and `high`, the corrected values minus and plus their
+        standard deviations, 1/sr; `supported` and `unsupported` corrected values, 1/sr. Missing values are NaN.
     """
     from matcam.core.grid import merl_grid, sampling_of
 
@@ -78,7 +78,7 @@ def range_of(curves: dict[str, np.ndarray]) -> tuple[float, float]:
 def sphere_of(data: xr.DataArray, lamp: float, azimuth: float, size: int = SIDE) -> np.ndarray:
     """Compute the radiance of a sphere, (size, size, channel), 1/sr.
 
-    data: table of the material. lamp: angle between lamp and camera, rad. azimuth: azimuth of the lamp, rad.
+    `data` is the table of the material, `lamp` the angle between lamp and camera, and `azimuth` that of the lamp, rad.
     """
     from matcam.figures.spheres import table_sphere
 
@@ -108,8 +108,8 @@ def fresnel_of(table: OpenedTable, channel: int) -> dict[str, np.ndarray]:
     Each curve has the mean 1 over 10 to 45 degrees.
 
     Returns:
-        `theta_d` in degrees; `recorded`, `corrected`; `low`, `high`: corrected less and plus its std, for a result of
-        `matcam fresnel` only.
+        `theta_d`, degrees; `recorded` and `corrected`; `low` and `high`, the corrected values minus and plus their
+        standard deviations, which are NaN unless the table is a result of `matcam fresnel`.
     """
     from matcam.inverse.peak_curve import peak_curve
 
@@ -134,7 +134,7 @@ def fresnel_of(table: OpenedTable, channel: int) -> dict[str, np.ndarray]:
 
 
 def as_csv(columns: dict[str, np.ndarray], first: str) -> bytes:
-    """Format columns as CSV, as the commands do. first: the coordinate."""
+    """Format columns as CSV, as the commands do. first: name of the coordinate."""
     from matcam.core.io import write_columns
 
     data = xr.Dataset(

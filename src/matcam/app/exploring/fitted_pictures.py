@@ -48,7 +48,7 @@ class FittedPicture:
 
 
 def fitted_pictures(name: str, data: xr.Dataset) -> list[FittedPicture]:
-    """Return the images in the file of a reconstruction; empty for others.
+    """Read the images in the file of a reconstruction. The list is empty for any other file.
 
     Args:
         name: name of the file, for messages.
@@ -92,7 +92,7 @@ def opened_captures(paths: Sequence[Path]) -> tuple[list[Capture], list[str]]:
     """Read the captures among the opened folders, without decoding images.
 
     Returns:
-        Captures, and messages about the captures that cannot be read.
+        The captures, and messages about captures that cannot be read.
     """
     found, failures = [], []
     for path in paths:
@@ -116,7 +116,7 @@ class Shot:
         """Read the part of the photograph about an outline.
 
         Returns:
-            Image, subsampled by `drawn_values`, and its left, top, width and height, px.
+            The image, subsampled by `drawn_values`, and its left, top, width and height, px.
 
         Raises:
             FileFormatError: the photograph is missing, damaged, or too small for the outline.

@@ -31,7 +31,7 @@ class OpenedTable:
         corrected: corrected table of the same shape, 1/sr; None: missing.
         std: standard deviation of `corrected`, 1/sr; None: unknown.
         supported: mask of supported entries of `corrected`; None: unknown.
-        record: record of a run; {}: not from a run.
+        record: record of the material in a run; {}: the material is not from a run.
         curve: Fresnel term over theta_d, from `matcam fresnel`; None: missing.
         pictures: images of a reconstruction, with outlines, highlights and windows.
     """
@@ -47,7 +47,7 @@ class OpenedTable:
 
     @property
     def best(self) -> xr.DataArray | None:
-        """Return the corrected table, or the recorded table if it is missing."""
+        """Corrected table, or the recorded table if the corrected table is missing."""
         return self.recorded if self.corrected is None else self.corrected
 
 
@@ -65,7 +65,7 @@ class Openable:
 
 
 def entries_of(path: Path) -> list[Openable]:
-    """List the materials of a path; only their records are read.
+    """List the materials of a path, of which only the records are read.
 
     Args:
         path: file, folder or Zarr store of a run, or folder of a capture, which may contain results.
@@ -165,7 +165,7 @@ def _record(path: Path) -> dict[str, Any]:
 
 
 def _label(name: str, record: dict[str, Any]) -> str:
-    """Return the name of a material with a short summary of its result in a run."""
+    """Format the name of a material with a short summary of its result in a run."""
     fit = record.get("fit")
     params = (
         fit.get("params") if isinstance(fit, dict) else record.get("parameters")
@@ -195,6 +195,6 @@ def _rows(store: Path) -> list[Openable]:
 
 
 def parameters(table: OpenedTable) -> str:
-    """Return the fit of a material as JSON; "" if there is no fit."""
+    """Format the fit of a material as JSON. The result is "" if there is no fit."""
     fit = table.record.get("fit")
     return json.dumps(fit, indent=2) if isinstance(fit, dict) else ""

@@ -20,7 +20,7 @@ from matcam.core.errors import MatcamError
 from matcam.figures.style import ORANGE, SKY, VERMILION
 from matcam.files.capture import Capture
 
-_DECADES = 1e-3  # share of the peak of a window: the smallest radiance that differs from black
+_DECADES = 1e-3  # smallest radiance that differs from black, as a share of the peak of a window: three decades
 _RESIDUAL = 5.0  # limit of the colour scale of the residual, standard deviations
 
 
@@ -29,7 +29,7 @@ class PhotographsPanel:
 
     Args:
         work: queue for slow jobs.
-        complain: function that shows one line.
+        complain: function that shows a message of one line.
     """
 
     def __init__(self, work: Newest, complain: Any):

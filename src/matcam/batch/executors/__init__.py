@@ -13,8 +13,7 @@ _ONE_CORE = {**ONE_BLAS_THREAD, "NPROC": "1"}  # NPROC is the size of the pools 
 """Environment variables for the BLAS of NumPy and XLA, which read them on import."""
 _KEPT_MEMORY = {
     "MALLOC_ARENA_MAX": "1",
-    # a worker reuses freed memory for its next table, because the zeroing of new pages by the system takes a tenth of the
-    # time of a worker
+    # a worker reuses freed memory for its next table, because the system would zero new pages, which is slow
     "MALLOC_MMAP_THRESHOLD_": str(1 << 30),
     "MALLOC_TRIM_THRESHOLD_": str(1 << 32),
 }
@@ -36,9 +35,10 @@ class Executor(ABC):
 
 
 def one_core_environment() -> dict[str, str]:
-    """Return environment variables that restrict a new process to one core.
+    """List the environment variables that restrict a new process to one core.
 
-    Settings of the user for XLA and memory are kept. Parallel workers must not each start a thread for every core.
+    Settings of the user for XLA and memory are kept. Without this restriction, each parallel worker would start a thread
+    for every core.
     """
     # workers compute on their cores; if the user selected a GPU, the first worker must not allocate all of it
     platforms = os.environ.get(_PLATFORMS, "cpu")

@@ -2,7 +2,7 @@
 
 A task of a lost worker is given to another worker. If three workers are lost with the same file, that file has failed.
 
-Messages of Dask are pickles: access to a scheduler or a worker permits running code as the user who started it. Local
+Messages of Dask are pickles: anyone with access to a scheduler or a worker can run code as the user who started it. Local
 workers listen on this machine alone; an address tls://... uses the certificates of Dask's configuration
 (docs/batch.md).
 
@@ -35,13 +35,13 @@ from matcam.core.memory import free_for_the_next
 from matcam.core.readers.names import is_file
 from matcam.core.workspace import Workspace
 
-_PATIENCE = 10.0  # seconds for a scheduler to answer
+_PATIENCE = 10.0  # time limit for the answer of a scheduler, s
 _OPEN = "MATCAM_OPEN_NETWORK"
 _LOCAL = re.compile(r"local:([1-9][0-9]{0,3})")
 
 
 class ClusterError(MatcamError):
-    """Failure to reach a cluster, or a cluster that must not be used."""
+    """Cluster that cannot be reached, or that must not be used."""
 
 
 @dataclass(frozen=True)
@@ -116,7 +116,7 @@ class ClusterExecutor(Executor):
                 future.release()
 
     def _client(self, stack: ExitStack) -> Any:
-        """Connect to the cluster, which ends with the stack if it is local."""
+        """Connect to the cluster. A local cluster ends with the stack."""
         from distributed import Client, LocalCluster
 
         local = _LOCAL.fullmatch(self.address)
@@ -157,7 +157,7 @@ def _is_loopback(host: str) -> bool:
 
 
 def versions() -> dict[str, str]:
-    """Return the versions that must be the same on all machines, by name."""
+    """List the versions that must be the same on all machines, by name."""
     found = {"python": platform.python_version().rpartition(".")[0]}
     # packages whose versions affect results, or the serialisation of jobs
     for name in ("matcam", "jax", "jaxlib", "numpy", "scipy", "xarray", "distributed"):
@@ -215,13 +215,13 @@ def _worker_report(path: str) -> dict[str, Any]:
 
 
 def _with_absolute_paths(job: Job) -> Job:
-    """Return the job with absolute paths, which are valid in any working folder."""
+    """Replace the paths of a job by absolute paths, which are valid in any working folder."""
     row = job.row and job.row._replace(store=job.row.store.absolute())
     return replace(job, source=job.source.absolute(), output=job.output.absolute(), row=row)
 
 
 def _attempt_on_worker(job: Job) -> Outcome:
-    """Run a job on a worker, which may have started after the others were checked."""
+    """Run a job on a worker, which may have started after the check of the workers."""
     use_compilation_cache()
     try:
         return attempt(job, Workspace.user())

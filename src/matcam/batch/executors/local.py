@@ -1,7 +1,7 @@
 """Executor on this machine: processes of one core each.
 
 Each worker process has its own pipe, so that a worker that is killed during a message does not affect others, and its
-job is known. The workers of `pebble.ProcessPool` share a pipe, so that some kills break or block the whole pool.
+job is known. The workers of `pebble.ProcessPool` share a pipe, so that some kills break or block the entire pool.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ from matcam.core.memory import free_for_the_next
 _SPAWN = multiprocessing.get_context("spawn")
 _READY = "ready"
 _STARTS = 4  # number of workers that may die in succession before they are ready
-_START_LIMIT = 300.0  # seconds for the imports of a worker
-_PATIENCE = 10.0  # seconds for a worker to remove its temporary files
+_START_LIMIT = 300.0  # time limit for the imports of a worker, s
+_PATIENCE = 10.0  # time limit for a worker to remove its temporary files, s
 
 
 class WorkerError(MatcamError):
@@ -84,7 +84,7 @@ class ProcessExecutor(Executor):
                 worker.end()
 
     def _next_events(self, workers: list[_Worker]) -> list[_Worker]:
-        """Wait for messages or deaths of workers; kill those whose job exceeds the time limit."""
+        """Wait for messages or ends of workers, and kill workers whose job exceeds the time limit."""
         limits = {worker: self._limit_of(worker) for worker in workers}
         ends = [worker.started + limit for worker, limit in limits.items() if limit is not None]
         ready = connection.wait(
@@ -97,7 +97,7 @@ class ProcessExecutor(Executor):
         return [worker for worker in workers if worker.pipe in ready]
 
     def _limit_of(self, worker: _Worker) -> float | None:
-        """Return the time limit for the next message of a worker, s; None: the worker is idle, or jobs have no limit."""
+        """Select the time limit for the next message of a worker, s. None: the worker is idle, or jobs have no limit."""
         return _START_LIMIT if not worker.ready else self.time_limit if worker.job is not None else None
 
 
@@ -114,13 +114,13 @@ class _Worker:
         self._why_killed = ""
 
     def send(self, job: Job | None) -> None:
-        """Send a job to the worker; None ends the worker."""
+        """Send a job to the worker. None ends the worker."""
         self.job, self.started = job, time.monotonic()
         with contextlib.suppress(OSError):  # it has died, and the end of its pipe reports it
             self.pipe.send(job)
 
     def receive(self) -> Any:
-        """Receive a message of the worker; None if the worker has ended."""
+        """Receive a message of the worker. The result is None if the worker has ended."""
         try:
             return self.pipe.recv()
         except (EOFError, OSError):
@@ -128,12 +128,12 @@ class _Worker:
             return None
 
     def kill(self, reason: str) -> None:
-        """Kill the process; its pipe reports the end."""
+        """Kill the process. Its pipe then reports the end."""
         self._why_killed = reason
         self.process.kill()
 
     def end(self) -> None:
-        """End the process, which removes its temporary files first if it can."""
+        """End the process, if possible after it has removed its temporary files."""
         self.process.terminate()
         self.process.join(_PATIENCE)
         if self.process.is_alive():
@@ -142,7 +142,6 @@ class _Worker:
         self.pipe.close()
 
     def death(self) -> str:
-        """Describe the end of the process: signal or exit code."""
         code = self.process.exitcode
         if self._why_killed:
             return self._why_killed
@@ -154,7 +153,6 @@ class _Worker:
 
 @contextlib.contextmanager
 def _environment(variables: dict[str, str]) -> Iterator[None]:
-    """Set environment variables for processes that are started in the block."""
     before = {name: os.environ.get(name) for name in variables}
     os.environ.update(variables)
     try:
@@ -168,7 +166,6 @@ def _environment(variables: dict[str, str]) -> Iterator[None]:
 
 
 def _serve(pipe: connection.Connection) -> None:
-    """Run jobs in a worker until there are no more."""
     # Ctrl-C reaches the parent, too, which then ends its workers. Windows ends a process without a signal: there
     # the sweep of the next run removes the temporary files of an ended worker.
     signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -133,7 +133,7 @@ class Calibration(Summarised):
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the result as a JSON object, which `matcam calibrate --json` prints.
+        """Convert the result to the JSON object of `matcam calibrate --json`.
 
         Returns:
             The fit of every channel, images, failures, and the text of each remark.
@@ -170,7 +170,7 @@ def calibrate(
     Images that cannot be used are skipped, and listed in `failed`.
 
     Args:
-        pictures: files (8 or 16 bit TIFF, PNG, JPEG; OpenEXR; camera raw), arrays (height, width[, 3]) of linear values,
+        pictures: files (8- or 16-bit TIFF, PNG, JPEG; OpenEXR; camera raw), arrays (height, width[, 3]) of linear values,
             `Photograph`s, or `LinearImage`s of one colour each. All must be taken with one camera.
         samples: measurements of gratings, stars and dots. Default: none.
         chart: description of the chart in the images, or its file, which `matcam chart` writes. With a chart, gratings, stars
@@ -179,7 +179,7 @@ def calibrate(
             veiling glare), "diffraction", "defocus" (diffraction and defocus), "measured" (mean MTF of the edges,
             divided by that of the pixel). Default: "gaussian".
         half_width: half the side of the sensitive area of a pixel, in (0, 0.5] px. None: it is fitted together with a
-            Gaussian core, which requires many edges, and fails if either is not determined to 10 %. Default: 0.5.
+            Gaussian core. This fit requires many edges, and fails if either is not determined to 10 %. Default: 0.5.
         wavelength: wavelength of the light, m, one value or a mapping by channel. It is required by "diffraction" and
             "defocus". With `half_width=None`, diffraction is included if a wavelength is given. Default: None.
         pixel_pitch: pixel pitch, m; required with `wavelength`. Default: None.
@@ -216,7 +216,7 @@ def calibrate(
     if half_width is not None:
         checks.scalar("half_width", checks.within("half_width", half_width, 0, 0.5, "px", open_low=True))
     elif model != "gaussian":
-        raise ArgumentError(f"half_width can be fitted with the gaussian model only, not with {model}")
+        raise ArgumentError(f"half_width can be fitted with the gaussian model only, not with {model}: give half_width")
     for name in () if channels is None else channels:
         checks.choice("channel", name, CHANNELS)
     if cfa is not None:
@@ -256,7 +256,6 @@ def calibrate(
 
 
 def _lateral_colours(fits: Mapping[str, CameraFit], shape: tuple[int, int]) -> dict[str, LateralColour]:
-    """Compute the lateral colour of red and blue relative to green, for colours with enough edges."""
     green = fits[_REFERENCE].edges if _REFERENCE in fits else None
     if green is None:
         return {}
@@ -286,7 +285,7 @@ class _Pictures:
     cameras: dict[str, str] = field(default_factory=dict)
 
     def add(self, picture: Any, name: str, f_number: float | None, measure: Callable[..., Any]) -> None:
-        """Measure an image, or record its error. `name`: name of an image that is not a file."""
+        """Measure an image, or record its error. `name` is used for an image without a name of its own."""
         if isinstance(picture, str | Path):
             name = str(picture)
         elif isinstance(picture, LinearImage):
@@ -330,7 +329,6 @@ class _Pictures:
             )
 
     def provenance(self, summary: str) -> Provenance:
-        """Create the provenance of a profile from these images."""
         return Provenance(
             source=f"{len(self.used)} images ({', '.join(self.used)}), {summary}",
             created=datetime.datetime.now(datetime.UTC).date().isoformat(),
@@ -340,10 +338,12 @@ class _Pictures:
 
 
 def _checked_f_numbers(f_numbers: Any, count: int) -> list[float | None]:
-    """List one f-number for each image; None selects the f-number in the file."""
+    """Check the f-numbers and list one for each image. None selects the f-number in the file."""
     if f_numbers is None:
         return [None] * count
     numbers = np.asarray(checks.within("f_numbers", f_numbers, 0.3, 200.0), dtype=float)
     if numbers.shape not in ((), (count,)):
-        raise ArgumentError(f"f_numbers must be one value, or one for each of the {count} images, got {numbers.size}")
+        raise ArgumentError(
+            f"f_numbers must be one value, or one for each image (images: {count}, values: {numbers.size})"
+        )
     return list(np.broadcast_to(numbers, count).tolist())

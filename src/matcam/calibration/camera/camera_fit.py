@@ -37,13 +37,13 @@ from matcam.core.remark import Remark
 from matcam.core.results.summary import Quantity, Summarised, Summary, correlations, parameters
 
 _LARGEST_STD = 0.1
-"""Largest relative standard deviation of lens width and pixel half width if both are fitted."""
+"""Largest relative standard deviation of lens width and pixel half width if both are fitted (no unit)."""
 _PIXEL = 0.3
-"""Smallest MTF of the pixel by which a measured curve is divided."""
+"""Smallest MTF of the pixel by which a measured curve is divided. Smaller divisors amplify the noise."""
 _STD = 0.03
 """Standard deviation of the lens MTF above which a measured curve is extrapolated."""
 _END = 1e-6
-"""MTF at which the extrapolation of a measured curve ends."""
+"""MTF at which the extrapolation of a measured curve ends. It is far below the noise."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class CameraRequest:
     pixel_pitch: float | None
 
     def lens_at(self, channel: str, f_numbers: list[float | None]) -> LensAt:
-        """Return the lens model to be fitted, as a function of the f-number.
+        """Create the lens model to be fitted, as a function of the f-number.
 
         An ArgumentError is raised if an argument that the model requires is missing.
         """
@@ -137,9 +137,9 @@ class CameraFit(Summarised):
 
     @property
     def consistent(self) -> bool:
-        """Check that the camera explains the mean MTF of the edges.
+        """True if the camera explains the mean MTF of the edges.
 
-        The largest difference must not exceed both 0.005 and 4 standard deviations.
+        It is False if the largest difference exceeds both 0.005 and 4 standard deviations.
         """
         return self.curve.consistent
 
@@ -175,7 +175,7 @@ class CameraFit(Summarised):
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the fit as a JSON object, which `matcam calibrate --json` prints.
+        """Convert the fit to its part of the JSON object of `matcam calibrate`.
 
         Returns:
             Parameters by name, their covariance, statistics of the fit, and the mean MTF.
@@ -197,24 +197,24 @@ class CameraFit(Summarised):
         }
 
     def with_provenance(self, provenance: Provenance) -> CameraFit:
-        """Return the fit with the provenance of its camera.
+        """Copy the fit with a provenance of its camera.
 
         Args:
             provenance: source, date and software, for the profile of the camera.
 
         Returns:
-            The same fit with the provenance.
+            The fit, whose camera has the provenance.
         """
         return replace(self, camera=replaced(self.camera, "provenance", provenance))
 
     def with_wider_errors(self, std: float) -> CameraFit:
-        """Return the fit with a larger standard deviation of its first parameter.
+        """Copy the fit with a larger standard deviation of its first parameter.
 
         Args:
             std: standard deviation that is added in quadrature, in the unit of the parameter.
 
         Returns:
-            The same fit; the uncertainty of its camera is also increased.
+            The fit. The uncertainty of its camera is increased as well if it refers to the same parameters.
         """
         covariance = self.covariance.copy()
         covariance[0, 0] += std**2
@@ -307,7 +307,6 @@ def _within_the_pitch(parameters: np.ndarray, covariance: np.ndarray) -> np.ndar
 
 
 def _refuse_unseparated(found: _FittedLens, table: EdgeTable | None) -> None:
-    """Raise FitError if lens or pixel is not determined to 10 %."""
     relative = np.sqrt(np.diag(found.errors)) / np.abs(found.values)
     names = ("the lens width", "the half width of the pixel")
     worst = int(np.argmax(relative[:2]))
@@ -315,15 +314,15 @@ def _refuse_unseparated(found: _FittedLens, table: EdgeTable | None) -> None:
         count = 0 if table is None else table.x.size
         raise FitError(
             f"lens and pixel cannot be separated: {count} edges determine {names[worst]} to {relative[worst]:.0%} "
-            f"({found.values[worst]:.2f} px; at most {_LARGEST_STD:.0%} is accepted): give the fill (half_width, "
-            "--half-width), or more edges of a sharper lens at several known apertures"
+            f"({found.values[worst]:.2f} px; at most {_LARGEST_STD:.0%} is accepted): give half_width, "
+            "or more edges of a sharper lens at several known apertures"
         )
 
 
 def _mean_curve(
     found: _FittedLens, edges: EdgeMeasurements | None, table: EdgeTable | None
 ) -> tuple[MeanCurve, np.ndarray]:
-    """Compute the mean MTF of the edges and of the fitted camera, and the derivative of the latter by ln(blur).
+    """Compute the mean MTF of edges and camera, and the derivative of the latter with respect to ln(blur).
 
     The standard deviation follows from the scatter of the edges.
     """
@@ -347,7 +346,7 @@ def _mean_curve(
 
 @kept_program(returns=tuple[jax.Array, jax.Array])
 def _edge_curves(edges: Any, theta: jax.Array, half: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Evaluate the signed MTF of the camera for each edge, and its derivative by ln(blur), (edges, frequencies) each."""
+    """Evaluate the signed MTF of the camera, and its derivative with respect to ln(blur), both (edges, frequencies)."""
 
     def one(edge: Any) -> tuple[jax.Array, jax.Array]:
         lens, angle = edge
@@ -360,8 +359,8 @@ def _edge_curves(edges: Any, theta: jax.Array, half: jax.Array) -> tuple[jax.Arr
 def _measured_camera(found: _FittedLens, table: EdgeTable, curve: MeanCurve, shift: np.ndarray) -> Camera:
     """Create a camera whose lens has the mean MTF of the edges, divided by that of the pixel.
 
-    Beyond the frequency at which the standard deviation is too large, the curve is extrapolated by the fitted Gaussian. shift:
-    standard deviation of the MTF due to disagreement, fully correlated over the frequencies.
+    Beyond the frequency at which the standard deviation is too large, the curve is extrapolated by the fitted Gaussian.
+    `shift`: standard deviation of the MTF due to disagreement, fully correlated over the frequencies.
     """
     mean, std = curve.mtf, curve.mtf_std
     c, s = np.abs(np.cos(table.angle))[:, None], np.abs(np.sin(table.angle))[:, None]
@@ -417,5 +416,4 @@ def _separated_camera(found: _FittedLens) -> Camera:
 
 
 def _uncertainty(names: tuple[str, ...], covariance: np.ndarray) -> Uncertainty:
-    """Create the uncertainty of named values with a symmetrised covariance."""
     return Uncertainty(names, (covariance + covariance.T) / 2)

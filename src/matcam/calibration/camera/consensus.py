@@ -20,17 +20,17 @@ from matcam.numerics.normal import SIGNIFICANT, robust_std
 FEWEST_EDGES = 8
 """Smallest number of edges for a camera. Fewer edges are not sufficient to verify that they agree."""
 _APART = np.radians(20.0)
-"""Smallest angle between the directions of two edges of a camera, rad."""
+"""Angle that two edges of a camera must enclose at least, rad. Parallel edges determine the MTF in one direction only."""
 _PROCESSED = 0.3
 """Share of sharpened, crushed or saturated edges above which the others are assumed to be processed as well."""
 _LEAST = 0.5
-"""Smallest deviation of ln sigma for which an edge is excluded: variation over the field."""
+"""Smallest deviation of ln sigma for which an edge is excluded. The blur may vary by less over the field."""
 _IMPOSSIBLE = 0.5
 """Negative dark level, relative to the step, beyond which an edge is excluded."""
 
 
 def in_consensus(stacks: Sequence[EdgeStack]) -> list[EdgeStack]:
-    """Mark the edges that do not agree with the others as problems."""
+    """Record a problem for each edge that does not agree with the others."""
     known = np.log(np.concatenate([stack.parametric.values[stack.good, 0] for stack in stacks] or [np.zeros(0)]))
     if not known.size:
         return list(stacks)
@@ -72,7 +72,7 @@ def refuse_too_few(
     if good < FEWEST_EDGES:
         none = f"; none are in {some_of(without)}" if good and without else ""
         raise FitError(
-            f"channel {channel}: {good} good edges are too few for a camera, which requires {FEWEST_EDGES} in two "
+            f"channel {channel}: the number of good edges is {good}, but a camera requires at least {FEWEST_EDGES} in two "
             f"directions{none}: photograph a chart of slanted squares (matcam chart), or measure one edge with matcam edge"
         )
     angle = np.concatenate([stack.angle[stack.good] for stack in stacks])
@@ -80,7 +80,7 @@ def refuse_too_few(
     if off < _APART:
         raise FitError(
             f"channel {channel}: all {good} edges lie within {np.degrees(off):.0f} degrees: a camera requires edges in two "
-            "directions"
+            f"directions at least {np.degrees(_APART):.0f} degrees apart"
         )
 
 
@@ -96,7 +96,7 @@ def widest_angle(angle: np.ndarray) -> float:
 
 
 def disagreement_remarks(disagreeing: Mapping[str, float], channel: str) -> tuple[Remark, ...]:
-    """Describe the targets that were excluded, with one remark for each kind of target.
+    """Create one remark for each kind of target that was excluded.
 
     `disagreeing`: relative difference of the blur by name; a name ends with the kind in brackets.
     """
@@ -117,7 +117,7 @@ def disagreement_remarks(disagreeing: Mapping[str, float], channel: str) -> tupl
 
 
 def _as_share(difference: float) -> str:
-    """Format a relative difference; above 100 % its linear estimate is not valid."""
+    """Format a relative difference. Above 100 %, only a bound is given, because the linear estimate is not valid."""
     return (
         f"{difference:+.0%}"
         if abs(difference) <= 1

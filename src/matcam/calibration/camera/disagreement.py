@@ -27,10 +27,10 @@ more than the second value are contradictory.
 def without_disagreeing(
     measurements: Measurements, fit: Callable[[Measurements], JointFit], channel: str
 ) -> tuple[JointFit, dict[str, float]]:
-    """Fit without the targets that contradict the edges of their chart; list their names and the differences of their blur.
+    """Fit without the targets that contradict the edges of their chart.
 
-    A FitError is raised if measurements contradict one another, and no edges determine which are wrong. `channel`: name
-    for the message.
+    The result contains the fit, and the relative difference of the blur of each excluded group by name. A FitError is raised
+    if measurements contradict one another, and no edges determine which are wrong. `channel`: name for the message.
     """
     groups, replaceable, disagreeing = measurements.groups, measurements.replaceable, dict[str, float]()
     while True:
@@ -46,7 +46,7 @@ def without_disagreeing(
             if name not in candidates:
                 others = [other for other in off if other != name]
                 text = f"the blur of {name} differs by {difference:+.0%} from that of {', '.join(others[:2])}"
-                text += f" and {len(others) - 2} others" if len(others) > 2 else ""
+                text += f" and {len(others) - 2} more" if len(others) > 2 else ""
                 raise FitError(f"contradictory measurements, channel {channel}: {text}; omit the wrong measurements")
             more = {name: difference}
         disagreeing |= more
@@ -75,7 +75,7 @@ def blur_disagreement(
 
 
 def widened_remarks(share: float, channel: str) -> tuple[Remark, ...]:
-    """State that a standard deviation contains the disagreement. `share`: result of `blur_disagreement`."""
+    """Create the remark that the standard deviation of the blur is increased. `share`: result of `blur_disagreement`."""
     if not share:
         return ()
     text = (

@@ -160,7 +160,7 @@ class MeanCurve:
 
     @property
     def consistent(self) -> bool:
-        """Check that the camera explains the curve; see `CameraFit.consistent`."""
+        """True if the camera explains the curve; see `CameraFit.consistent`."""
         misfit, std = self.misfit
         return not (misfit > _MISSED and misfit > _SIGNIFICANT * std)
 
@@ -201,7 +201,7 @@ def measure_picture(
     chart: Chart | None,
     cfa: str | None,
 ) -> tuple[list[Finding], list[Remark]]:
-    """Measure each colour of an image; return the measurements and remarks.
+    """Measure each colour of an image, and collect remarks.
 
     The keywords are arguments of `calibrate`. A FitError is raised if nothing can be measured, or the chart is not found.
     """
@@ -313,7 +313,7 @@ class Evidence:
             empty = (source for stack, source, _ in self._stacks if not stack.good.size)
             refuse_too_few(edges, channel, (*failed, *empty), accept_sharpened=accept_sharpened)
         lost = sum(problem is not None and problem.code == "no-consensus" for e in edges for problem in e.problems)
-        text = f"{channel}: {lost} edges disagree with the others and were excluded"
+        text = f"{channel}: edges that disagree with the others were excluded ({lost})"
         return [Remark("no-consensus", text)] if lost else []
 
     def measurements(self, lens_at: LensAt) -> Measurements:

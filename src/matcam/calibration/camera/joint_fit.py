@@ -87,7 +87,7 @@ class Measurements(NamedTuple):
     replaceable: frozenset[str] = frozenset()
 
     def without(self, names: Collection[str]) -> Measurements:
-        """Set the weight of given groups to 0."""
+        """Set the weight of the named groups to 0."""
         if self.values is None or not names:
             return self
         out = np.array([group in names for group in self.groups[len(self.groups) - len(self.values.mtf) :]])
@@ -152,7 +152,7 @@ class JointFit(NamedTuple):
     def differences(self, groups: Sequence[str], trusted: Collection[str]) -> dict[str, tuple[float, float]]:
         """Compute the relative difference of the blur of each group from the other trusted groups.
 
-        The result contains the difference and its standard deviation by the name of the group.
+        The result maps the name of each group to the difference and its standard deviation.
         `groups`: image and kind of every measurement. `trusted`: names of the groups to compare with.
         """
         names = list(dict.fromkeys(groups))
@@ -262,7 +262,6 @@ def value_measurements(sets: Sequence[tuple[MTFSamples, LensModel]]) -> ValueMea
 def _after_step(
     theta: np.ndarray, edges: EdgeMeasurements | None, step: np.ndarray, response: tuple[np.ndarray, np.ndarray] | None
 ) -> tuple[np.ndarray, EdgeMeasurements | None]:
-    """Apply a step to the common parameters, and the corresponding change to the parameters of each edge."""
     if edges is not None and response is not None:
         edges = edges._replace(linear=edges.linear + response[0] - np.einsum("eij,j->ei", response[1], step))
     return theta + step, edges
@@ -311,7 +310,6 @@ def _value_shares(values: ValueMeasurements, theta: Any, half_width: Any) -> Sha
 
 
 def _inverse(information: np.ndarray) -> np.ndarray:
-    """Invert an information matrix; a FitError is raised if it is singular."""
     if not np.isfinite(information).all() or (np.diag(information) <= 0).any():
         raise FitError(
             "the measurements do not determine the camera: one of its parameters has no effect on them; add targets"
@@ -324,7 +322,6 @@ def _inverse(information: np.ndarray) -> np.ndarray:
 
 
 def _stack_lenses(lenses: Sequence[LensModel]) -> LensModel:
-    """Stack lens models of one class into one model with a leading axis."""
     return jax.tree.map(lambda *a: np.stack([np.asarray(x) for x in a]), *lenses)
 
 

@@ -56,8 +56,8 @@ class Processed(NamedTuple):
 def processed(plane: LinearImage, *, accept: bool) -> Processed:
     """Detect the processing of an image.
 
-    A FitError is raised if the MTF is not that of the lens. `accept`: whether the combined MTF of lens and processing is
-    accepted. Mosaics are assumed to be unprocessed.
+    A FitError is raised if the image was denoised or compressed, unless `accept` is True: its MTF is not that of the lens.
+    Mosaics are assumed to be unprocessed.
     """
     if plane.cfa is not None:
         return Processed((), None)
@@ -76,7 +76,7 @@ def processed(plane: LinearImage, *, accept: bool) -> Processed:
     elif noise.smoothed:
         remark = Remark("demosaiced", f"{noise.correlation}: the image was demosaiced, which blurs it; use camera raw")
     elif noise.tone_curve_suspected:
-        remark = Remark("tone-curve", f"{noise.tone}; specify it with --tone")
+        remark = Remark("tone-curve", f"{noise.tone}: specify the tone curve (--tone)")
     else:
         return Processed((), None)
     return Processed((remark,), noise)

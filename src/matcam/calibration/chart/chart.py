@@ -1,4 +1,4 @@
-"""Charts to photograph: the printed elements with their positions and levels.
+"""Test charts: printed elements with their positions and levels.
 
 Positions and lengths are in mm on the page, with x to the right and y down from its upper left corner. Levels are linear
 reflectances relative to the bare paper, which is 1. At the brightest points of a pattern, the cosine of its phase is 1.
@@ -26,7 +26,7 @@ class Chart:
 
     Attributes:
         page: width and height of the page, mm.
-        fiducials: marks for finding the chart in a photograph; empty, or four or more. One mark has two rings.
+        fiducials: marks for finding the chart in a photograph; empty, or four or more. Exactly one has two rings.
         elements: targets, from upper left to lower right.
         ink: linear level of the fiducials, relative to the paper (no unit).
 
@@ -251,10 +251,19 @@ def _problems(element: Element) -> Iterator[str]:
         if element.profile not in PROFILES:
             yield f"profile must be one of {', '.join(PROFILES)}, got {element.profile!r}"
         if not (element.period > 0 and min(element.size) > 0 and 0 < element.duty < 1):
-            yield "period and size must be positive, and duty must lie in (0, 1)"
+            yield (
+                f"period and size must be positive, and duty must lie in (0, 1), got period {element.period:g}, "
+                f"size {element.size[0]:g} x {element.size[1]:g} and duty {element.duty:g}"
+            )
         if element.profile != "lines" and element.duty != 0.5:
             yield f"duty must be 0.5 for {element.profile}, got {element.duty:g}"
     if isinstance(element, Star) and not (0 <= element.inner < element.outer and element.cycles >= 8):
-        yield "a star needs 0 <= inner < outer radius and at least 8 cycles"
+        yield (
+            "a star needs 0 <= inner < outer radius and at least 8 cycles, "
+            f"got radii {element.inner:g} and {element.outer:g}, and {element.cycles} cycles"
+        )
     if isinstance(element, Dots) and not (0 < 2 * element.radius < element.pitch and element.centres):
-        yield "dots need centres, and 0 < 2 radius < pitch"
+        yield (
+            "dots need centres, and 0 < 2 radius < pitch, "
+            f"got radius {element.radius:g}, pitch {element.pitch:g} and {len(element.centres)} centres"
+        )

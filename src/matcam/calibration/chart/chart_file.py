@@ -54,7 +54,7 @@ def read_chart(path: str | Path) -> Chart:
         FileFormatError: if the file is not the description of a chart; the message contains the file and the field.
 
     Source:
-        docs/targets.md; the format is at the head of this module, its schema in docs/chart-v1.schema.json.
+        docs/targets.md; docs/chart-v1.schema.json is the JSON Schema of the format.
 
     Example:
         >>> import tempfile, pathlib
@@ -89,7 +89,7 @@ def write_chart(path: str | Path, chart: Chart, *, force: bool = False) -> None:
         OutputError: if the file exists and `force` is not set, or it cannot be written.
 
     Source:
-        docs/targets.md; the format is at the head of this module, its schema in docs/chart-v1.schema.json.
+        docs/targets.md; docs/chart-v1.schema.json is the JSON Schema of the format.
 
     Example:
         >>> import tempfile, pathlib
@@ -126,12 +126,12 @@ def is_description_of(path: Path, chart: Chart) -> bool:
 
 
 def description_path(page: str | Path) -> Path:
-    """Return the path of the description of a printed page: "chart.pdf" -> "chart.json"."""
+    """Derive the path of the description from that of the printed page: "chart.pdf" -> "chart.json"."""
     return Path(page).with_suffix(".json")
 
 
 def chart_schema() -> dict[str, Any]:
-    """Return the JSON Schema of the description of a chart."""
+    """Create the JSON Schema of the description of a chart."""
     schema: dict[str, Any] = _Document.model_json_schema()
     return schema
 
@@ -203,7 +203,6 @@ def _with_units(thing: Element | Fiducial) -> dict[str, Any]:
 
 
 def _without_units(document: dict[str, Any]) -> dict[str, Any]:
-    """Rename the fields of an element to those of Python, and convert lists to tuples."""
     return {_NAMES[name]: _tuples(value) for name, value in document.items()}
 
 

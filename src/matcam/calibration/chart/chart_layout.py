@@ -15,7 +15,7 @@ PAGES = {"a4": (297.0, 210.0), "a3": (420.0, 297.0), "letter": (279.4, 215.9)}
 """Width and height of the named pages in landscape orientation, mm."""
 
 _INK = 0.05
-"""Linear level of fiducials and dots."""
+"""Linear level of fiducials and dots (no unit)."""
 _DARK, _SINE_BRIGHT = 0.25, 0.95
 """Linear levels of squares, gratings and stars: dark; bright of a sine, which must not exceed the paper."""
 _SLANT = math.radians(5)
@@ -34,7 +34,7 @@ _GAP = 1.4
 _SPACING = 1.6
 """Distance between the centres of neighbouring squares, relative to their side."""
 _PITCH = 14.0
-"""Distance of dots, px. Half way between two dots, their blur is negligible."""
+"""Distance between neighbouring dots, px. Halfway between two dots, their blur is negligible."""
 _STEPS = (0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.6, 0.75, 0.9)
 """Linear levels of the tone patches."""
 _CYCLES = (144, 108, 72, 48, 36, 24)
@@ -57,8 +57,7 @@ def design_chart(
             Default: squares, bars, star and dots.
         page: width and height, mm, or "a4", "a3", "letter" (landscape). Larger pages contain more elements. Default: "a4".
         pixels_across: width of the page in the intended images, px. If this width is wrong, the targets are too fine or
-            too coarse.
-            Default: 3000.
+            too coarse. Default: 3000.
 
     Returns:
         The chart, to be printed with `matcam chart` and written with `write_chart`.
@@ -109,7 +108,6 @@ def design_chart(
 
 
 def _shorter_side(columns: int, count: int, room: Point) -> float:
-    """Compute the shorter side of a panel in a layout with a number of columns, mm."""
     rows = math.ceil(count / columns)
     return min(room[0] / columns, room[1] / rows)
 
@@ -138,9 +136,11 @@ def _patches(left: float, top: float, width: float, height: float) -> Iterator[P
 def _positions(corner: Point, size: Point, pitch: float) -> Iterator[Point]:
     """Yield the centres of the cells of a regular grid that fills the panel and is centred in it."""
     columns, rows = (int(side / pitch + 1e-9) for side in size)
-    # More than 200,000 elements of a panel are assumed to be a mistake.
+    # More than 200,000 elements in a panel are assumed to be a mistake.
     if columns * rows > 200_000:
-        raise ArgumentError(f"{columns * rows} elements on one page are too many: reduce pixels_across")
+        raise ArgumentError(
+            f"a panel has {columns * rows} elements, but at most 200,000 are possible: reduce pixels_across"
+        )
     first = [c + (s - n * pitch) / 2 + pitch / 2 for c, s, n in zip(corner, size, (columns, rows), strict=True)]
     for row in range(rows):
         for column in range(columns):
@@ -148,8 +148,9 @@ def _positions(corner: Point, size: Point, pitch: float) -> Iterator[Point]:
 
 
 def _fitting_side(size: Point, usual: float, pitch: float, least: int) -> float:
-    """Compute the side of the squares in a panel: `usual` if `least` squares fit, else a side with which two fit.
+    """Compute the side of the squares in a panel.
 
+    The side is `usual` if `least` squares fit, else one with which two fit.
     `pitch`: distance between neighbours relative to the side.
     """
     if math.prod(int(side / (pitch * usual)) for side in size) >= least:

@@ -48,7 +48,7 @@ class Mark(NamedTuple):
 
 
 def balanced(mosaic: ArrayLike) -> FloatArray:
-    """Scale the four planes of a mosaic, of any real type, to the same bright level."""
+    """Scale the four planes of a mosaic to the same bright level."""
     even = np.array(mosaic, dtype=np.float64)
     for row, column in itertools.product((0, 1), repeat=2):
         plane = even[row::2, column::2]
@@ -57,9 +57,9 @@ def balanced(mosaic: ArrayLike) -> FloatArray:
 
 
 def find_marks(picture: FloatArray, enough: int) -> list[Mark]:
-    """Find all concentric dark discs and rings in an image (height, width), NaN for missing pixels.
+    """Find all concentric dark discs and rings in an image.
 
-    The search stops at `enough` marks if one of them has two rings.
+    `picture`: (height, width), NaN for missing pixels. The search stops at `enough` marks if one of them has two rings.
     """
     smooth = smoothed(picture)
     # The level of the paper is the local maximum of means, which noise hardly affects.
@@ -80,7 +80,6 @@ def find_marks(picture: FloatArray, enough: int) -> list[Mark]:
 
 
 def _marks_below(share: FloatArray, dark: float) -> list[Mark]:
-    """Find the discs and rings that are darker than a given share of the paper level."""
     label, count = ndimage.label(share < dark, np.ones((3, 3)))
     if not count:
         return []
@@ -127,15 +126,14 @@ class _Views(NamedTuple):
     off: FloatArray
 
     def subset(self, which: np.ndarray) -> _Views:
-        """Select a subset of the views."""
         return _Views(*(column[which] for column in self))
 
 
 def match_marks(chart: Chart, marks: list[Mark], smooth: FloatArray) -> list[tuple[int, int]]:
-    """Find the match with the most marks that agrees best with the image: pairs of indices of fiducial and mark.
+    """Match marks to the fiducials of a chart, as pairs of indices of fiducial and mark.
 
-    The result is empty unless more than four marks agree, or the image agrees with the printed elements. `smooth`: (height,
-    width) image with little noise, without missing pixels.
+    The match explains the most marks, and agrees best with the image. It is empty unless more than four marks agree, or
+    the image agrees with the printed elements. `smooth`: (height, width) image with little noise, without missing pixels.
     """
     similar_marks = _similar_marks(marks)
     positions = np.array([fiducial.centre for fiducial in chart.fiducials])
@@ -177,7 +175,7 @@ def match_marks(chart: Chart, marks: list[Mark], smooth: FloatArray) -> list[tup
 
 
 def _similar_marks(marks: list[Mark]) -> list[int]:
-    """Sort marks by similarity of size to the largest group of similar marks; return their indices."""
+    """Sort the indices of marks by similarity of size to the largest group of similar marks."""
     radii = np.array([mark.radius for mark in marks])
     near = np.array([(np.maximum(radii / r, r / radii) < _SIMILAR_SIZE).sum() for r in radii])
     middle = radii[near == near.max()]
@@ -186,7 +184,7 @@ def _similar_marks(marks: list[Mark]) -> list[int]:
 
 
 def _quads(positions: FloatArray, begin: list[int]) -> np.ndarray:
-    """List quadruples of points in cyclic order (n, 4); the first of each is one of `begin`."""
+    """List quadruples of points in cyclic order, (n, 4). The first point of each is one of `begin`."""
     rows = [(start, *three) for start in begin for three in itertools.combinations(_in_turn(positions, start), 3)]
     return np.array(rows, dtype=int).reshape(-1, 4)
 

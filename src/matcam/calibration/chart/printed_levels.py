@@ -19,7 +19,7 @@ from matcam.core.arrays import FloatArray
 from matcam.core.remark import Remark
 
 _FEWEST = 4
-"""Smallest number of patches."""
+"""Smallest number of patches that determine the printed levels."""
 _CLEAR = 3.0
 """Distance from the border of a patch within which blur affects the level, px."""
 _GRID = 16
@@ -79,7 +79,7 @@ class PrintedLevels:
         return float(np.hypot(0.004, np.median(self.std)))
 
     def of(self, element: Element) -> Element:
-        """Return a target with its printed levels.
+        """Replace the levels of a target by its printed levels.
 
         The levels of a sine are those of the first harmonic of the print; the dark level may then be negative.
         """
@@ -94,7 +94,7 @@ class PrintedLevels:
 
 
 def printed_levels(values: FloatArray, chart: Chart, projection: Projection) -> PrintedLevels | None:
-    """Measure the levels of the patches of a chart, or return None if too few are visible.
+    """Measure the levels of the patches of a chart; None if too few are visible.
 
     `values`: (height, width) linear, NaN for missing data. `projection`: map from the page, mm, to the image, px.
     """
@@ -124,7 +124,6 @@ def _over_paper(values: FloatArray, patch: Patch, projection: Projection) -> tup
     line = np.linspace(-1, 1, _GRID)
 
     def level(u: FloatArray, v: FloatArray) -> tuple[float, float]:
-        """Compute the mean of the pixels and its standard deviation; NaN for too few pixels."""
         position = np.stack([a.ravel() for a in np.meshgrid(u, v)], axis=-1)
         at = np.rint(projection(centre + position[:, :1] * across + position[:, 1:] * along)).astype(int)
         at = np.unique(at, axis=0)

@@ -27,9 +27,9 @@ Projection = Callable[[FloatArray], FloatArray]
 """Map from positions on the page (n, 2), mm, to positions in the image (n, 2), px: a `Registration` or any function."""
 
 FEWEST_POSITIONS = 12
-"""Smallest number of positions for an estimate over the field. That of the distortion has nine parameters."""
+"""Smallest number of positions for an estimate over the field. The model of the distortion has nine parameters."""
 _WORST = 3.0
-"""Largest root mean square residual in an image of up to 1000 px, px. It increases with larger images."""
+"""Largest root mean square residual in an image of up to 1000 px, px. For larger images, it increases with their size."""
 _FEWEST_SIDES = 0.3
 """Smallest share of the side positions that must be found."""
 
@@ -132,15 +132,15 @@ def register_chart(image: ArrayLike | LinearImage, chart: Chart, *, mosaic: bool
     marks = find_marks(picture, len(chart.fiducials))
     if len(marks) < 4:
         raise FitError(
-            f"no chart of this description was found in the image: only {len(marks)} of its {len(chart.fiducials)} fiducials "
-            "are visible, but 4 are needed"
+            f"no chart of this description was found in the image: it shows {len(marks)} of the {len(chart.fiducials)} "
+            "fiducials, but at least 4 are needed; photograph the whole chart"
         )
     smooth = smoothed(picture)
     pairs = match_marks(chart, marks, smooth)
     if not pairs:
         raise FitError(
             f"no chart of this description was found in the image: {len(marks)} fiducials are visible, but not at the "
-            "described positions"
+            "described positions; check that the description belongs to this chart"
         )
     positions = np.array([chart.fiducials[i].centre for i, _ in pairs])
     seen = np.array([marks[j][:2] for _, j in pairs])
@@ -271,7 +271,6 @@ def _project(
 
 
 def _from_middle(points: FloatArray, shape: tuple[int, ...]) -> FloatArray:
-    """Convert pixel positions to positions relative to the centre of the image."""
     return points - (np.array(shape[1::-1]) - 1) / 2
 
 

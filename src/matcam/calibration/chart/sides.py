@@ -16,7 +16,7 @@ _ALONG = np.linspace(-0.32, 0.32, 9)
 _STEP = 0.5
 """Distance of the samples of a profile, px."""
 _LEAST = 0.35
-"""Smallest step of a side relative to the described step. Print and illumination may reduce the step."""
+"""Smallest step of a side relative to the described step (no unit). Print and illumination may reduce the step."""
 
 
 class Sides(NamedTuple):

@@ -57,9 +57,9 @@ TONE_CURVE_UNCERTAINTY = 0.03
 
 
 def clipped_mean(squares: jax.Array, count: jax.Array | int, most: float, rounds: int) -> jax.Array:
-    """Compute the mean of squares that are clipped to a multiple `most` of their mean, by a number of iterations.
+    """Compute the mean of squares that are clipped to `most` times their mean, by `rounds` iterations.
 
-    `squares`: any shape; 0 for those that do not count. `count`: number of the others.
+    `squares`: any shape; 0 for entries that are ignored. `count`: number of the other entries.
     """
     mean = squares.sum() / count
     for _ in range(rounds):
@@ -101,23 +101,23 @@ class FlatNoise(NamedTuple):
 
     @property
     def smoothed(self) -> bool:
-        """Check whether the noise of neighbours is correlated."""
+        """True if the noise of neighbours is correlated."""
         return self.neighbour_ratio < _CORRELATED and 1 - self.neighbour_ratio > SIGNIFICANT * self.neighbour_ratio_std
 
     @property
     def denoised(self) -> bool:
-        """Check whether the noise of more distant pixels is also correlated."""
+        """True if the noise of more distant pixels is also correlated."""
         wide = _WIDE_IN_BLOCKS if self.grid > _GRID else _WIDE
         return self.smoothed and self.wide < wide and self.grid < _BLOCKS_ALONE
 
     @property
     def compressed(self) -> bool:
-        """Check for JPEG blocks."""
+        """True if the noise is correlated and shows JPEG blocks."""
         return self.smoothed and self.grid > _GRID
 
     @property
     def tone_curve_suspected(self) -> bool:
-        """Check whether the noise of dark pixels is larger than that of bright ones, as after a tone curve."""
+        """True if the noise of dark pixels is larger than that of bright ones, as after a tone curve."""
         return not self.smoothed and self.tilt > _TONE_RATIO and self.tilt - 1 > _SURE_TONE * self.tilt_std
 
     @property
@@ -156,7 +156,6 @@ def flat_noise(
         views.append((np.ascontiguousarray(value.T), [np.ascontiguousarray(side.T) for side in sides]))
 
     def at(lag: int) -> tuple[FloatArray, FloatArray]:
-        """Compute the variances and counts of all directions and sides."""
         found = np.array([_variance(v, side, lag) for v, of in views for side in of])
         return found[:, 0], found[:, 1]
 

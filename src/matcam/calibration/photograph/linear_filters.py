@@ -33,7 +33,7 @@ LAGS = (
     *((0, 5), (5, 0), (4, 4), (4, -4), (0, 6), (6, 0)),
 )
 """Offsets (rows, columns) of the pixels whose correlation is compared with that of filters, px. Uneven light, but hardly any
-filter, correlates the distant ones."""
+filter, correlates distant pixels."""
 _NO_FILTER = 0.95
 """Prior probability that no filter was applied to an image."""
 _LARGEST = 4.0
@@ -59,7 +59,7 @@ AMOUNT, RADIUS = 0.1, 1.0
 
 
 class Correlations(NamedTuple):
-    """Correlations of the noise of pixels at the offsets of `LAGS`, and numbers of pairs: (lags,) each."""
+    """Correlations of the noise of pixels at the offsets of `LAGS`, and numbers of pairs, both (lags,)."""
 
     value: FloatArray
     pairs: FloatArray
@@ -153,7 +153,6 @@ def _smooth_light(value: FloatArray, side: np.ndarray) -> FloatArray:
 
 
 def _sums_of_products(values: FloatArray) -> FloatArray:
-    """Compute the sums of the products of all pixels at the offsets of `LAGS`."""
     height, width = values.shape
     first = (values[: height - dy, max(-dx, 0) : width - max(dx, 0)] for dy, dx in LAGS)
     second = (values[dy:, max(dx, 0) : width + min(dx, 0)] for dy, dx in LAGS)
@@ -208,7 +207,7 @@ def needed_gain(blur: float) -> float:
     """Compute the decrease of chi-square above which the unsharp mask is reported. Two of 1,000 clean edges exceed it.
 
     Next to the core of a sharp edge, negative noise can only be fitted with the mask. Clean edges with a lens width of 0.3,
-    0.5 and 0.7 px at a signal-to-noise ratio of 100 have a decrease of 7 +- 3, 5 +- 2 and 3 +- 1.
+    0.5 and 0.7 px at a signal-to-noise ratio of 100 have a decrease of 7 ± 3, 5 ± 2 and 3 ± 1.
 
     Args:
         blur: standard deviation of the line spread function, px.

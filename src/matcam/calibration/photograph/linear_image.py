@@ -128,7 +128,7 @@ class LinearImage:
             channel: "R", "G", "B" or "Y" (luminance) of a colour image; "R", "G" or "B" of a mosaic (no unit). Default: None,
                 the luminance of a colour image, or a grey image itself.
             cfa: colours of the first 2 x 2 px of the whole image, row by row, if it is a mosaic: "RGGB", "BGGR", "GRBG" or
-                "GBRG" (no unit). Default: None, the photograph's own, or no mosaic.
+                "GBRG" (no unit). Default: None, those of the photograph, or no mosaic.
             tone: tone curve of the codes (no unit): "linear"; "srgb" (IEC 61966-2-1); a gamma, light = (code / full) **
                 gamma; a table of linear values by code, (codes,) or (codes, 3); or "auto": 8-bit photographs are assumed to be
                 sRGB unless their format is linear, and all others are assumed to be linear. Default: "linear".
@@ -251,14 +251,14 @@ def usable_region(region: LinearImage) -> LinearImage:
 
 
 def measurable_region(region: LinearImage) -> LinearImage:
-    """Check a region as `usable_region`, and raise FitError if it has a `flaw`."""
+    """Check a region as `usable_region` does, and raise FitError if it has a `flaw`."""
     if problem := flaw(usable_region(region).values):
         raise FitError(problem.text)
     return region
 
 
 def flaw(values: np.ndarray) -> Remark | None:
-    """Find the reason why a region cannot be measured, or return None. `values`: (height, width)."""
+    """Create a remark if a region cannot be measured, else return None. `values`: (height, width)."""
     used = values[np.isfinite(values)]
     if used.size < SMALLEST**2 / 4:
         return Remark("too-few-samples", f"region contains only {used.size} usable samples: choose a larger region")
@@ -299,7 +299,7 @@ def planes_of(
     photograph: Photograph, channels: Sequence[str] | None = None, tone: Tone = "auto", f_number: float | None = None,
     source: str = "", cfa: str | None = None,
 ) -> Iterator[LinearImage]:  # fmt: skip
-    """Iterate over the colour planes of a photograph.
+    """Generate the colour planes of a photograph.
 
     `cfa`: colours of its first 2 x 2 px, if it is a mosaic whose file does not specify them.
 
@@ -357,17 +357,14 @@ def _plane(codes: np.ndarray, channel: str, tone: Tone, saturation: float) -> tu
 
 
 def _repeated(sites: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    """Repeat a 2 x 2 pattern over a shape."""
     return np.tile(sites, (shape[0] // 2 + 1, shape[1] // 2 + 1))[: shape[0], : shape[1]]
 
 
 def _shifted(cfa: str, x: int, y: int) -> str:
-    """Shift the colours of a mosaic to a region that begins at pixel (x, y)."""
     return "".join(np.roll(np.array(list(cfa)).reshape(2, 2), (-y, -x), (0, 1)).ravel())
 
 
 def _checked_roi(roi: Sequence[int] | None, shape: tuple[int, ...]) -> tuple[int, int, int, int]:
-    """Check that a region consists of whole numbers, and is inside an image."""
     height, width = shape[:2]
     if roi is None:
         return 0, 0, width, height

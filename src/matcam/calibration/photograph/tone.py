@@ -63,7 +63,9 @@ def linear_values(codes: np.ndarray, tone: Tone, channel: int | None = None) -> 
     if codes.dtype.kind not in "ui":
         raise ArgumentError(f"tone as a table needs an image of whole numbers, got {codes.dtype}")
     if codes.size and codes.max() >= len(table):
-        raise ArgumentError(f"tone has {len(table)} entries, but the image needs one for its code {codes.max()}")
+        raise ArgumentError(
+            f"tone has {len(table)} entries, but the largest code of the image is {codes.max()}: add entries"
+        )
     if table.ndim == 1:
         return table[codes]
     if channel is not None:
@@ -106,7 +108,9 @@ def tone_from_patches(
             f"light of shape {values.shape}"
         )
     if not np.isfinite(values).all() or (values < 0).any():
-        raise ArgumentError("light of the patches must be finite and not negative")
+        raise ArgumentError(
+            f"light of the patches must be finite and not negative, got {values.min():g} to {values.max():g}"
+        )
     means = []
     for x, y, width, height in patches:
         if min(x, y) < 0 or min(width, height) < 2 or x + width > codes.shape[1] or y + height > codes.shape[0]:
@@ -130,8 +134,8 @@ def tone_from_patches(
 def patch_tone_curve(picture: str | Path, patches: str | Path) -> np.ndarray:
     """Measure the tone curve of each channel of a file.
 
-    `patches`: file with lines "x y width height light"; "#" begins a comment. FileFormatError with the file and the line,
-    or the reason why no curve can be computed.
+    `patches`: file with lines "x y width height light"; "#" begins a comment. A FileFormatError is raised if a line
+    is invalid, or no curve can be computed.
     """
     rows = read_numbers(patches, 5)
     image = read_photograph(picture)

@@ -41,7 +41,7 @@ _CLIPPED = 3.5
 _DARKEST = 0.1
 """Smallest factor of the light."""
 _AT_ONCE = 1 << 14
-"""Number of pixels whose light is evaluated at a time."""
+"""Number of pixels whose light is evaluated at a time. It limits the memory."""
 _FEWEST_BINS = 24
 """Smallest number of bins for the estimate of a light field."""
 
@@ -102,7 +102,6 @@ class _Family(NamedTuple):
     glares: FloatArray
 
     def precision(self, amplitude: FloatArray | float, noise: FloatArray | float) -> FloatArray:
-        """Compute the inverse variances of the data."""
         return 1 / (noise + amplitude**2 * self.power)
 
     def by_glare(self, precision: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -144,8 +143,8 @@ def light_field(
 
     Args:
         value: region (rows, columns), linear, any unit; NaN for missing pixels.
-        x: positions of the pixels (rows, columns), px.
-        y: positions of the pixels (rows, columns), px.
+        x: x coordinates of the pixels (rows, columns), px.
+        y: y coordinates of the pixels (rows, columns), px.
         distance: distances from the edge (rows, columns), px; positive on the bright side.
         noise: gain and standard deviation of the read noise; the variance of a pixel is gain * value + read^2.
         blur: standard deviation of the line spread function, px.
@@ -251,7 +250,7 @@ def _bins(
     noise: tuple[float, float],
     margin: float,
 ) -> _Bins | None:
-    """Average the flat sides over bins, or return None if there are too few bins."""
+    """Average the flat sides over bins; None if there are too few bins."""
     flat = np.isfinite(value) & (np.abs(distance) > margin)
     # The number of bins limits the time of the eigenvalue decompositions.
     side = max(_SMALLEST_BIN, float(np.sqrt(flat.sum() / 220)))

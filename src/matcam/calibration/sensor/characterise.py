@@ -52,8 +52,8 @@ def characterise_sensor(
         source: folder of the frames, or a descriptor of the EMVA 1288 reference data sets. In a folder, the frames are in
             the subfolders dark/ and flat/, or their names begin with these words. Exposure times are part of the names
             ("flat_20ms_1.tif") or of the metadata.
-        bits: bit depth of the codes. Default: None, that of the descriptor, or the smallest bit depth for the largest
-            code.
+        bits: bit depth of the codes. Default: None, that of the descriptor, or the smallest one that can represent the
+            largest code.
         cfa: colours of the first 2 x 2 px, such as "RGGB". Default: None, those of the files, or no mosaic.
         progress: function that is called with the name of a step, the number of finished parts, and the number of all parts.
             Default: None.
@@ -156,10 +156,10 @@ def _dark_times(lit: Sequence[ExposureStatistics], dark: Sequence[ExposureStatis
     ]
     if not lacking:
         return []
-    text = (
-        f"{len(lacking)} exposure times, {min(lacking):g} to {max(lacking):g} s, have no dark frames of their own: "
-        "those of the nearest time are used"
-    )
+    times_text = f"{min(lacking):g} s"
+    if len(lacking) > 1:
+        times_text += f" to {max(lacking):g} s ({len(lacking)} exposure times)"
+    text = f"there are no dark frames of {times_text}: those of the nearest exposure time are used"
     return [Remark("dark-missing", text)]
 
 
@@ -185,10 +185,10 @@ def _per_gain(value: Stated, gain: Stated, power: int = 1) -> Stated:
 
 
 def _saturation(planes: Sequence[Transfer], gain: Stated) -> tuple[Stated, bool]:
-    """Determine the saturation capacity, e-, of the plane that saturates first, and whether an exposure is beyond saturation.
+    """Compute the saturation capacity, e-, of the plane that saturates first.
 
-    Its standard deviation includes the step between neighbouring exposures, because the true value may be anywhere
-    between them.
+    The flag is True if an exposure is beyond saturation. The standard deviation includes the step between neighbouring
+    exposures, because the true value may be anywhere between them.
     """
     plane = min(planes, key=lambda one: (not one.saturated, one.light[one.saturation]))
     at = plane.saturation
@@ -210,10 +210,10 @@ def _chosen(lit: Sequence[ExposureStatistics], planes: Sequence[Transfer]) -> Ex
 
 
 def _dark_nonuniformity(reader: FrameReader, dark: Sequence[ExposureStatistics], current: Stated) -> Stated:
-    """Estimate the relative standard deviation of the dark currents of pixels, from two independent differences of long
-    and short exposures.
+    """Estimate the relative standard deviation of the dark currents of the pixels.
 
-    The temporal noise of the differences is independent. Their covariance is therefore the variance of the dark signals.
+    Two differences of a long and a short exposure are used. Their temporal noise is independent, so that their covariance is
+    the variance of the dark signals.
     """
     short, long = (pick(dark, key=lambda one: one.exposure.time) for pick in (min, max))
     if not current.value > SIGNIFICANT * current.std:
@@ -232,13 +232,13 @@ def _dark_nonuniformity(reader: FrameReader, dark: Sequence[ExposureStatistics],
 def _fixed_patterns(
     reader: FrameReader, bright: ExposureStatistics, dark: ExposureStatistics, gain: Stated
 ) -> dict[str, Any]:
-    """Measure the fixed patterns of a lit and of a dark exposure, by the names of `SensorCharacteristics`."""
+    """Measure the fixed patterns of a lit and of a dark exposure. The keys are attributes of `SensorCharacteristics`."""
     exposures = bright, dark
     means = [reader.mean(one.exposure) for one in exposures]
     planes = [reader.planes(mean) for mean in means]
 
     def variances(own: bool) -> np.ndarray:
-        """Compute the variances of the pixels and their errors, (exposures, planes, 2) DN^2."""
+        """Compute the variances of the pixels and their errors, DN^2. The shape is (exposures, planes, 2)."""
         parts = [
             [_variance(p, of, k, own) for k, p in enumerate(some)] for some, of in zip(planes, exposures, strict=True)
         ]
@@ -251,7 +251,7 @@ def _fixed_patterns(
     signal = (level[0] - level[1]) ** 2
 
     def response(own: bool) -> Stated:
-        """Compute the relative standard deviation of the sensitivities, root mean square over the planes."""
+        """Compute the relative standard deviation of the sensitivities, as the root mean square over the planes."""
         value, error = np.moveaxis(variances(own), -1, 0)
         return root((value[0] - value[1]) / signal, np.hypot(*error) / signal)
 
@@ -267,7 +267,7 @@ def _fixed_patterns(
 
 
 def _variance(pixels: np.ndarray, of: ExposureStatistics, plane: int, own: bool) -> Stated:
-    """Compute the variance of the mean pixels of a plane, DN^2; with `own`, without the part common to rows and columns."""
+    """Compute the variance of the mean pixels of a plane, DN^2. With `own`, that of whole rows and columns is excluded."""
     temporal, frames = float(of.variance[plane]), len(of.exposure.files)
     value = fixed_pattern_variance(float(pixels.var(ddof=1)), temporal, frames)
     if own:

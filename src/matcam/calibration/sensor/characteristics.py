@@ -207,7 +207,7 @@ class SensorCharacteristics(Summarised):
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the result as a JSON object, which `matcam sensor --json` prints.
+        """Convert the result to the JSON object of `matcam sensor --json`.
 
         Returns:
             Values with their standard deviations by name, with units in the names.

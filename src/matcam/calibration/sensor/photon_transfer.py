@@ -148,10 +148,10 @@ def measure_transfer(
     used = (signal <= _FITTED * top) & ~beyond & ~clipped & ~outside
     remarks = _remarks(lit, beyond | clipped, outside, departure)
     if used.sum() < _FEWEST or (outside.sum() > 0.5 * inside.sum()):
-        left = "; ".join(str(remark) for remark in remarks) or f"{len(lit)} lit exposures were given"
+        left = "; ".join(str(remark) for remark in remarks) or f"lit exposures: {len(lit)}"
         raise FitError(
-            f"{lit[0].exposure.files[0].parent}: only {used.sum()} exposures are linear and below 70 % of saturation, but at "
-            f"least {_FEWEST} are needed: {left}"
+            f"{lit[0].exposure.files[0].parent}: the number of exposures that are linear and below 70 % of saturation is "
+            f"{used.sum()}, but at least {_FEWEST} are needed: {left}"
         )
     responsivity = _through_origin(light[used], signal[used])
     transfer = Transfer(
@@ -245,7 +245,8 @@ def _remarks(
         found.append(Remark("clipped", f"{which}: beyond saturation or clipped, and therefore not used"))
     found += [
         Remark(
-            "not-linear", f"{names[i]}: not used; its signal is {departure[i]:+.1%} off the line of the other exposures"
+            "not-linear",
+            f"{names[i]}: not used, because its signal deviates by {departure[i]:+.1%} from the line of the other exposures",
         )
         for i in np.flatnonzero(outside)
     ]

@@ -158,7 +158,8 @@ def fit_dots(values: FloatArray, lattice: DotLattice, size: float, half_width: f
     whole &= rows[:, -1] < values.shape[0]
     if whole.sum() < FEWEST:
         raise FitError(
-            f"only {whole.sum()} dots are entirely in the region, but {FEWEST} are needed: give a larger region"
+            f"the region contains only {whole.sum()} of the {len(whole)} dots entirely, but {FEWEST} are needed: "
+            "give a larger region"
         )
     lattice, shape, columns, rows = lattice.subset(whole), shape[whole], columns[whole], rows[whole]
     value = values[rows[:, :, None], columns[:, None, :]]
@@ -229,7 +230,9 @@ def find_dots(values: FloatArray) -> tuple[FloatArray, FloatArray]:
     sign = -1.0 if np.quantile(off, 0.001) < -np.quantile(off, 0.999) else 1.0
     label, count = ndimage.label(sign * off > max(_CLEAR * spread, 0.25 * float(np.quantile(sign * off, 0.999))))
     if count < FEWEST:
-        raise FitError(f"region contains no grid of dots: it has {count} spots, but {FEWEST} are needed")
+        raise FitError(
+            f"region contains no grid of dots: the number of spots is {count}, but at least {FEWEST} are needed"
+        )
     every = np.arange(1, count + 1)
     flux = ndimage.sum_labels(sign * off, label, every)
     y, x = np.array(ndimage.center_of_mass(np.maximum(sign * off, 0), label, every)).T

@@ -74,7 +74,7 @@ class GratingMTF:
         return float((at_bright - at_dark) / (2 + at_bright + at_dark))
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the result as a JSON object.
+        """Convert the result to a JSON object.
 
         Returns:
             All attributes, with units in the names of those that have one, and the contrast.
@@ -203,7 +203,6 @@ def coltman(frequency: ArrayLike, contrast: ArrayLike) -> FloatArray:
 
 
 def _inside_polygon(corners: FloatArray, shape: tuple[int, int]) -> np.ndarray:
-    """Mark the pixels inside a convex polygon that are farther than `MARGIN` from its border."""
     outwards = ConvexHull(corners).equations
     y, x = np.indices(shape)
     return np.all([a * x + b * y + c < -MARGIN for a, b, c in outwards], axis=0)
@@ -212,12 +211,11 @@ def _inside_polygon(corners: FloatArray, shape: tuple[int, int]) -> np.ndarray:
 def _expected_grating(
     grating: Grating, projection: Projection, shape: tuple[int, int]
 ) -> tuple[FoundGrating, tuple[int, int, int, int]]:
-    """Project a described grating to the image, and determine the region that contains it."""
     corners = projection(checks.instance("grating", grating, Grating).corners)
     box = pixel_box(corners, shape, 0)
     if min(box[2:]) < SMALLEST:
         raise FitError(
-            "the grating lies outside the image, or covers less than 16 x 16 px: photograph all of it, at a larger scale"
+            "the grating lies outside the image, or covers less than 16 x 16 px: photograph the whole grating at a larger scale"
         )
     inside = _inside_polygon(corners - box[:2], (box[3], box[2]))
     if inside.sum() < 64:
@@ -232,7 +230,10 @@ def _expected_grating(
 def _fit_grating(
     values: FloatArray, found: FoundGrating, printed: Grating
 ) -> tuple[WaveFit, tuple[int, ...], FloatArray, FloatArray]:
-    """Fit the wave; return the fit, the orders, the mean frequency (2,), cycles/px, and the mean position (2,), px."""
+    """Fit the wave of a grating.
+
+    The result contains the fit, the orders, the mean frequency (2,), cycles/px, and the mean position (2,), px.
+    """
     pixels = WavePixels.where(values, found.inside)
     frequency = local_wave(found.phase, found.parameters, pixels.x, pixels.y).frequency
     # Higher harmonics are neglected: the MTF of a square pixel has its first zero at 1 cycle/px.
@@ -262,7 +263,7 @@ def _fit_grating(
 
 
 def _other_wave(pixels: WavePixels, fit: WaveFit, shape: tuple[int, ...]) -> str:
-    """Describe any structure other than one wave and noise."""
+    """Describe any structure other than one wave and noise; empty if there is none."""
     residual = pixels.value - fit.values
     left = residual.var() / pixels.value.var()
     if left < _LEFT:
@@ -276,7 +277,7 @@ def _other_wave(pixels: WavePixels, fit: WaveFit, shape: tuple[int, ...]) -> str
 
 
 def _constant(frequency: FloatArray, direction: FloatArray) -> FloatArray:
-    """Return the constant function 1: the modulation of a grating is the same everywhere."""
+    """Evaluate the basis of a grating, which is 1, because its modulation is uniform."""
     return np.ones((len(frequency), 1))
 
 
@@ -295,8 +296,8 @@ def _grating_result(
     useful = np.flatnonzero(std / np.abs(size) < _USEFUL)
     if not useful.size:
         raise FitError(
-            f"the grating of {f:.3f} cycles/px does not determine the MTF: standard deviation {std[0] / abs(size[0]):.2g}; "
-            "give a coarser grating, or one with more contrast"
+            f"the grating of {f:.3f} cycles/px does not determine the MTF: its standard deviation is "
+            f"{std[0] / abs(size[0]):.2g}, but must be below {_USEFUL:g}; give a coarser grating, or one with more contrast"
         )
     scale = (signs / size)[useful]
     samples = MTFSamples.of_region(

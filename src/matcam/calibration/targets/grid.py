@@ -154,7 +154,7 @@ class DotGrid:
         return self.field.sigma_at(x, y)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the result as a JSON object.
+        """Convert the result to a JSON object.
 
         Returns:
             All attributes, with units in the names of those that have one. The field is given as sigma at the middle of the
@@ -271,7 +271,7 @@ def _grid_result(picture: LinearImage, fit: DotFit, half_width: float) -> DotGri
 
 
 def _zone_samples(picture: LinearImage, dots: DotFit, half_width: float) -> MTFSamples:
-    """Compute the MTF of a zone: that of its mean Gaussian, times 1 + a polynomial in frequency common to its dots."""
+    """Compute the MTF of a zone: its mean Gaussian times 1 + p, with a polynomial p in frequency common to its dots."""
     own = dots.design[:, :, :6]
     pilot, root = dots.parameters[:, 6], np.sqrt(dots.weight)[..., None]
     mean = float(np.mean(pilot))

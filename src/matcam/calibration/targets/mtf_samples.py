@@ -110,7 +110,7 @@ class MTFSamples:
         return np.sqrt(np.diag(self.covariance))
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the samples as a JSON object.
+        """Convert the samples to a JSON object.
 
         Returns:
             All attributes, with units in the names of those that have one, and the standard deviations.

@@ -84,7 +84,7 @@ class StarMTF:
         return self.samples.frequency[:: len(_DIRECTIONS)]
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the result as a JSON object.
+        """Convert the result to a JSON object.
 
         Returns:
             All attributes, with units in the names of those that have one.
@@ -158,7 +158,6 @@ def star_mtf(
 def _expected_star(
     star: Star, projection: Projection, shape: tuple[int, int]
 ) -> tuple[FoundStar, tuple[int, int, int, int]]:
-    """Project a described star to the image, and determine the region that contains it."""
     turn = 2 * np.pi * np.arange(8 * star.cycles) / (8 * star.cycles)
     rim = np.stack([np.cos(turn), np.sin(turn)], axis=-1)
     outer = projection(np.array(star.centre) + star.outer * rim)
@@ -177,7 +176,6 @@ def _expected_star(
 
 
 def _stretch(star: Star, projection: Projection) -> tuple[float, float]:
-    """Compute the linear map of `StarPhase` from the projection of a star."""
     step = star.outer / 2 * np.array([[-1, 0], [1, 0], [0, -1], [0, 1]])
     left, right, upper, lower = projection(np.array(star.centre) + step)
     # Polar decomposition: rotation and symmetric map. The trace of the latter is arbitrary.
@@ -187,9 +185,10 @@ def _stretch(star: Star, projection: Projection) -> tuple[float, float]:
 
 
 def _fit_star(values: FloatArray, found: FoundStar) -> tuple[WaveFit, tuple[float, float]]:
-    """Fit the wave; return the fit and the range of its frequencies, cycles/px.
+    """Fit the wave of a star.
 
-    It is fitted at low frequencies first, where the approximate phase is reliable, and then at all frequencies.
+    The result contains the fit and the range of its frequencies, cycles/px. The wave is fitted at low
+    frequencies first, where the approximate phase is reliable, and then at all frequencies.
     """
     phase, parameters = found.phase, found.parameters
     y, x = np.indices(values.shape, float)
@@ -294,8 +293,8 @@ def _extrapolated_contrast(frequency: FloatArray, amplitude: FloatArray, covaria
     low = (frequency < _EXTRAPOLATED) & (amplitude > SIGNIFICANT * np.sqrt(np.diag(covariance)))
     if low.sum() < 3 * len(_DIRECTIONS) or frequency.min() > 0.15:
         raise FitError(
-            f"the lowest frequency of the star is {frequency.min():.2f} cycles/px, too high to extrapolate its contrast to 0; "
-            "give contrast"
+            "the star has too few significant values at low frequencies to extrapolate its contrast to frequency 0 "
+            f"(its lowest frequency is {frequency.min():.2f} cycles/px); give contrast"
         )
     design = frequency[low, None] ** np.array([0, 2, 4])
     weight = np.linalg.inv(covariance[np.ix_(low, low)] / np.outer(amplitude[low], amplitude[low]))

@@ -50,7 +50,7 @@ class Targets:
     printed: PrintedLevels | None = None
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the result as a JSON object.
+        """Convert the result to a JSON object.
 
         Returns:
             Samples, grids and problems.
@@ -154,8 +154,7 @@ def measure_targets(
 
 
 def _not_measured(kind: str, problems: dict[int, str]) -> Remark:
-    """Describe the targets of one kind that could not be measured; `problems`: reasons by the number of the target."""
     text = next(iter(problems.values()))
     if len(problems) > 1:
-        text += f"; {len(problems) - 1} other {kind} could not be measured either: {', '.join(map(str, list(problems)[1:]))}"
+        text += f"; likewise {kind} {', '.join(map(str, list(problems)[1:]))}"
     return Remark("target-not-measured", text)

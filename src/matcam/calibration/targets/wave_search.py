@@ -191,7 +191,6 @@ def _centre(filled: FloatArray) -> tuple[float, float]:
 
 
 def _rings(filled: FloatArray, centre: tuple[float, float]) -> list[_Ring]:
-    """Find the rings around a centre that have a significant wave."""
     height, width = filled.shape
     most = min(centre[0], centre[1], width - 1 - centre[0], height - 1 - centre[1])
     found = []
@@ -312,7 +311,6 @@ def find_grating(values: FloatArray, near: tuple[float, float] | None = None) ->
 
 
 def _alias(frequency: FloatArray) -> FloatArray:
-    """Compute the frequency below Nyquist that gives the same samples on the grid."""
     return frequency - np.round(frequency)
 
 

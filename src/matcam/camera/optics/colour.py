@@ -80,12 +80,12 @@ class ColourOptics(VaryingOptics):
 
     @property
     def lenses(self) -> tuple[Optics, Optics, Optics]:
-        """Return the lenses of the channels."""
+        """Lenses of the channels."""
         return self.red, self.green, self.blue
 
     @property
     def named_lenses(self) -> dict[str, Optics]:
-        """Return the lenses by colour.
+        """Lenses by colour.
 
         A lens that varies over the image is represented by single lenses.
         """
@@ -99,11 +99,11 @@ class ColourOptics(VaryingOptics):
 
     @property
     def shifts(self) -> tuple[jax.Array, jax.Array, jax.Array]:
-        """Return the shifts of the channels, each (right, up), px."""
+        """Shifts of the channels, each (right, up), px."""
         return self.red_shift, self.green_shift, self.blue_shift
 
     def band(self) -> float:
-        """Return the largest band of the three lenses, cycles/px."""
+        """Compute the largest band of the three lenses, cycles/px."""
         return max(lens.band() for lens in self.lenses)
 
     def instead(self) -> str:

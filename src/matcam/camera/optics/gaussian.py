@@ -75,23 +75,23 @@ class GaussianOptics(Optics):
         self.sigma = checks.scalar("sigma", checks.positive("sigma", sigma, "px"))
 
     def psf(self, x: ArrayLike, y: ArrayLike) -> jax.Array:
-        """Return the Gaussian lsf(x) lsf(y), 1/px^2, without the pixel."""
+        """Compute the Gaussian lsf(x) lsf(y), 1/px^2, without the pixel."""
         return self.lsf(x) * self.lsf(y)
 
     def lsf(self, x: ArrayLike) -> jax.Array:
-        """Return the normal density with standard deviation sigma, 1/px, without the pixel."""
+        """Compute the normal density with standard deviation sigma, 1/px, without the pixel."""
         return normal_density(checks.number("x", x), self.sigma)
 
     def mtf(self, f: ArrayLike) -> jax.Array:
-        """Return exp(-2 pi^2 sigma^2 f^2) at f cycles/px, without the pixel."""
+        """Compute exp(-2 pi^2 sigma^2 f^2) at f cycles/px, without the pixel."""
         return xp.exp(-2 * xp.square(xp.pi * self.sigma * checks.number("f", f)))
 
     def band(self) -> float:
-        """Return the frequency at which the MTF decreases to 2e-17, cycles/px."""
+        """Compute the frequency at which the MTF decreases to 2e-17, cycles/px."""
         return _BAND_TIMES_SIGMA / float(self.sigma) if is_concrete(self.sigma) else _TRACED_BAND
 
     def rule_on(self, borders: np.ndarray) -> Rule:
-        """Return Gauss-Legendre panels up to 1.4 / sigma."""
+        """Build Gauss-Legendre panels up to 1.4 / sigma, cycles/px."""
         unit = piecewise_rule(borders)
         band = _BAND_TIMES_SIGMA / self.sigma
         return Rule(unit.frequency * band, unit.weight * band)
@@ -114,7 +114,7 @@ class GaussianSum(Module):
     total_error: jax.Array
 
     def mtf(self, f: ArrayLike) -> jax.Array:
-        """Return sum_j w_j exp(-2 pi^2 sigma_j^2 f^2) at f cycles/px."""
+        """Compute sum_j w_j exp(-2 pi^2 sigma_j^2 f^2) at f cycles/px."""
         return _spectra(checks.number("f", f), self.sigmas) @ self.weights
 
 
@@ -147,7 +147,7 @@ def round_gaussians(optics: Optics, terms: int = 24) -> GaussianSum:
 
 
 def finest_width(optics: Optics) -> float:
-    """Return the standard deviation of the narrowest Gaussian of a lens, px."""
+    """Compute the standard deviation of the narrowest Gaussian of a lens, px."""
     widths = [
         constant(part.sigma) if isinstance(part, GaussianOptics) else _NARROWEST / (part.resolved_share() * part.band())
         for _, part in optics.components()
@@ -210,7 +210,8 @@ def _mean_transfer(optics: Optics, frequency: jax.Array) -> jax.Array:
     """Compute the mean of a transfer function over all directions, which is real."""
     if optics.isotropic:
         return optics.mtf(frequency)
-    f, angle = frequency[:, None], np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS  # the other half is the conjugate
+    # half a turn suffices, because the values in the other half are complex conjugates
+    f, angle = frequency[:, None], np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS
     return xp.mean(xp.real(optics.otf(f * np.cos(angle), f * np.sin(angle))), axis=1)
 
 
@@ -219,6 +220,6 @@ def _spectra(f: jax.Array, sigmas: jax.Array) -> jax.Array:
 
 
 def _through_full_pixel(f: jax.Array) -> jax.Array:
-    """Return the transfer function of a square of side 1 px in the direction with the largest transfer."""
+    """Compute the transfer function of a square of side 1 px in the direction with the largest transfer."""
     angle = np.linspace(0, np.pi / 4, 33)
     return xp.max(xp.abs(xp.sinc(f[:, None] * np.cos(angle)) * xp.sinc(f[:, None] * np.sin(angle))), axis=1)

@@ -65,11 +65,16 @@ class HaloOptics(Optics):
         return self.halo.sigma
 
     def psf(self, x: ArrayLike, y: ArrayLike) -> jax.Array:
-        """Return (1 - fraction) core + fraction halo, 1/px^2, without the pixel."""
+        """Compute the point spread function, 1/px^2, without the pixel.
+
+        It is (1 - fraction) core + fraction halo.
+        """
         return (1 - self.fraction) * self.core.psf(x, y) + self.fraction * self.halo.psf(x, y)
 
     def lsf(self, x: ArrayLike) -> jax.Array:
-        """Return (1 - fraction) core + fraction halo, 1/px, without the pixel.
+        """Compute the line spread function, 1/px, without the pixel.
+
+        It is (1 - fraction) core + fraction halo.
 
         Raises:
             ArgumentError: the core is not isotropic; use `Camera.lsf` with an angle.
@@ -78,9 +83,10 @@ class HaloOptics(Optics):
         return (1 - self.fraction) * core.lsf(x) + self.fraction * self.halo.lsf(x)
 
     def mtf(self, f: ArrayLike) -> jax.Array:
-        """Return (1 - fraction) core + fraction halo, without the pixel.
+        """Compute the transfer function, without the pixel.
 
-        The MTF of the halo is a spike of standard deviation 1 / (2 pi radius) at frequency 0.
+        It is (1 - fraction) core + fraction halo. The MTF of the halo is a spike of standard deviation 1 / (2 pi radius)
+        at frequency 0.
 
         Raises:
             ArgumentError: the core is not isotropic; use `otf`.
@@ -89,27 +95,27 @@ class HaloOptics(Optics):
         return (1 - self.fraction) * core.mtf(f) + self.fraction * self.halo.mtf(f)
 
     def otf(self, fx: ArrayLike, fy: ArrayLike) -> jax.Array:
-        """Return the transfer function in the plane, without the pixel."""
+        """Compute the transfer function in the plane, without the pixel."""
         return (1 - self.fraction) * self.core.otf(fx, fy) + self.fraction * self.halo.otf(fx, fy)
 
     @property
     def isotropic(self) -> bool:
-        """Check whether the core is isotropic, achromatic and uniform."""
+        """True if the core is isotropic, achromatic and uniform."""
         return self.core.isotropic
 
     def band(self) -> float:
-        """Return the larger band of core and halo, cycles/px."""
+        """Compute the larger band of core and halo, cycles/px."""
         return max(self.core.band(), self.halo.band())
 
     def resolved_share(self) -> float:
-        """Return the share of the band that the lens resolves, no unit.
+        """Compute the share of the band that the lens resolves, no unit.
 
         It is that of the core, unless the band of the halo is larger.
         """
         return self.core.resolved_share() if self.halo.band() <= self.core.band() else 1.0
 
     def rule_on(self, borders: np.ndarray) -> Rule:
-        """Return the quadrature of the core on panels graded towards 0.
+        """Build the quadrature of the core on panels graded towards 0.
 
         The widths of the panels halve towards 0, so that they resolve the spike of the halo.
         """
@@ -129,6 +135,6 @@ class HaloOptics(Optics):
         )
 
     def components(self) -> tuple[tuple[jax.Array, Optics], ...]:
-        """Return the components of the core and the halo, with their weights."""
+        """List the components of the core and the halo, with their weights."""
         core = tuple(((1 - self.fraction) * weight, part) for weight, part in self.core.components())
         return (*core, (self.fraction, self.halo))

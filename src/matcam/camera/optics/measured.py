@@ -20,9 +20,9 @@ if TYPE_CHECKING:
 
 
 class MeasuredOptics(Optics):
-    """Isotropic lens with a measured MTF, without shift.
+    """Isotropic lens with a measured MTF.
 
-    The MTF is a cubic spline through the samples.
+    The MTF is a cubic spline through the samples; the image of a point is not shifted.
 
     Beyond the last sample the MTF is 0 if the curve ends at 0. Otherwise it is unknown there, and an evaluation beyond
     the last sample raises an error, as does the PSF, which requires all frequencies. In this case append the frequency
@@ -98,7 +98,7 @@ class MeasuredOptics(Optics):
         return xp.where(at > last, 0.0, _spline(xp.asarray(self.frequency), self.values, at))
 
     def band(self) -> float:
-        """Return the frequency of the last sample, cycles/px.
+        """Look up the frequency of the last sample, cycles/px.
 
         Raises:
             ArgumentError: the curve does not end at 0.
@@ -111,11 +111,11 @@ class MeasuredOptics(Optics):
         return self.frequency[-1]
 
     def resolved_share(self) -> float:
-        """Return the share of the band that the lens resolves, no unit."""
+        """Compute the share of the band that the lens resolves, no unit."""
         return self.resolved / self.frequency[-1]
 
     def rule_on(self, borders: np.ndarray) -> Rule:
-        """Return a quadrature on panels between neighbouring samples.
+        """Build a quadrature on panels between neighbouring samples.
 
         The third derivative of the MTF is discontinuous at a sample.
         """

@@ -76,12 +76,11 @@ def panels_for(reach: float, band: float) -> int:
 
 
 def reach_of(*positions: jax.Array) -> float:
-    """Return the largest distance of positions, px.
+    """Compute the largest distance of positions, px.
 
-    Traced positions have a default distance.
+    Traced positions are assumed to lie within 64 px.
     """
     if not all(is_concrete(p) for p in positions):
-        # traced positions are assumed to lie within 64 px
         return 64.0
     return float(max((np.max(np.abs(p)) for p in positions if p.size), default=0.0))
 
@@ -218,7 +217,7 @@ class Optics(Module):
     profile_fields: ClassVar[Mapping[str, str]]
 
     def psf(self, x: ArrayLike, y: ArrayLike) -> jax.Array:
-        """Return the optical point spread function, 1/px^2, without the pixel.
+        """Compute the optical point spread function, 1/px^2, without the pixel.
 
         It is the irradiance on the sensor of a point source of unit flux, and integrates to 1. `Camera.psf` includes
         the pixel. It is computed by quadrature, unless the lens has a closed form.
@@ -236,7 +235,7 @@ class Optics(Module):
         return plane_kernel(rule, lambda f, _: self.mtf(f), x, y, turns_for(reach, band))
 
     def lsf(self, x: ArrayLike) -> jax.Array:
-        """Return the optical line spread function, 1/px, without the pixel.
+        """Compute the optical line spread function, 1/px, without the pixel.
 
         It is the integral of the point spread function along a line, and integrates to 1. It is computed by quadrature,
         unless the lens has a closed form.
@@ -253,7 +252,7 @@ class Optics(Module):
 
     @abstractmethod
     def mtf(self, f: ArrayLike) -> jax.Array:
-        """Return the signed optical transfer function, without the pixel.
+        """Compute the signed optical transfer function, without the pixel.
 
         Args:
             f: frequency, cycles/px, any shape; the value at 0 is 1.
@@ -264,11 +263,11 @@ class Optics(Module):
 
     @property
     def isotropic(self) -> bool:
-        """Check whether the lens is isotropic, achromatic and uniform."""
+        """True if the lens is isotropic, achromatic and uniform."""
         return True
 
     def otf(self, fx: ArrayLike, fy: ArrayLike) -> jax.Array:
-        """Return the optical transfer function in the plane, without the pixel.
+        """Compute the optical transfer function in the plane, without the pixel.
 
         It is complex for anisotropic lenses, and otherwise `mtf` at the modulus of the frequency.
 
@@ -283,10 +282,10 @@ class Optics(Module):
 
     @abstractmethod
     def band(self) -> float:
-        """Return the frequency above which the MTF is 0 to rounding, cycles/px."""
+        """Compute the frequency above which the MTF is 0 to rounding, cycles/px."""
 
     def resolved_share(self) -> float:
-        """Return the share of the band that the lens resolves, no unit.
+        """Compute the share of the band that the lens resolves, no unit.
 
         Above this share the MTF is below 1e-4. The share determines the scale of the PSF.
         """
@@ -294,7 +293,7 @@ class Optics(Module):
 
     @abstractmethod
     def rule_on(self, borders: np.ndarray) -> Rule:
-        """Return a quadrature over the band.
+        """Build a quadrature over the band.
 
         The MTF is smooth on each panel.
 
@@ -304,14 +303,14 @@ class Optics(Module):
         """
 
     def components(self) -> tuple[tuple[jax.Array, Optics], ...]:
-        """Return the weights and lenses of the components of this lens.
+        """List the weights and lenses of the components of this lens.
 
-        A lens with one component returns itself, with weight 1.
+        The only component of a simple lens is the lens itself, with weight 1.
         """
         return ((xp.ones(()), self),)
 
     def frequency_rule(self, panels: int) -> Rule:
-        """Return a quadrature over [0, band] on panels of equal width.
+        """Build a quadrature over [0, band] on panels of equal width.
 
         Args:
             panels: smallest number of panels.
@@ -335,7 +334,7 @@ def checked_isotropic(optics: Optics, what: str) -> Optics:
         what: feature that requires an isotropic lens, for the message.
 
     Raises:
-        ArgumentError: the blur depends on direction, colour or position.
+        ArgumentError: the blur depends on direction, colour or position; the message names alternatives.
     """
     if optics.isotropic:
         return optics

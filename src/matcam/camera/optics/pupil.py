@@ -73,7 +73,7 @@ class DiffractionOptics(Optics):
         return self.pixel_pitch / (self.wavelength * self.f_number)
 
     def psf(self, x: ArrayLike, y: ArrayLike) -> jax.Array:
-        """Return the Airy pattern, 1/px^2, without the pixel.
+        """Compute the Airy pattern, 1/px^2, without the pixel.
 
         It is (pi cutoff^2 / 4) [2 J1(v) / v]^2, v = pi cutoff r.
         """
@@ -81,7 +81,7 @@ class DiffractionOptics(Optics):
         return xp.pi / 4 * self.cutoff**2 * jinc(xp.pi * self.cutoff * r, np.pi * reach_of(r) * self.band()) ** 2
 
     def mtf(self, f: ArrayLike) -> jax.Array:
-        """Return the transfer function, without the pixel.
+        """Compute the transfer function, without the pixel.
 
         It is (2 / pi) [acos nu - nu sqrt(1 - nu^2)], nu = f / cutoff (Goodman 6-31), and 0 beyond the cutoff.
         """
@@ -91,12 +91,12 @@ class DiffractionOptics(Optics):
         return xp.where(inside, 2 / xp.pi * (xp.arccos(nu) - nu * xp.sqrt(1 - nu**2)), 0.0)
 
     def band(self) -> float:
-        """Return the cutoff, cycles/px."""
+        """Compute the cutoff, cycles/px."""
         # a traced lens is assumed to have a cutoff of 8 cycles/px
         return float(self.cutoff) if is_concrete(self.cutoff) else 8.0
 
     def rule_on(self, borders: np.ndarray) -> Rule:
-        """Return a quadrature on panels in t.
+        """Build a quadrature on panels in t.
 
         The frequency is f = cutoff t (2 - t). Near the cutoff the MTF varies as (1 - nu)^(3/2), which is a polynomial in t.
         """
@@ -154,7 +154,7 @@ class DefocusOptics(Optics):
         )
 
     def mtf(self, f: ArrayLike) -> jax.Array:
-        """Return the signed transfer function, without the pixel.
+        """Compute the signed transfer function, without the pixel.
 
         It is (4 / pi) times the integral from nu to 1 of cos(pi c f (u - nu)) sqrt(1 - u^2) du, nu = f / cutoff, c =
         blur_diameter. This is the autocorrelation of the pupil: the phase of the product of the pupil with itself,
@@ -173,11 +173,11 @@ class DefocusOptics(Optics):
         return values if known else xp.where(self.blur_diameter * cutoff > _TRACED_CIRCLE, xp.nan, values)
 
     def band(self) -> float:
-        """Return the diffraction cutoff, cycles/px."""
+        """Compute the diffraction cutoff, cycles/px."""
         return self.focused.band()
 
     def rule_on(self, borders: np.ndarray) -> Rule:
-        """Return the quadrature of the focused lens on finer panels.
+        """Build the quadrature of the focused lens on finer panels.
 
         The panels resolve the oscillations exp(i pi c f) of the circle of confusion.
         """

@@ -24,7 +24,7 @@ class SeidelOptics(VaryingOptics):
 
     At a distance of h units from the axis, coma is h times its coefficient, and astigmatism and field curvature are h^2
     times theirs. Coma and astigmatism point away from the axis. Spherical aberration and defocus are uniform. `at`
-    returns the lens at one position. `picture` supports this lens: each surface element is blurred by the lens at its
+    evaluates the lens at one position. `picture` supports this lens: each surface element is blurred by the lens at its
     own position.
 
     Args:
@@ -96,11 +96,11 @@ class SeidelOptics(VaryingOptics):
 
     @property
     def focused(self) -> DiffractionOptics:
-        """Return the lens without aberrations."""
+        """Lens without aberrations."""
         return self.axial.focused
 
     def at(self, x: ArrayLike, y: ArrayLike) -> ZernikeOptics:
-        """Return the lens at a position.
+        """Evaluate the lens at a position.
 
         Args:
             x: position from the optical axis, to the right, px.
@@ -117,11 +117,11 @@ class SeidelOptics(VaryingOptics):
 
     @property
     def named_lenses(self) -> dict[str, Optics]:
-        """Return the lens at the centre of the image."""
+        """Lens on the optical axis, by the name "centre"."""
         return {"centre": self.at(0.0, 0.0)}
 
     def terms_at(self, x: ArrayLike, y: ArrayLike) -> jax.Array:
-        """Return the coefficients of `ZernikeOptics.terms` at positions, (..., 8), waves rms.
+        """Compute the coefficients of `ZernikeOptics.terms` at positions, (..., 8), waves rms.
 
         Args:
             x: positions from the optical axis, to the right, px; broadcasts with y.
@@ -137,7 +137,7 @@ class SeidelOptics(VaryingOptics):
         )
 
     def band(self) -> float:
-        """Return the cutoff, cycles/px."""
+        """Compute the cutoff, cycles/px."""
         return self.axial.band()
 
     def instead(self) -> str:

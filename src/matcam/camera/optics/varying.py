@@ -21,7 +21,7 @@ class VaryingOptics(Optics):
 
     @property
     def isotropic(self) -> bool:
-        """Return False, because the lens consists of several lenses."""
+        """False, because the lens consists of several lenses."""
         return False
 
     @abstractmethod
@@ -31,7 +31,7 @@ class VaryingOptics(Optics):
     @property
     @abstractmethod
     def named_lenses(self) -> dict[str, Optics]:
-        """Return representative single lenses by name."""
+        """Representative single lenses by name."""
 
     def psf(self, x: ArrayLike, y: ArrayLike) -> jax.Array:
         """Raise ArgumentError, because each lens has its own kernel.
@@ -80,4 +80,6 @@ class VaryingOptics(Optics):
         raise self._refused("a kernel")
 
     def _refused(self, what: str) -> ArgumentError:
-        return ArgumentError(f"{what} needs one lens, but {type(self).__name__} has several: {self.instead()}")
+        return ArgumentError(
+            f"{what} requires a single lens, but {type(self).__name__} consists of several: {self.instead()}"
+        )

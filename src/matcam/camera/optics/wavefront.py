@@ -54,7 +54,7 @@ def wavefront(terms: AnyArray, x: jax.Array, y: jax.Array) -> jax.Array:
 def phase_of(terms: np.ndarray) -> int:
     """Compute an upper bound of the wavefront error, rad.
 
-    It determines the size of the quadratures. It is one of few values, because each size requires a compilation.
+    The bound determines the size of the quadratures. It has few possible values, because each size requires a compilation.
     """
     defocus, *pairs, spherical = np.abs(terms)
     norms = np.hypot(pairs[::2], pairs[1::2]) * np.sqrt([6, 8, 8])
@@ -159,7 +159,7 @@ def overlap_table(terms: jax.Array, phase: int) -> jax.Array:
 
 
 def _fineness(phase: int) -> tuple[int, int]:
-    """Return the numbers of steps of a table: in `end` from 0 to pi/2, and in the angle over a full turn."""
+    """Compute the numbers of steps of a table: in `end` from 0 to pi/2, and in the angle over a full turn."""
     return 96 + 12 * phase, 128 + 48 * phase
 
 

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from matcam.core.jax import AnyArray, jax
 
 _MOST_DIRECTLY = 4096
-"""Largest number of frequencies that have a quadrature each; a larger number is interpolated in a table."""
+"""Largest number of frequencies that are computed by separate quadratures. More frequencies are interpolated in a table."""
 _MOST = 5.0  # largest plausible coefficient, waves rms
 _FARTHEST = 200.0  # largest distance at which the PSF is integrated, in units of 2 / (cutoff frequency)
 
@@ -120,7 +120,7 @@ class ZernikeOptics(Optics):
 
     @property
     def isotropic(self) -> bool:
-        """Return False, because aberrations depend on the direction."""
+        """False, because aberrations depend on the direction."""
         return False
 
     @property
@@ -142,7 +142,7 @@ class ZernikeOptics(Optics):
         return wavefront(self.terms, *xp.broadcast_arrays(*checks.broadcastable(x=x, y=y)))
 
     def psf(self, x: ArrayLike, y: ArrayLike) -> jax.Array:
-        """Return the point spread function, 1/px^2, without the pixel.
+        """Compute the point spread function, 1/px^2, without the pixel.
 
         It is (pi cutoff^2 / 4) |mean over the pupil of exp(2 pi i (W + cutoff p . x / 2))|^2, which is non-negative.
 
@@ -166,7 +166,7 @@ class ZernikeOptics(Optics):
         return (xp.pi * scale**2 * (wave.real**2 + wave.imag**2)).reshape(right.shape)
 
     def lsf(self, x: ArrayLike, angle: ArrayLike = 0.0) -> jax.Array:
-        """Return the line spread function, 1/px, by quadrature, without the pixel.
+        """Compute the line spread function, 1/px, by quadrature, without the pixel.
 
         Args:
             x: distance from the image of the line, px; broadcasts with angle.
@@ -177,7 +177,7 @@ class ZernikeOptics(Optics):
         return line_kernel(rule, self._along, at, direction)
 
     def mtf(self, f: ArrayLike, angle: ArrayLike = 0.0) -> jax.Array:
-        """Return the modulus of the transfer function, without the pixel.
+        """Compute the modulus of the transfer function, without the pixel.
 
         Args:
             f: frequency, cycles/px; broadcasts with angle.
@@ -186,7 +186,7 @@ class ZernikeOptics(Optics):
         return xp.abs(self._along(*checks.broadcastable(f=f, angle=angle)))
 
     def otf(self, fx: ArrayLike, fy: ArrayLike) -> jax.Array:
-        """Return the complex transfer function in the plane, without the pixel.
+        """Compute the complex transfer function in the plane, without the pixel.
 
         It is the integral of psf(x, y) exp(-2 pi i (fx x + fy y)), computed as the autocorrelation of the pupil function
         by Gauss-Legendre quadrature over the overlap of two shifted discs. The error is below 1e-8, or below 1e-6 for
@@ -205,11 +205,11 @@ class ZernikeOptics(Optics):
         return xp.where(inside, values.reshape(nu.shape), 0.0)
 
     def band(self) -> float:
-        """Return the cutoff, cycles/px."""
+        """Compute the cutoff, cycles/px."""
         return self.focused.band()
 
     def rule_on(self, borders: np.ndarray) -> Rule:
-        """Return the quadrature of the perfect lens on finer panels.
+        """Build the quadrature of the perfect lens on finer panels.
 
         The panels resolve the phase of the aberrations.
         """

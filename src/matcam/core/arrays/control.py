@@ -1,4 +1,4 @@
-"""Steps, conditions and derivatives for arrays of both NumPy and JAX."""
+"""Loops, conditions and derivatives for arrays of NumPy and of JAX."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def repeated(count: int, step: Callable[[T], T], state: T) -> T:
 
 
 def either(condition: Any, some: Callable[..., T], others: Callable[..., T], *args: Any) -> T:
-    """Call one of two functions, by a condition, which may be traced."""
+    """Call `some` if a condition is true, and `others` otherwise. The condition may be traced."""
     if has_jax(condition):
         return import_module("jax").lax.cond(condition, some, others, *args)
     return some(*args) if condition else others(*args)
@@ -55,7 +55,7 @@ def either(condition: Any, some: Callable[..., T], others: Callable[..., T], *ar
 def last_of(step: Callable[[Any, Any], tuple[Any, T]], state: Any, inputs: Any) -> T:
     """Loop over inputs with a state, and return the last result.
 
-    step: function of state and input that returns the new state and a result.
+    step: function of state and input. It returns the new state and a result.
     """
     if has_jax(state):
         jax = import_module("jax")
@@ -66,7 +66,7 @@ def last_of(step: Callable[[Any, Any], tuple[Any, T]], state: Any, inputs: Any) 
 
 
 def changed(array: Any, where: Any, value: Any) -> Any:
-    """Return a copy of an array with other values at some indices."""
+    """Copy an array with new values at the given indices."""
     if has_jax(array, value):
         return import_module("jax").numpy.asarray(array).at[where].set(value)
     copy = np.array(array)
@@ -75,14 +75,14 @@ def changed(array: Any, where: Any, value: Any) -> Any:
 
 
 def entries(array: Any, *at: Any) -> Any:
-    """Select entries of an array at arrays of indices, one for each of the first axes."""
+    """Select entries of an array by index arrays, one for each leading axis."""
     if has_jax(array, *at):
         array = import_module("jax").numpy.asarray(array)
     return array[at]
 
 
 def evenly(count: int, most: int) -> np.ndarray:
-    """Select at most `most` of `count` indices, evenly spaced, with both ends."""
+    """Select up to `most` of `count` indices, evenly spaced and including both ends."""
     return np.unique(np.linspace(0, count - 1, min(most, count)).round().astype(int))
 
 
@@ -100,8 +100,9 @@ def tuple_map(function: Callable[..., Any], tree: Any, *others: Any) -> Any:
 
 
 _STEP = 1e-3
-"""Relative step of finite differences of fourth order. Their error is 1e-12 for functions that are smooth on the scale of
-the argument.
+"""Relative step of finite differences of fourth order.
+
+Their error is 1e-12 for functions that are smooth on the scale of the argument.
 """
 
 
@@ -165,8 +166,8 @@ def with_derivatives(function: Callable[P, T], *derivatives: Callable[..., Any])
 
     Args:
         function: a function of positional arguments.
-        derivatives: for each argument, a function that returns the change of the result; it is called with the change
-            of this argument, the result and all arguments.
+        derivatives: for each argument, a function that computes the tangent of the result. Its arguments are the tangent
+            of this argument, the result, and all arguments.
     """
     known: list[Any] = []
 

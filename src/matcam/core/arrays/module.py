@@ -107,7 +107,7 @@ def replaced(module: M, path: str, value: Any) -> M:
 
 
 def leaves_of(value: Any) -> list[Any]:
-    """Return the arrays of an object, in the order of its attributes."""
+    """List the arrays of an object, in the order of its attributes."""
     if isinstance(value, Module):
         return [leaf for name in _names(type(value))[0] for leaf in leaves_of(getattr(value, name))]
     if isinstance(value, tuple | list):

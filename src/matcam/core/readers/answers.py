@@ -54,7 +54,6 @@ def _unpacked(value: Any, arrays: list[np.ndarray]) -> Any:
 
 
 def _layout(value: Any) -> list[tuple[np.dtype, tuple[int, ...]]]:
-    """List the types and shapes of the arrays of a packed answer, in order."""
     if "array" in value:
         return [(np.dtype(value["type"]), tuple(value["shape"]))]
     inside = value.get("dict", {}).values() if "dict" in value else value.get("list", [])
@@ -64,12 +63,12 @@ def _layout(value: Any) -> list[tuple[np.dtype, tuple[int, ...]]]:
 def read_answer(take: Callable[[int], bytearray], path: Path, memory: int) -> Any:
     """Read an answer piece by piece.
 
-    take: function that returns the given number of further bytes. memory: largest size of the arrays, bytes.
+    `take` returns the given number of further bytes. `memory` is the largest total size of the arrays, bytes.
     """
     (length,) = struct.unpack("<Q", take(8))
     # more than 64 MiB of JSON indicate damage
     if length > (64 << 20):
-        raise FileFormatError(f"{path}: the file is damaged: its metadata take {length} bytes")
+        raise FileFormatError(f"{path}: the file is damaged: its metadata take {length} bytes, more than 64 MiB")
     message = json.loads(bytes(take(length)))
     if "error" in message:
         kind = getattr(errors, message["error"], FileFormatError)

@@ -82,7 +82,7 @@ def files_are_trusted() -> bool:
 
 
 def start_reader(modules: Sequence[str]) -> None:
-    """Start the reading process in the background, with an import of these modules."""
+    """Start the fork server in the background, and import modules there."""
     if _CAN_FORK and not files_are_trusted():
         with contextlib.suppress(OSError):  # the first file that is read reports the error
             for one in _request({"module": "", "libraries": list(modules)})[1:]:
@@ -99,18 +99,25 @@ def read_apart(
     size: int | None = None,
     **options: Any,
 ) -> Any:
-    """Call `decoder` ("package.module:function") on a file in a separate process.
+    """Call a decoder on a file in a separate process.
 
-    what: expected content, such as "an image"; "": it may be a folder.
-    libraries: modules that the decoder imports.
-    small: size of a file, bytes, up to which the decoder is called in this process, for decoders whose cost is bounded
-        by the size.
-    size: size of the content, bytes, from which the limits are computed. Default: None, the size of the file; required
-    if `path` is a folder.
+    Args:
+        decoder: function, "package.module:function".
+        path: the file.
+        what: expected content, such as "an image". Default: "", the path may be a folder.
+        libraries: modules that the decoder imports. Default: none.
+        small: size of a file, bytes, up to which the decoder is called in this process. It is for decoders whose cost is
+            bounded by the size. Default: 0.
+        size: size of the content, bytes, from which the limits are computed; required if `path` is a folder. Default:
+            None, the size of the file.
+        **options: further arguments of the decoder.
 
-    The answer may consist of None, truth values, numbers, strings, lists, dicts with string keys, and NumPy arrays.
-    A FileFormatError is raised if the file is missing or exceeds a limit, or if its decoder crashes or raises a foreign
-    error. Errors of the package are passed on unchanged.
+    Returns:
+        The answer of the decoder: None, truth values, numbers, strings, lists, dicts with string keys, and NumPy arrays.
+
+    Raises:
+        FileFormatError: the file is missing or exceeds a limit, or its decoder crashes or raises a foreign error. Errors
+            of the package are passed on unchanged.
     """
     limits = _limits.get()
     module, name = decoder.split(":")
@@ -118,7 +125,7 @@ def read_apart(
         try:
             return decoded(module, name, path, options, what)
         except MemoryError:
-            raise FileFormatError(f"{path}: reading needs more memory than is available") from None
+            raise FileFormatError(f"{path}: reading needs more memory than is available: free memory") from None
     with reading(path, what):
         size = path.stat().st_size if size is None else size
         if small and size <= small:
@@ -154,7 +161,7 @@ def _answer_to(request: dict[str, Any], path: Path, memory: int, wall: float) ->
 
 
 class _EndedError(Exception):
-    """The child ended before its answer was complete.
+    """End of the child before its answer was complete.
 
     by: number of the signal that ended the child; 0: normal exit; None: the child or the fork server is gone or stopped.
     """
@@ -171,16 +178,18 @@ A file that fills the memory of the machine ends both attempts.
 """
 _OUT_OF_TIME = getattr(signal, "SIGPROF", -1), getattr(signal, "SIGALRM", -1)
 _FROM_OUTSIDE = None, getattr(signal, "SIGKILL", -1), signal.SIGTERM
-"""Reasons for the end of a child that are not in the file: lack of memory, or a signal from a user."""
+"""Reasons for the end of a child that the file does not cause: lack of memory, or a signal from a user."""
 
 
 def _reason(ended_by: int | None, seconds: float, wall: float, memory: int) -> str:
     if ended_by in _FROM_OUTSIDE:
         return "the reading process was ended from outside, twice: free memory and try again"
     if ended_by == _OUT_OF_TIME[0]:
-        return f"reading takes more than {seconds:.3g} s of processor time: the file is damaged, or made to be slow"
+        return (
+            f"reading takes more than {seconds:.3g} s of processor time: the file is damaged, or was crafted to be slow"
+        )
     if ended_by == _OUT_OF_TIME[1]:
-        return f"reading takes more than {wall:.3g} s: the file is damaged, or on a disk that does not answer"
+        return f"reading takes more than {wall:.3g} s: the file is damaged, or on a disk that does not respond"
     return f"the file is damaged: its decoder crashed, or needs more than {memory / 2**20:.0f} MiB"
 
 
@@ -294,7 +303,6 @@ class _Nursery:
         self.channel = self.process = None
 
     def stop(self) -> None:
-        """End the fork server. The next file starts another one."""
         with self.lock:
             self._stop()
 

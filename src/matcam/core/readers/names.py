@@ -94,13 +94,16 @@ def listed_file(folder: Path, name: str, what: str) -> Path:
         what: name of the folder, such as "the capture's folder".
 
     Raises:
-        FileFormatError: the name is not plain text, or specifies a file outside the folder, directly or by a link.
+        FileFormatError: the name is not plain text of at most 200 characters, or specifies a file outside the folder,
+            directly or by a link.
     """
     pure = PurePosixPath(name)
     path = folder / name
     # file systems allow 255 bytes for each part of a path
     if not pure.parts or not name.isprintable() or len(name) > 200:
-        raise FileFormatError(f"{folder}: file {name[:40]!r} has a name that is not plain text: rename it")
+        raise FileFormatError(
+            f"{folder}: file {name[:40]!r} has a name that is not plain text of at most 200 characters: rename it"
+        )
     if pure.is_absolute() or ".." in pure.parts or "\\" in name or re.match(r"[A-Za-z]:", name):
         raise FileFormatError(f"{path}: the path leads out of {what}: give a file inside that folder")
     if not path.resolve().is_relative_to(folder.resolve()):

@@ -45,7 +45,6 @@ def decoded(module: str, name: str, path: Path, options: dict[str, Any], what: s
 
 
 def _serve(request: dict[str, Any], write: Callable[[Any], Any]) -> None:
-    """Decode one file under its limits, and write the answer."""
     _limit(request["seconds"], request["wall"], request["memory"])
     arrays: list[np.ndarray] = []
     try:

@@ -129,7 +129,7 @@ def _checked_text(path: Path, what: str, largest: int) -> bytes:
 
 
 def checked_version(document: Any, where: str | Path, what: str, form: str, versions: Collection[int]) -> int:
-    """Return the version of a document of matcam.
+    """Check the format and the version of a document of matcam, and return the version.
 
     The document has the form {"format": form, "version": one of `versions`, ...}.
 

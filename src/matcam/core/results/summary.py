@@ -48,7 +48,7 @@ class Quantity(NamedTuple):
 
     @property
     def text(self) -> str:
-        """Format value, standard deviation and unit.
+        """Value, standard deviation and unit as text.
 
         The standard deviation determines the number of digits.
         """
@@ -219,6 +219,6 @@ def draw(kind: str, result: Any, ax: Axes | None, options: Mapping[str, Any]) ->
         kind: kind of the result: the name of its class, or that of its kind of Dataset.
         result: the result.
         ax: Axes to draw on. None: those of a new figure.
-        options: options of its figure.
+        options: options of the figure.
     """
     return _FIGURES["draw"](kind, result, ax, options)

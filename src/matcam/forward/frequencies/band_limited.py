@@ -59,8 +59,9 @@ class BandLimit(NamedTuple):
 
 
 def band_limit(camera: Camera, enough: float = EXACT) -> BandLimit | None:
-    """Choose the sampling of images of a camera; None if a sum of Gaussians describes its lens at least as well.
+    """Choose the sampling of images of a camera.
 
+    The result is None if a sum of Gaussians describes the lens at least as well, or if parameters are traced.
     enough: error of a transfer function below which no finer sampling is used, no unit.
     """
     if not concrete(camera):
@@ -182,7 +183,7 @@ class FineRecord(NamedTuple):
         return self._replace(spectrum=self.spectrum * factor[..., None]).values()
 
     def only(self, channels: slice | list[int]) -> FineRecord:
-        """Return the transform of some channels."""
+        """Select the transform of some channels."""
         return self._replace(spectrum=self.spectrum[..., channels])
 
     def of(self, values: jax.Array) -> FineRecord:
@@ -240,5 +241,5 @@ def recorded(sigma: float | jax.Array, fx: np.ndarray, fy: np.ndarray) -> jax.Ar
 
 
 def optics_band(optics: Optics) -> float:
-    """Return the cutoff frequency of a lens, cycles/px; its parameters may be differentiated."""
+    """Compute the cutoff frequency of a lens, cycles/px. The parameters of the lens may be differentiated."""
     return float(without_derivatives(optics).band())

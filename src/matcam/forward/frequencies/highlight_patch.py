@@ -119,7 +119,7 @@ def _start(line: jax.Array, middle: jax.Array, count: int) -> jax.Array:
 
 
 def _light(regions: Regions, v: jax.Array, width: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Compute the nodes of one latitude in the scene, x and y, px, and radiance times weight, px^2/sr, (nodes, channels).
+    """Compute x and y, px, and radiance times weight, px^2/sr, of the nodes of one latitude in the scene.
 
     v: latitude, rad. width: weight of the latitude, rad.
     """

@@ -124,7 +124,7 @@ def _ends(lines: Lines, regions: Regions, side: int) -> tuple[jax.Array, jax.Arr
 
 
 def _light(lines: Lines, regions: Regions, side: int, low: jax.Array, high: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Compute nodes on each line, px, (lines, nodes), and radiance times weight, px/sr, (lines, nodes, channels)."""
+    """Compute the nodes on each line, px, and the radiance times weight at the nodes, px/sr, channels last."""
     scene, sphere = regions.scene, regions.scene.sample
     assert isinstance(sphere, Sphere)
     radius = sphere.radius

@@ -32,12 +32,12 @@ class Lines(NamedTuple):
 
     @property
     def radius(self) -> jax.Array:
-        """Return half the length of each line within the limb, px."""
+        """Half the length of each line within the limb, px."""
         sphere = self.scene.sample.radius
         return jnp.sqrt(jnp.maximum(sphere**2 - self.fixed**2, _LEAST * sphere**2))
 
     def normal(self, angle: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-        """Compute x, y and z of the normals at angles, rad, in the axes of the scene, (lines, positions) each."""
+        """Compute the normals in the axes of the scene. angle: angles on the lines, shape (lines, positions), rad."""
         sphere = self.scene.sample.radius
         share, across = self.radius[:, None] / sphere, self.fixed[:, None] / sphere
         along, across = share * jnp.sin(angle), jnp.broadcast_to(across, angle.shape)
@@ -45,7 +45,7 @@ class Lines(NamedTuple):
         return x, y, share * jnp.cos(angle)
 
     def ordered(self, along: jax.Array, across: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Return x and y from the components along and across the lines."""
+        """Convert components along and across the lines to x and y."""
         return (across, along) if self.upright else (along, across)
 
     def lamp(self) -> tuple[jax.Array, jax.Array, jax.Array]:
@@ -55,7 +55,7 @@ class Lines(NamedTuple):
         return *self.ordered(x, y), jnp.cos(angle)
 
     def lit(self) -> tuple[jax.Array, jax.Array]:
-        """Compute middle, in [-pi, pi], and half length of the lit arc on the whole circle of each line, rad, (lines,)."""
+        """Compute the middle, in [-pi, pi], and the half length of the lit arc on the circle of each line, rad."""
         along, across, axis = self.lamp()
         sphere = self.scene.sample.radius
         needed = (horizon(self.scene) - across * self.fixed / sphere) * sphere / self.radius

@@ -71,13 +71,13 @@ class PictureLens(NamedTuple):
 
     @property
     def highest(self) -> float:
-        """Return the largest cutoff frequency of its lenses, cycles/px."""
+        """Largest cutoff frequency of the lenses, cycles/px."""
         return max(optics_band(lens) for colour in self.colours for lens in colour.lenses)
 
     def channels(self, material: int) -> int:
-        """Return the number of channels of the image of a material.
+        """Compute the number of channels of an image. material: number of channels of the material.
 
-        An ArgumentError is raised if the number of channels does not match the lens.
+        An ArgumentError is raised if the material does not match the colours of the lens.
         """
         if len(self.colours) > 1 and material not in (1, len(self.colours)):
             raise ArgumentError(
@@ -87,7 +87,9 @@ class PictureLens(NamedTuple):
 
 
 def picture_lens(camera: Camera, radius: float, error: float | None = None) -> PictureLens | None:
-    """Build the filter of images of a camera; None if a sum of Gaussians describes its lens at least as well.
+    """Build the filter of images of a camera.
+
+    The result is None if a sum of Gaussians describes the lens at least as well.
 
     Args:
         camera: the camera.
@@ -116,8 +118,8 @@ def picture_lens(camera: Camera, radius: float, error: float | None = None) -> P
     limit = sampling_of([lens for colour in colours for lens in colour.lenses], camera.pixel, error or EXACT)
     if limit.error > _TOLERABLE:
         raise ArgumentError(
-            f"the {type(optics).__name__} passes up to {optics.band():.2g} cycles/px, which exceeds the band of the filter of "
-            f"an image (error {limit.error:.1g}): give a larger f-number, or wider Gaussians"
+            f"the {type(optics).__name__} passes frequencies up to {optics.band():.2g} cycles/px, which are too high for the "
+            f"filter of an image (error {limit.error:.1g}): give a larger f-number, or wider Gaussians"
         )
     if shares is not None:
         varying = [one for one in parts if isinstance(one, SeidelOptics)]
@@ -175,9 +177,9 @@ def _shares_for(optics: tuple[Optics, ...], radius: float) -> tuple[PositionShar
 def _sampled(
     lenses: list[SeidelOptics], positions: np.ndarray, frequencies: tuple[tuple[float, ...], int]
 ) -> np.ndarray:
-    """Evaluate transfer functions at positions (n, 2), px: (n, lenses times frequencies).
+    """Evaluate transfer functions, shape (n, lenses times frequencies).
 
-    frequencies: shares of the cutoff, and number of directions.
+    positions: positions on the sensor, shape (n, 2), px. frequencies: shares of the cutoff, and number of directions.
     """
     angle = 2 * np.pi * (np.arange(frequencies[1]) + 0.3) / frequencies[1]
     share = np.array(frequencies[0])[:, None]

@@ -69,7 +69,7 @@ class PositionShares(NamedTuple):
         return cls(side, side * unit[chosen], coefficients.reshape(degree + 1, degree + 1, -1))
 
     def at(self, positions: np.ndarray) -> np.ndarray:
-        """Evaluate the weights at positions (n, 2) on the sensor, px: (n, shares)."""
+        """Evaluate the weights, shape (n, shares). positions: positions on the sensor, shape (n, 2), px."""
         return _evaluated(self.coefficients, positions / self.side)
 
     def left_over(self, sigma: float, values: np.ndarray) -> float:

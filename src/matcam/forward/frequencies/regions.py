@@ -51,17 +51,17 @@ class RegionWidths(NamedTuple):
 
     @property
     def depth(self) -> float:
-        """Return the depth of the region of the limb, px."""
+        """Depth of the region of the limb, px."""
         return 2 * _ENDS * self.sigma
 
     @property
     def around(self) -> float:
-        """Return the radius of the region of a highlight, px."""
+        """Radius of the region of a highlight, px."""
         return (_NEAR + _ENDS) * self.sigma
 
     @property
     def widest_line(self) -> float:
-        """Return the largest depth of the region of the limb, px, including that of a crescent."""
+        """Largest depth of the region of the limb, px, including that of a crescent."""
         return self.depth + _MORE * self.sigma
 
 
@@ -129,7 +129,7 @@ class Regions(NamedTuple):
         return (depth2 > 0) & (cosine > horizon(self.scene))
 
     def sent(self, x: jax.Array, y: jax.Array) -> jax.Array:
-        """Compute the radiance at positions on the sensor, px: 1/sr, channels last; 0 where no lit surface is visible."""
+        """Compute the radiance, 1/sr, channels last; 0 where no lit surface is visible. x, y: positions on the sensor, px."""
         element, lit = self.scene.shown(x, y)
         return jnp.where(lit[..., None], self.scene.sent(element), 0.0)
 

@@ -1,7 +1,7 @@
 """Records of images of a sphere at the positions of the cells of a table, through a band-limited lens.
 
 One image of the sphere contains one theta_d slice of a table. The radiance of the image is computed on a grid
-(`light_grid.py`), the Fourier transform of the grid is multiplied by the transfer function of lens and pixel, and the
+(`light_grid.py`), and the Fourier transform of the grid is multiplied by the transfer function of lens and pixel. The
 filtered image is interpolated at the cells. The transfer function includes all aberrations of the lens. Camera and point
 lamp must be distant, so that all cells of a slice are in one image.
 """
@@ -114,7 +114,7 @@ def record_by_frequencies(
 def _recorded(
     grid: LightGrid, laying: Laying, at: tuple[jax.Array, jax.Array], scene: Scene, frame: _Frame
 ) -> jax.Array:
-    """Compute the record of a scene at positions on the sensor, px: 1/sr, (positions, channels)."""
+    """Compute the record of a scene, shape (positions, channels), 1/sr. at: positions on the sensor, px."""
     return _read(grid.laid(scene, laying), frame, at)
 
 
@@ -151,7 +151,7 @@ def _frame(rig: Rig, sample: Sphere, *, right_half: bool, symmetric: bool) -> _F
 
 @kept_program
 def _read(light: jax.Array, frame: _Frame, at: tuple[jax.Array, jax.Array]) -> jax.Array:
-    """Interpolate the filtered image, 1/sr, at positions on the sensor, px; (positions, channels)."""
+    """Interpolate the filtered image, shape (positions, channels), 1/sr. at: positions on the sensor, px."""
     column, row = (
         (position - line[0]) * frame.per_px for position, line in zip(at, (frame.grid.x, frame.grid.y), strict=True)
     )

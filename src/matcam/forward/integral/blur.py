@@ -4,7 +4,7 @@
   adds its variance to each Gaussian.
 - A lens out of focus spreads light over a disc. A source disc spreads the half vector over an ellipse (docs/model.md
   3). Both effects vary over the image. In records of pixels and cells, defocus is integrated over chords of the disc,
-  each of which is a product of functions of x and y, and a record is the mean over the points of the source disc. The
+  each of which is a product of functions of x and y. A record is the mean over the points of the source disc. The
   operator of a fit represents the source disc by `lamp_lines`. Elsewhere, each disc is replaced by a Gaussian with the
   same standard deviation, a quarter of the diameter of the disc.
 """
@@ -83,17 +83,17 @@ class Blur(eqx.Module):
 
     @property
     def terms(self) -> tuple[int, ...]:
-        """Return the indices of all terms."""
+        """Indices of all terms."""
         return tuple(range(self.stds.size + (self.residual is not None)))
 
     @property
     def std_of_half(self) -> float:
-        """Return the standard deviation of the Gaussian with the half-value frequency of the sum of all Gaussians, px."""
+        """Standard deviation of the Gaussian with the half-value frequency of the sum of all Gaussians, px."""
         return std_of_half(np.asarray(self.weights), np.asarray(self.stds))
 
     @property
     def even(self) -> bool:
-        """Check whether the kernel is symmetric about the x axis."""
+        """True if the kernel is symmetric about the x axis."""
         return self.residual is None or self.residual.even
 
     def is_residual(self, term: int) -> bool:
@@ -101,7 +101,7 @@ class Blur(eqx.Module):
         return term == self.stds.size
 
     def share(self, term: int) -> jax.Array:
-        """Return the factor of a term in the blur, no unit."""
+        """Select the factor of a term in the blur, no unit."""
         return jnp.ones(()) if self.is_residual(term) else self.weights[term]
 
     def only(self, terms: tuple[int, ...]) -> Blur:
@@ -185,7 +185,10 @@ class Blur(eqx.Module):
         return jax.lax.scan(lambda total, chord: (total + of_chord(chord), None), first, others)[0]
 
     def _through_residual(self, spread: Spread, of: Callable[[Line, Line], jax.Array]) -> jax.Array:
-        """Sum a function over the separable kernels of the residual, which is small, so discs are replaced by Gaussians."""
+        """Sum a function over the separable kernels of the residual.
+
+        Discs are replaced by Gaussians, because the residual is small.
+        """
         residual, (along, across) = self.residual, self._residual_variances(spread) or (None, None)
         assert residual is not None
 
@@ -296,7 +299,7 @@ class Blur(eqx.Module):
         )
 
     def of_point(self) -> Blur:
-        """Return the blur without the source disc."""
+        """Build the blur without the source disc."""
         varies = self.chords > 0 or not (is_concrete(self.aperture) and float(self.aperture) == 0)
         return dataclasses.replace(self, lamp_radius=jnp.zeros(()), varies=varies)
 
@@ -375,16 +378,16 @@ def blur_of(rig: Rig, *, in_discs: bool = False, whole: bool = False, residual: 
 
 
 def _with_residual(optics: Optics) -> GaussianSum:
-    """Return the Gaussians of a lens whose blur includes their residual.
+    """Approximate a lens by the Gaussians of a blur that includes their residual.
 
-    For derivatives, which neglect the residual, there are more Gaussians.
+    More Gaussians are used for derivatives, which neglect the residual.
     """
     known = all(map(is_concrete, jax.tree.leaves(optics)))
     return few_gaussians(optics) if known else round_gaussians(optics)
 
 
 def _chords(rig: Rig, lens: GaussianSum) -> int:
-    """Choose the number of chords of the discs out of focus of a rig; 0 for no discs, or for traced parameters."""
+    """Choose the number of chords of the disc out of focus; 0 for a lens in focus, or for traced parameters."""
     sample: Any = rig.sample
     own = rig.aperture, rig.focus, sample.radius, lens.sigmas, rig.jitter, rig.camera.pixel.half_width
     numbers = [jax.lax.stop_gradient(a) for a in own]

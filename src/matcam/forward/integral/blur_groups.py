@@ -53,7 +53,7 @@ class BlurGroup(NamedTuple):
 
 
 def groups_of(blur: Blur, sample: Curved) -> tuple[BlurGroup, ...]:
-    """Group the terms of a blur by width; ArgumentError inside jax.jit."""
+    """Group the terms of a blur by width. An ArgumentError is raised inside jax.jit."""
     lengths = [jax.lax.stop_gradient(a) for a in (blur.stds, blur.pixel.half_width, sample.radius, blur.lamp_radius)]
     if not all(is_concrete(a) for a in lengths):
         raise ArgumentError(

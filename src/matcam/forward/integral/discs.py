@@ -70,7 +70,7 @@ def disc_fineness(
 
 
 def nearer(imaging: Imaging, distance: float) -> Imaging:
-    """Return the imaging with the lamp at a multiple of its distance. distance: the factor, no unit."""
+    """Multiply the distance of the lamp of an imaging by a factor. distance: the factor, no unit."""
     return (
         imaging if imaging.lamp_nearness is None else imaging._replace(lamp_nearness=imaging.lamp_nearness / distance)
     )

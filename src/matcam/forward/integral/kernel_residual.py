@@ -41,7 +41,7 @@ MARGIN = 3
 _LEFT_OUT = 1e-5
 """Largest value of the neglected products, as a share of the peak of the kernel."""
 _FEWEST = 4
-"""The number of products is a multiple of this value, because each number requires a program."""
+"""The number of products is a multiple of this value, because each number of products requires a program."""
 RESIDUAL_RULE = _REACH, _REACH_OF_ABERRATIONS, _TAPERED, _KNOTS, _LEFT_OUT
 """Parameters of the residual of a lens. A stored quadrature rule is valid only for the same values."""
 _SMOOTH = np.polynomial.legendre.leggauss(9)
@@ -135,7 +135,7 @@ class KernelResidual(eqx.Module):
 
 
 def kernel_residual(optics: Optics, pixel: PixelResponse, gaussians: GaussianSum, jitter: Any) -> KernelResidual | None:
-    """Compute the residual of a lens through a pixel; None if there is none, or parameters are traced.
+    """Compute the residual of a lens through a pixel; None for a sum of Gaussians, or if parameters are traced.
 
     Args:
         optics: the lens, constant over the field.

@@ -1,8 +1,8 @@
 """Defocused record of smooth radiance: the mean over points of the pupil of the lens.
 
-The light of a surface element with its sharp image at s on the sensor arrives at s + c(s) p through the point p of the
-pupil, where c is the radius of the disc out of focus. s is found by iteration. The radiance is divided by the Jacobian
-determinant of s + c(s) p with respect to s.
+Let s be the sharp image of a surface element on the sensor. Through the point p of the pupil, its light arrives at
+s + c(s) p, where c is the radius of the disc out of focus. The position s is found by iteration. The radiance is divided by
+the Jacobian determinant of s + c(s) p with respect to s.
 """
 
 from __future__ import annotations

@@ -55,12 +55,12 @@ class Scene(eqx.Module):
 
     @property
     def uniform_rows(self) -> bool:
-        """Check whether the radiance is constant along y."""
+        """True if the radiance is constant along y."""
         return isinstance(self.sample, Cylinder) and self.sample.distant and self.lamp_nearness is None
 
     @property
     def _pixels_turn(self) -> bool:
-        """Check whether the axes of the scene differ from those of the sensor."""
+        """True if the axes of the scene differ from those of the sensor."""
         return self.turn is not None and not isinstance(self.sample, Cylinder)
 
     def from_sensor(self, x: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -100,7 +100,7 @@ class Scene(eqx.Module):
         return light, 1 / square
 
     def _tangent(self, element: Element) -> Vector:
-        """Return the first tangent, in the plane of the x axis of the sensor and the optical axis."""
+        """Compute the first tangent, in the plane of the x axis of the sensor and the optical axis."""
         if self.turn is None or not self._pixels_turn:
             return element.tangent
         (x, y, z), (cosine, sine) = element.normal, self.turn
@@ -122,12 +122,12 @@ class Scene(eqx.Module):
         return light * (area[..., None] if jnp.ndim(area) else area)
 
     def channels(self) -> int:
-        """Return the number of channels of the material."""
+        """Determine the number of channels of the material."""
         return jax.eval_shape(_sent_at_centre, self.material, self.sample, self.lamp_nearness).shape[-1]
 
 
 def _sent_at_centre(material: Material, sample: Curved, lamp_nearness: jax.Array | None) -> jax.Array:
-    # always the same function, so that JAX traces it once for each kind of scene
+    # a function of the module, so that JAX traces it only once for each kind of scene
     middle = jnp.zeros(())
     return Scene(material, sample, middle, lamp_nearness).sent(sample.surface(middle, middle))
 

@@ -28,7 +28,7 @@ _LOBE = 0.5
 singularities of a GGX lobe, which limit the convergence of a quadrature, are at a distance of its roughness.
 """
 _UNKNOWN_FINENESS = 6.0
-"""Ratio of the radius of a disc to the standard deviation of its blur that is assumed inside jit."""
+"""Ratio of the radius of a disc to the standard deviation of its blur that is assumed for traced parameters."""
 
 
 class DiscPoints(NamedTuple):
@@ -64,7 +64,7 @@ class Discs(NamedTuple):
 
 
 def disc_sizes(rig: Rig, theta: jax.Array) -> Discs | None:
-    """Compute the sizes of the discs of a rig at viewing angles, rad, (slices,); None if there are none."""
+    """Compute the sizes of the discs of a rig; None if the rig has no discs. theta: viewing angles, shape (slices,), rad."""
     sample, nearness = rig.sample, rig.lamp.nearness
     if not has_discs(rig) or not isinstance(sample, Curved):
         return None

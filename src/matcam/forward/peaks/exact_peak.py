@@ -18,9 +18,9 @@ from matcam.sample.shape import Curved, Flat
 
 
 def exact_response(rig: Rig, ndf: SlopeDistribution, theta: AnyArray, masking: Masking) -> jax.Array:
-    """Compute the recorded peak divided by the true peak on the curved sample, (n,); ArgumentError inside jax.jit.
+    """Compute the recorded peak divided by the true peak on the curved sample, shape (n,).
 
-    theta: viewing angles of the highlight, rad, (n,).
+    theta: viewing angles of the highlight, shape (n,), rad. An ArgumentError is raised inside jax.jit.
     """
     if isinstance(rig.sample, Flat):
         return jnp.ones_like(jnp.asarray(theta))

@@ -207,7 +207,7 @@ def _of_jitter(rig: Rig, frequency: AnyArray) -> jax.Array:
 
 
 def _largest(*lengths: jax.Array) -> float:
-    """Return the largest absolute value of lengths, px; `_UNKNOWN_REACH` stands for traced lengths."""
+    """Compute the largest absolute length, px. Traced lengths are assumed to be `_UNKNOWN_REACH`."""
     known = [constant(length) for length in lengths]
     return max((float(xp.max(xp.abs(a))) if is_concrete(a) else _UNKNOWN_REACH for a in known), default=0.0)
 

@@ -1,6 +1,6 @@
 """Response at the peak of a highlight: recorded peak over true peak (docs/model.md 4).
 
-The tangent plane approximation takes milliseconds. On a sphere of 256 px it is accurate to 1e-5 up to 83 degrees for
+The tangent plane approximation is fast. On a sphere of 256 px it is accurate to 1e-5 up to 83 degrees for
 lobes narrower than 0.002 rad, and to 2 % at 80 degrees for 0.05 rad. The exact computation integrates over the curved
 sample with its limb.
 """
@@ -51,7 +51,7 @@ def peak_response(
             response depends on it. Default: "smith".
 
     Returns:
-        Response, of theta's shape, no unit. Differentiable in rig, ndf and theta.
+        Response, of theta's shape, no unit. Differentiable in rig, ndf and, in the tangent plane, theta.
 
     Raises:
         ArgumentError: an argument is out of its range, or the lens or the lobe is not isotropic.

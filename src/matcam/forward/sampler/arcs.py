@@ -50,7 +50,7 @@ class Clips(NamedTuple):
     def of(cls, half_spaces: tuple[np.ndarray, np.ndarray], frame: Frame) -> Clips:
         """Express half-spaces a . n <= b in the frame of the circles.
 
-        half_spaces: a (3, windows, half-spaces), and b (windows, half-spaces).
+        half_spaces: a, shape (3, windows, half-spaces), and b, shape (windows, half-spaces).
         """
         normal, offset = half_spaces
         axial, along, across = (np.sum(normal * vector[:, :, None], axis=0) for vector in frame)
@@ -60,10 +60,10 @@ class Clips(NamedTuple):
 def _gaps(
     axial: jax.Array, radial: jax.Array, azimuth: jax.Array, offset: jax.Array, circle: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """Compute start and length of the parts of circles inside all half-spaces, (..., half-spaces), rad; length 0: none.
+    """Compute the start and the length of the parts of circles inside all half-spaces, (..., half-spaces), rad.
 
-    On a circle a half-space excludes one interval. A part starts at the end of an interval that no other interval
-    covers, and ends at the next start of an interval.
+    Entries without a part have the length 0. On a circle, a half-space excludes one interval. A part starts at the end of an
+    interval that no other interval covers, and ends at the next start of an interval.
 
     Args:
         axial: see `Clips`, (..., half-spaces).

@@ -1,9 +1,9 @@
 """Circles of normals along which the record of a window is integrated (docs/forward.md, Quadrature).
 
-The radiance of a lobe depends mainly on the angle from the normal of the highlight, so circles about this normal, which are
-denser towards it, resolve a highlight of any width. Far from the highlight the shape of the window on the sphere matters
-more: near the limb the window is a narrow strip. The axis of its circles is then perpendicular to the strip and to the
-optical axis, so the circles run along the strip and cross limb and terminator at large angles.
+The radiance of a lobe depends mainly on the angle from the normal of the highlight. Circles about this normal that are
+denser towards it therefore resolve a highlight of any width. Far from the highlight, the shape of the window on the sphere
+matters more: near the limb the window is a narrow strip. The axis of its circles is then perpendicular to the strip and to the
+optical axis. The circles run along the strip, and cross limb and terminator at large angles.
 
 The angles theta of the circles from the axis are Gauss-Legendre nodes in
 
@@ -165,13 +165,13 @@ def _ends_inside(view: SphereView, windows: Windows, border: np.ndarray) -> np.n
 
 
 def about_highlight(windows: Windows) -> Frame:
-    """Return the frame whose circles run around the normal of the highlight; azimuth 0 is in the plane of camera and lamp."""
+    """Build the frame whose circles run around the normal of the highlight; azimuth 0 is in the plane of camera and lamp."""
     sine, cosine, zero = np.sin(windows.peak), np.cos(windows.peak), np.zeros(windows.peak.size)
     return Frame(np.stack([sine, zero, cosine]), np.stack([cosine, zero, -sine]), np.stack([zero, zero + 1, zero]))
 
 
 def _across_radius(windows: Windows) -> Frame:
-    """Return the frame whose circles run along the radius of the sphere's image through the centre of each window.
+    """Build the frame whose circles run along the radius of the sphere's image through the centre of each window.
 
     The axis of the circles is perpendicular to this radius, in the image plane.
     """
@@ -182,7 +182,7 @@ def _across_radius(windows: Windows) -> Frame:
 
 
 def _dot(vector: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Compute scalar products of a vector of each window, (3, windows), with one or several, (3, windows, ...)."""
+    """Compute scalar products of a vector of each window, (3, windows), with other vectors, (3, windows, ...)."""
     return np.sum(vector.reshape(*vector.shape, *[1] * (others.ndim - 2)) * others, axis=0)
 
 
@@ -236,7 +236,7 @@ def _spans(
     scale: np.ndarray,
     pitches: tuple[np.ndarray, np.ndarray],
 ) -> _Spans:
-    """Divide ranges of angles at touching circles, and at the angle `side`, where the pitch changes; NaN: it does not."""
+    """Divide ranges of angles at touching circles, and at the angle `side`, where the pitch changes; NaN: it is constant."""
     low, high = ends
     cuts = np.concatenate([touching, side[:, None]], axis=1)
     cuts = np.where((cuts > low[:, None] + _EQUAL) & (cuts < high[:, None] - _EQUAL), cuts, np.nan)
@@ -260,7 +260,6 @@ def _gauss(count: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _nodes(spans: _Spans) -> Circles:
-    """Compute the nodes of spans and their weights."""
     count = _t(spans.high, spans.scale, spans.pitch) - _t(spans.low, spans.scale, spans.pitch) + _MORE
     count += _MORE_AT_TOUCH * (np.isfinite(spans.before).astype(int) + np.isfinite(spans.after))
     count = 4 * np.ceil(count / 4).astype(int)  # rounded up, so that there are few different numbers

@@ -71,7 +71,7 @@ class CrossArcs(NamedTuple):
     half: np.ndarray
 
     def at(self, index: np.ndarray | slice) -> CrossArcs:
-        """Return the arcs at indices."""
+        """Select arcs by index."""
         return CrossArcs(*(a[index] for a in self))
 
     def directions(self) -> tuple[()]:
@@ -168,12 +168,10 @@ class _Spans(NamedTuple):
 
     @classmethod
     def of(cls, centre: np.ndarray, scale: np.ndarray, low: np.ndarray, high: np.ndarray) -> _Spans:
-        """Build the substituted intervals from `low` to `high`."""
         first, last = (np.arcsinh((end - centre) / scale) for end in (low, high))
         return cls(centre, scale, (first + last) / 2, (last - first) / 2)
 
     def at(self, index: np.ndarray) -> _Spans:
-        """Return the intervals at indices."""
         return _Spans(*(a[index] for a in self))
 
     def counts(self, width: np.ndarray, fineness: float) -> np.ndarray:
@@ -206,7 +204,7 @@ def _around(imaging: Imaging, windows: Windows) -> tuple[np.ndarray, ...]:
 
 
 def _columns(windows: Windows) -> tuple[np.ndarray, ...]:
-    """Return x, half side along x, lamp angle, and cosine and sine of the lamp azimuth."""
+    """List x and half side along x, px, lamp angle, rad, and cosine and sine of the lamp azimuth."""
     return windows.x, windows.half[0], windows.lamp, windows.cosine, windows.sine
 
 
@@ -248,7 +246,7 @@ def _arc_blocks(used: jax.Array, rows: tuple[jax.Array, ...], imaging: Imaging) 
 def _interval(
     imaging: Imaging, x: jax.Array, reach: jax.Array, lamp: list[jax.Array]
 ) -> tuple[PlacedLamps, jax.Array, jax.Array, jax.Array, jax.Array]:
-    """Compute the lamps of pixels, and the u of both ends of the lit part and of both sides of the window, rad."""
+    """Compute the lamps of pixels, and the angles u of both ends of the lit part and of both sides of the window, rad."""
     cylinder: Cylinder = imaging.sample  # type: ignore[assignment]
     light = _lamps(imaging, *lamp)
     first, last = (cylinder.across(x + side * reach, jnp.zeros_like(x)) for side in (-1, 1))

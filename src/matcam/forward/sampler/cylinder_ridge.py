@@ -74,7 +74,8 @@ def seen_at(
 ) -> tuple[Element, Vector, jax.Array | None]:
     """Compute surface elements, directions to the lamp, and squared distances of the lamp.
 
-    The squared distance is relative to that from the centre, no unit; None: 1. u: angle, rad. row: px.
+    The squared distance is relative to that from the centre, no unit; None: 1. u: angle of the normal, rad. row: row of the
+    image, px.
     """
     element = cylinder.surface(u, row / cylinder.stretch * (1 - cylinder.nearness * jnp.cos(u)))
     if light.nearness is None:
@@ -85,7 +86,7 @@ def seen_at(
 def ridge_of(
     cylinder: Cylinder, light: PlacedLamps, row: jax.Array, low: jax.Array, high: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """Compute the u, rad, at which the normal in a row is closest to the half vector.
+    """Compute the angle u, rad, at which the normal in a row is closest to the half vector.
 
     Returns:
         u in [low, high]; and the angle between the half vector and the plane of the normals, rad.

@@ -63,12 +63,12 @@ class RecordPositions(NamedTuple):
     picture: np.ndarray | None = None
 
     def at(self, index: np.ndarray) -> RecordPositions:
-        """Return the positions at indices."""
+        """Select positions by index."""
         return self._replace(**{name: np.asarray(a)[index] for name, a in self._asdict().items() if a is not None})
 
     @property
     def turn(self) -> Turn | None:
-        """Return cosine and sine of the azimuth; None if every lamp is towards +x."""
+        """Cosine and sine of the azimuth; None if every lamp is towards +x."""
         return None if self.azimuth is None else Turn(np.cos(self.azimuth), np.sin(self.azimuth))
 
 
@@ -94,7 +94,7 @@ class ArcRows(NamedTuple):
     half: np.ndarray
 
     def at(self, index: np.ndarray | slice) -> ArcRows:
-        """Return the arcs at indices."""
+        """Select arcs by index."""
         return ArcRows(*(a[index] for a in self))
 
     def on_circles(self, frames: np.ndarray) -> CircleArcs:
@@ -133,7 +133,7 @@ class RecordPlan:
 
 
 def record_plan(imaging: Imaging, positions: RecordPositions, finest: float, elongation: float = 1.0) -> RecordPlan:
-    """Compute the plan of a record; ArgumentError inside jax.jit.
+    """Compute the plan of a record.
 
     Args:
         imaging: sample, blur and inverse distance of the lamp.
@@ -144,6 +144,9 @@ def record_plan(imaging: Imaging, positions: RecordPositions, finest: float, elo
 
     Returns:
         The plan. It is valid for materials that are not narrower, and for cameras whose parameters differ little.
+
+    Raises:
+        ArgumentError: the call is inside jax.jit.
     """
     imaging = jax.lax.stop_gradient(imaging)
     groups = groups_of(imaging.blur, imaging.sample)
@@ -317,7 +320,6 @@ def _arcs(
 def _nodes_on_arcs(
     view: SphereView, windows: Windows, layout: CircleLayout, fineness: float, elongation: float
 ) -> np.ndarray:
-    """Choose the number of nodes of each arc."""
     circle, _, half = layout.arcs
     window = layout.circles.window[circle]
     highlight = layout.highlight[window]

@@ -52,7 +52,7 @@ class Subject(NamedTuple):
 
     @property
     def known(self) -> bool:
-        """Check whether all parameters are concrete, which excludes differentiation."""
+        """True if all parameters are concrete, which excludes differentiation."""
         return all(map(is_concrete, jax.tree.leaves(tuple(self))))
 
     def under(self, lamp_angle: AnyArray, turn: Turn | None = None) -> Scene:
@@ -174,7 +174,7 @@ def _added_by_numpy(shape: tuple[int, int], found: Iterable[tuple[AnyArray, Any]
 
 
 def _added_by_jax(shape: tuple[int, int], found: Iterable[tuple[AnyArray, Any]]) -> jax.Array:
-    """Compute `_added_by_numpy` on a GPU, or for differentiation."""
+    """Compute the results of `_added_by_numpy` on a GPU, or for differentiation."""
     total = jnp.zeros(shape)
     for position, values in found:
         total = _with_tile(total, position, values)

@@ -42,7 +42,7 @@ def record_inside(scene: Scene, blur: BlurTerms, x: jax.Array, y: jax.Array) -> 
 
 
 def _arriving(scene: Scene, blur: Blur, x: jax.Array, y: jax.Array) -> jax.Array:
-    """Compute the radiance at positions on the sensor, px, blurred by defocus only; 1/sr, channels last."""
+    """Compute the radiance blurred by defocus only, 1/sr, channels last. x, y: positions on the sensor, px."""
 
     def seen(at_x: jax.Array, at_y: jax.Array) -> Element:
         return scene.sample.at(*scene.from_sensor(at_x, at_y))[0]

@@ -17,7 +17,7 @@ _PER_SIDE = 12
 """Number of points on each side of a window at which angles are compared."""
 _AROUND = np.linspace(-1, 1, 9)
 _CLOSER = tuple(1 / _PER_SIDE / 4**n for n in range(3))
-"""Half lengths, in sides, of the parts of a border in which its nearest point is searched for, one after the other."""
+"""Half lengths, in sides, of the successively smaller parts of a border in which the nearest point is searched for."""
 _FORESHORTENED = 2 / _PER_SIDE
 """Cosine of the viewing angle below which neighbouring points of a border are farther apart on the sphere than the centre of
 the window is from the border. A highlight just beside a window may then be much closer than any of these points.
@@ -39,12 +39,12 @@ class SphereView(NamedTuple):
 
     @property
     def distant(self) -> bool:
-        """Check whether both camera and lamp are distant."""
+        """True if both camera and lamp are distant."""
         return self.camera == 0 and self.lamp == 0
 
     @property
     def stretch(self) -> float:
-        """Return the scale of the image at the depth of the centre, px per radius."""
+        """Scale of the image at the depth of the centre, px per radius."""
         return self.radius * (1 - self.camera**2) ** 0.5
 
     def normals(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -78,11 +78,11 @@ class Windows(NamedTuple):
     half: np.ndarray
 
     def at(self, index: np.ndarray | slice) -> Windows:
-        """Return the windows at indices."""
+        """Select windows by index."""
         return Windows(*(a[..., index] for a in self))
 
     def to_lamp(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Rotate positions on the sensor, (windows, ...), to axes of which the first points towards the lamp."""
+        """Convert positions on the sensor, (windows, ...), to components along and across the direction to the lamp."""
         cosine, sine = (a.reshape(-1, *[1] * (np.ndim(x) - 1)) for a in (self.cosine, self.sine))
         return x * cosine + y * sine, y * cosine - x * sine
 
@@ -127,7 +127,7 @@ class Windows(NamedTuple):
         return (np.abs(x - self.x) < self.half[0]) & (np.abs(y - self.y) < self.half[1])
 
     def half_spaces(self, view: SphereView) -> tuple[np.ndarray, np.ndarray]:
-        """Compute a, (3, windows, 6), and b, (windows, 6), of the half-spaces of limb, terminator and the four sides."""
+        """Compute the half-spaces of limb, terminator and four sides: a, shape (3, windows, 6), and b, shape (windows, 6)."""
         zero, one = np.zeros(self.x.size), np.ones(self.x.size)
         normals = [(zero, zero, -one), (-np.sin(self.lamp), zero, -np.cos(self.lamp))]
         offsets = [-view.camera * one, -view.lamp * one]

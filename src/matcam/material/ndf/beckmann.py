@@ -43,11 +43,11 @@ class Beckmann(SlopeNDF, MixtureNDF):
         self.alpha = checked_roughness("alpha", alpha, self.largest)
 
     def slope_density(self, slope2: jax.Array) -> jax.Array:
-        """Return exp(-slope^2 / alpha^2) / (pi alpha^2)."""
+        """Compute P22 = exp(-slope^2 / alpha^2) / (pi alpha^2)."""
         return xp.exp(-slope2 / self.alpha**2) / (xp.pi * self.alpha**2)
 
     def smith_lambda(self, cos: jax.Array) -> jax.Array:
-        """Return Smith's Lambda in closed form.
+        """Compute Smith's Lambda in closed form.
 
         It is [exp(-nu^2) / (nu sqrt pi) - erfc(nu)] / 2, nu = cot theta / alpha.
 
@@ -57,7 +57,7 @@ class Beckmann(SlopeNDF, MixtureNDF):
         return beckmann_lambda(cot_of(cos) / self.alpha)
 
     def mixture(self) -> tuple[jax.Array, jax.Array]:
-        """Return the weight and width of one Gaussian in the slope."""
+        """Compute the weight and width of the single Gaussian in the slope."""
         return xp.ones(1), self.alpha[None] / xp.sqrt(2)
 
     @property
@@ -88,11 +88,11 @@ class AnisotropicBeckmann(StretchedSlopes):
     """
 
     def unit_density(self, slope2: jax.Array) -> jax.Array:
-        """Return exp(-slope^2) / pi."""
+        """Compute P22 for roughness 1, exp(-slope^2) / pi."""
         return xp.exp(-slope2) / xp.pi
 
     def unit_lambda(self, nu: jax.Array) -> jax.Array:
-        """Return Beckmann's closed form of Lambda."""
+        """Compute Lambda for roughness 1 in closed form."""
         return beckmann_lambda(nu)
 
 

@@ -35,7 +35,7 @@ class SlopeDistribution(Module):
 
     @abstractmethod
     def density(self, along: jax.Array, across: jax.Array) -> jax.Array:
-        """Return P22, the density of slopes; its integral over slopes is 1.
+        """Compute P22, the density of slopes; its integral over slopes is 1.
 
         Args:
             along: slope along the first tangent of the surface, no unit.
@@ -44,7 +44,7 @@ class SlopeDistribution(Module):
 
     @abstractmethod
     def lambdas(self, shading: Shading) -> tuple[jax.Array, jax.Array]:
-        """Return Smith's Lambda of light and view.
+        """Compute Smith's Lambda of light and view.
 
         Args:
             shading: directions of light and view, both above the horizon.
@@ -57,7 +57,7 @@ class SlopeDistribution(Module):
 
     @property
     def elongation(self) -> float:
-        """Return the ratio of length to width of P22, no unit."""
+        """Ratio of length to width of P22, no unit."""
         return 1.0
 
 
@@ -74,7 +74,7 @@ class NDF(SlopeDistribution):
 
     @abstractmethod
     def d(self, theta_h: ArrayLike) -> jax.Array:
-        """Return D, 1/sr.
+        """Compute D, 1/sr.
 
         The integral of D cos over the hemisphere is 1.
 
@@ -84,7 +84,7 @@ class NDF(SlopeDistribution):
 
     @abstractmethod
     def slope_density(self, slope2: jax.Array) -> jax.Array:
-        """Return P22, the density of slopes.
+        """Compute P22, the density of slopes.
 
         Args:
             slope2: squared slope, tan^2 theta_h, no unit.
@@ -92,7 +92,7 @@ class NDF(SlopeDistribution):
 
     @abstractmethod
     def coordinate(self, theta_h: jax.Array) -> jax.Array:
-        """Return the tangent-plane coordinate r, an angle or a slope.
+        """Compute the tangent-plane coordinate r, an angle or a slope.
 
         Args:
             theta_h: angle between half vector and surface normal, rad.
@@ -100,7 +100,7 @@ class NDF(SlopeDistribution):
 
     @abstractmethod
     def shape(self, r: jax.Array) -> jax.Array:
-        """Return the lobe as a function of the tangent-plane coordinate, 1 at the peak.
+        """Evaluate the lobe at a tangent-plane coordinate, 1 at the peak.
 
         Args:
             r: coordinate, an angle or a slope.
@@ -108,9 +108,9 @@ class NDF(SlopeDistribution):
 
     @abstractmethod
     def flattening(self, theta_h: jax.Array) -> jax.Array:
-        """Return D divided by D(0) and by the shape in r.
+        """Compute D divided by D(0) and by the shape in r.
 
-        It is 1 at the peak. The tangent plane approximation neglects this factor.
+        The ratio is 1 at the peak. The tangent plane approximation neglects this factor.
 
         Args:
             theta_h: angle between half vector and surface normal, rad.
@@ -118,7 +118,7 @@ class NDF(SlopeDistribution):
 
     @abstractmethod
     def smith_lambda(self, cos: jax.Array) -> jax.Array:
-        """Return Smith's Lambda.
+        """Compute Smith's Lambda.
 
         Args:
             cos: cosine of the angle of the direction to the normal, above 0.
@@ -130,7 +130,7 @@ class NDF(SlopeDistribution):
         """First parameter, the scale of the slopes of the facets."""
 
     def g1(self, theta: ArrayLike) -> jax.Array:
-        """Return Smith's masking: the share of visible facets.
+        """Compute Smith's masking: the share of visible facets.
 
         Args:
             theta: angle of the direction to the normal, rad, [0, pi/2].
@@ -141,11 +141,11 @@ class NDF(SlopeDistribution):
         return 1 / (1 + self.smith_lambda(xp.cos(checks.within("theta", theta, 0, np.pi / 2, "rad"))))
 
     def density(self, along: jax.Array, across: jax.Array) -> jax.Array:
-        """Return P22, which is the same in every direction."""
+        """Compute P22, which is the same in every direction."""
         return self.slope_density(along**2 + across**2)
 
     def lambdas(self, shading: Shading) -> tuple[jax.Array, jax.Array]:
-        """Return Smith's Lambda of light and view.
+        """Compute Smith's Lambda of light and view.
 
         Each depends only on the angle of its direction to the normal.
         """
@@ -161,20 +161,20 @@ class SlopeNDF(NDF):
     """NDF that follows from a density of slopes."""
 
     def d(self, theta_h: ArrayLike) -> jax.Array:
-        """Return D = P22 / cos^4 theta_h, 1/sr."""
+        """Compute D = P22 / cos^4 theta_h, 1/sr."""
         slope2 = xp.tan(checks.number("theta_h", theta_h)) ** 2
         return self.slope_density(slope2) * (1 + slope2) ** 2
 
     def coordinate(self, theta_h: jax.Array) -> jax.Array:
-        """Return the slope tan theta_h."""
+        """Compute the slope tan theta_h."""
         return xp.tan(theta_h)
 
     def shape(self, r: jax.Array) -> jax.Array:
-        """Return the density of slopes divided by that at slope 0."""
+        """Compute the density of slopes divided by that at slope 0."""
         return self.slope_density(r**2) / self.slope_density(xp.zeros(()))
 
     def flattening(self, theta_h: jax.Array) -> jax.Array:
-        """Return cos^-4 theta_h, which converts slopes to solid angle."""
+        """Compute cos^-4 theta_h, which converts slopes to solid angle."""
         return xp.cos(theta_h) ** -4
 
 
@@ -194,7 +194,7 @@ class MixtureNDF(NDF):
 
     @abstractmethod
     def mixture(self) -> tuple[jax.Array, jax.Array]:
-        """Return weights and widths of the Gaussians in r.
+        """Compute weights and widths of the Gaussians in r.
 
         Each has shape (n,); the weights sum to 1.
         """
@@ -216,7 +216,7 @@ class StretchedSlopes(SlopeDistribution):
 
     @abstractmethod
     def unit_density(self, slope2: jax.Array) -> jax.Array:
-        """Return P22 of the surface of roughness 1.
+        """Compute P22 of the surface of roughness 1.
 
         Args:
             slope2: squared slope, no unit.
@@ -224,19 +224,19 @@ class StretchedSlopes(SlopeDistribution):
 
     @abstractmethod
     def unit_lambda(self, nu: jax.Array) -> jax.Array:
-        """Return Smith's Lambda of the surface of roughness 1.
+        """Compute Smith's Lambda of the surface of roughness 1.
 
         Args:
             nu: cot theta of the direction.
         """
 
     def density(self, along: jax.Array, across: jax.Array) -> jax.Array:
-        """Return P22 of the slopes divided by their roughnesses."""
+        """Compute P22 from the slopes divided by their roughnesses."""
         stretched2 = (along / self.alpha_along) ** 2 + (across / self.alpha_across) ** 2
         return self.unit_density(stretched2) / (self.alpha_along * self.alpha_across)
 
     def lambdas(self, shading: Shading) -> tuple[jax.Array, jax.Array]:
-        """Return Smith's Lambda at each direction's projected roughness."""
+        """Compute Smith's Lambda at each direction's projected roughness."""
         (x, y), (offset_x, offset_y) = _tangents(shading)
         return tuple(  # type: ignore[return-value]
             self._lambda(cos, offset_x + sign * x, offset_y + sign * y)
@@ -254,7 +254,7 @@ class StretchedSlopes(SlopeDistribution):
 
     @property
     def elongation(self) -> float:
-        """Return the ratio of the larger to the smaller roughness, no unit."""
+        """Ratio of the larger to the smaller roughness, no unit."""
         along, across = (checks.outside_jit(a, "the roughnesses") for a in (self.alpha_along, self.alpha_across))
         return max(along / across, across / along)
 
@@ -262,7 +262,7 @@ class StretchedSlopes(SlopeDistribution):
 def checked_roughness(name: str, value: ArrayLike, largest: float = 1.0, unit: str = "") -> jax.Array:
     """Check that a roughness lies in (0, largest].
 
-    Its square must be positive, too. Otherwise an ArgumentError is raised.
+    Its square must be representable as a positive number, too. Otherwise an ArgumentError is raised.
     """
     checks.within(name, value, 0, largest, unit, open_low=True)
     return checks.scalar(name, checks.within(name, value, _SMOOTHEST, largest, unit))

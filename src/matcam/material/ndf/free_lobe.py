@@ -55,11 +55,11 @@ class SplineNDF(SlopeNDF):
         self.norm = _norm(base, coefficients)
 
     def slope_density(self, slope2: jax.Array) -> jax.Array:
-        """Return the base times the modification, divided by the integral of the product."""
+        """Compute the base times the modification, divided by the integral of the product."""
         return self.base.slope_density(slope2) * jnp.exp(spline_at(self.coefficients, slope2)) / self.norm
 
     def smith_lambda(self, cos: jax.Array) -> jax.Array:
-        """Return Smith's Lambda by its integral over slopes."""
+        """Compute Smith's Lambda by its integral over slopes."""
         return integrated_lambda(self.slope_density, self.base.roughness, cos)
 
     @property
@@ -107,10 +107,10 @@ def _knot_at(slope2: jax.Array) -> jax.Array:
 def spline_smoothness() -> np.ndarray:
     """Build the smoothness penalty of the coefficients, (rows, KNOTS).
 
-    It is `smoothness`, and stiffer for facets steeper than about 45 degrees. Only few cells, in the outermost pixels of
-    the sphere, depend on such facets, but their number affects the masking at grazing angles. There, the tail of the lobe
-    continues as a power law, whose exponent differs from that of the family by about 0.5 (one standard deviation, if that
-    of second differences is 1).
+    The penalty is that of `smoothness`, with larger weights for facets steeper than about 45 degrees. Only few cells, in
+    the outermost pixels of the sphere, depend on such facets, but their number affects the masking at grazing angles. For
+    steep facets the tail of the lobe continues as a power law. If the standard deviation of second differences is 1, the
+    exponent of this power law differs from that of the family by about 0.5 (one standard deviation).
     """
     rows, between = smoothness(KNOTS), np.arange(KNOTS - 1) + 0.5
     steep = slope_of_knot(np.concatenate([np.arange(1.0, KNOTS - 1), between, [0.0]])) > _STEEP
@@ -162,27 +162,27 @@ class ShadowedNDF(NDF):
     largest = 1.0
 
     def d(self, theta_h: ArrayLike) -> jax.Array:
-        """Return D of the base."""
+        """Compute D of the base."""
         return self.base.d(theta_h)
 
     def slope_density(self, slope2: jax.Array) -> jax.Array:
-        """Return P22 of the base."""
+        """Compute P22 of the base."""
         return self.base.slope_density(slope2)
 
     def coordinate(self, theta_h: jax.Array) -> jax.Array:
-        """Return the coordinate of the base."""
+        """Compute the coordinate of the base."""
         return self.base.coordinate(theta_h)
 
     def shape(self, r: jax.Array) -> jax.Array:
-        """Return the shape of the base."""
+        """Evaluate the shape of the base."""
         return self.base.shape(r)
 
     def flattening(self, theta_h: jax.Array) -> jax.Array:
-        """Return the flattening of the base."""
+        """Compute the flattening of the base."""
         return self.base.flattening(theta_h)
 
     def smith_lambda(self, cos: jax.Array) -> jax.Array:
-        """Return 1 / G1 - 1."""
+        """Compute Lambda = 1 / G1 - 1."""
         return jnp.expm1(combined(self.shadows, shadow_basis(cos)))
 
     @property

@@ -48,11 +48,11 @@ class GaussianNDF(MixtureNDF):
         self.width = checked_roughness("width", width, self.largest, "rad")
 
     def d(self, theta_h: ArrayLike) -> jax.Array:
-        """Return D, 1/sr, proportional to exp(-theta_h^2 / (2 width^2))."""
+        """Compute D, 1/sr, proportional to exp(-theta_h^2 / (2 width^2))."""
         return self._of_squared_angle(xp.square(checks.number("theta_h", theta_h)))
 
     def slope_density(self, slope2: jax.Array) -> jax.Array:
-        """Return P22 = D cos^4 theta_h."""
+        """Compute P22 = D cos^4 theta_h."""
         small = slope2 < _SMALL
         angle = xp.arctan(xp.sqrt(xp.where(small, 1.0, slope2)))
         series = slope2 * (1 - slope2 * (2 / 3 - slope2 * 23 / 45))
@@ -70,23 +70,23 @@ class GaussianNDF(MixtureNDF):
         return xp.pi * reach / 2 * (inside @ weights)
 
     def coordinate(self, theta_h: jax.Array) -> jax.Array:
-        """Return theta_h itself."""
+        """Return theta_h, rad, which is the coordinate of this lobe."""
         return theta_h
 
     def shape(self, r: jax.Array) -> jax.Array:
-        """Return exp(-r^2 / (2 width^2))."""
+        """Compute exp(-r^2 / (2 width^2))."""
         return xp.exp(-((r / self.width) ** 2) / 2)
 
     def flattening(self, theta_h: jax.Array) -> jax.Array:
-        """Return 1: the lobe is Gaussian in theta_h."""
+        """Return ones, because the lobe is Gaussian in theta_h."""
         return xp.ones_like(theta_h)
 
     def mixture(self) -> tuple[jax.Array, jax.Array]:
-        """Return the weight and width of one Gaussian in the angle."""
+        """Compute the weight and width of the single Gaussian in theta_h."""
         return xp.ones(1), self.width[None]
 
     def smith_lambda(self, cos: jax.Array) -> jax.Array:
-        """Return Smith's Lambda by its integral over slopes."""
+        """Compute Smith's Lambda by its integral over slopes."""
         return integrated_lambda(self.slope_density, self.width, cos)
 
     @property

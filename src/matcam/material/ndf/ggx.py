@@ -48,18 +48,18 @@ class GGX(SlopeNDF, MixtureNDF):
         self.alpha = checked_roughness("alpha", alpha, self.largest)
 
     def slope_density(self, slope2: jax.Array) -> jax.Array:
-        """Return alpha^2 / (pi (alpha^2 + slope^2)^2)."""
+        """Compute P22 = alpha^2 / (pi (alpha^2 + slope^2)^2)."""
         return (self.alpha / (self.alpha**2 + slope2)) ** 2 / xp.pi
 
     def smith_lambda(self, cos: jax.Array) -> jax.Array:
-        """Return Smith's Lambda in closed form.
+        """Compute Smith's Lambda in closed form.
 
         It is (sqrt(1 + alpha^2 tan^2 theta) - 1) / 2 (Walter et al. 2007, (34)).
         """
         return ggx_lambda(cot_of(cos) / self.alpha)
 
     def mixture(self) -> tuple[jax.Array, jax.Array]:
-        """Return the Gaussians whose sum is the lobe.
+        """Compute weights and widths of the Gaussians whose sum is the lobe.
 
         They follow from (1 + r^2)^-2 = integral of t exp(-t) exp(-t r^2) dt by the trapezoid rule in ln t (docs/model.md
         4). The error is 2e-11 of the peak up to r = 1e3 alpha.
@@ -97,11 +97,11 @@ class AnisotropicGGX(StretchedSlopes):
     """
 
     def unit_density(self, slope2: jax.Array) -> jax.Array:
-        """Return 1 / (pi (1 + slope^2)^2)."""
+        """Compute P22 for roughness 1, 1 / (pi (1 + slope^2)^2)."""
         return 1 / (xp.pi * (1 + slope2) ** 2)
 
     def unit_lambda(self, nu: jax.Array) -> jax.Array:
-        """Return GGX's closed form of Lambda."""
+        """Compute Lambda for roughness 1 in closed form."""
         return ggx_lambda(nu)
 
 

@@ -55,14 +55,14 @@ class EPD(SlopeNDF):
         self.power = checks.scalar("power", checks.within("power", power, 0.25, 4))
 
     def slope_density(self, slope2: jax.Array) -> jax.Array:
-        """Return p / (pi beta^2 Gamma(1/p)) exp(-(slope^2 / beta^2)^p)."""
+        """Compute P22 = p / (pi beta^2 Gamma(1/p)) exp(-(slope^2 / beta^2)^p)."""
         peak = self.power / (xp.pi * self.beta**2 * xp.exp(special.gammaln(1 / self.power)))
-        at_peak = slope2 == 0  # where the derivative of x^p is infinite or of the form 0 ln 0
+        at_peak = slope2 == 0  # the derivative of x^p is infinite or of the form 0 ln 0 there
         x = xp.where(at_peak, 1.0, slope2 / self.beta**2)
         return peak * xp.exp(-xp.where(at_peak, 0.0, _power(x, self.power)))
 
     def smith_lambda(self, cos: jax.Array) -> jax.Array:
-        """Return Smith's Lambda by its integral over slopes."""
+        """Compute Smith's Lambda by its integral over slopes."""
         return integrated_lambda(self.slope_density, self.beta, cos)
 
     @property
@@ -110,7 +110,7 @@ class SGD(SlopeNDF, MixtureNDF):
         self.power = checks.scalar("power", checks.within("power", power, 0, 2, open_low=True))
 
     def slope_density(self, slope2: jax.Array) -> jax.Array:
-        """Return K exp(-x) / (pi x^p), the density of slopes."""
+        """Compute P22 = K exp(-x) / (pi x^p)."""
         fall = slope2 / self.alpha
         above = fall / self.alpha  # x = alpha (1 + above)
         peak = 1 / (xp.pi * self.alpha**2 * self._integral)
@@ -129,7 +129,7 @@ class SGD(SlopeNDF, MixtureNDF):
         return reach / 2 * (xp.exp((1 - self.power) * v - self.alpha * xp.expm1(v)) @ weights)
 
     def mixture(self) -> tuple[jax.Array, jax.Array]:
-        """Return the Gaussians whose sum is the lobe.
+        """Compute weights and widths of the Gaussians whose sum is the lobe.
 
         They follow from x^-p exp(-x) = integral over u > 1 of (u - 1)^(p - 1) exp(-u x) du / Gamma(p) by the trapezoid
         rule in ln(u - 1). One Gaussian, at the mean u, represents the range below the first node. The error is 1e-10 of
@@ -139,7 +139,7 @@ class SGD(SlopeNDF, MixtureNDF):
         step = (highest - _LOWEST) / (_MIXTURE_NODES - 2)
         log_excess = _LOWEST + step * xp.arange(_MIXTURE_NODES - 1)
         excess = xp.exp(log_excess)
-        # the nodes below the first would be a geometric series, down to u = 1
+        # the weights of the nodes below the first form a geometric series down to u = 1
         remainder = xp.exp(self.power * (_LOWEST - step)) / -xp.expm1(-self.power * step)
         remainder_excess = xp.exp(_LOWEST - step) * xp.expm1(-self.power * step) / xp.expm1(-(1 + self.power) * step)
         u = 1 + xp.append(remainder_excess, excess)
@@ -147,7 +147,7 @@ class SGD(SlopeNDF, MixtureNDF):
         return weights / xp.sum(weights), xp.sqrt(self.alpha / (2 * u))
 
     def smith_lambda(self, cos: jax.Array) -> jax.Array:
-        """Return Smith's Lambda by its integral over slopes."""
+        """Compute Smith's Lambda by its integral over slopes."""
         return integrated_lambda(self.slope_density, self.alpha, cos)
 
     @property
@@ -157,4 +157,4 @@ class SGD(SlopeNDF, MixtureNDF):
 
 
 _power = with_derivatives(lambda x, p: x**p, lambda dx, u, x, p: dx * u * p / x, lambda dp, u, x, p: dp * u * xp.log(x))
-"""x^p for x > 0. Its derivatives reuse the power."""
+"""Power x^p for x > 0, whose derivatives reuse the value of the power."""

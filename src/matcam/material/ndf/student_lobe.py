@@ -30,16 +30,16 @@ class StudentLobe(SlopeNDF):
     largest = 1.0
 
     def slope_density(self, slope2: jax.Array) -> jax.Array:
-        """Return P22."""
+        """Compute P22, the density of slopes."""
         g = 1 + self.excess
         square = g * self.beta**2
         return self.excess / (xp.pi * square) * xp.exp(-g * xp.log1p(slope2 / square))
 
     def smith_lambda(self, cos: jax.Array) -> jax.Array:
-        """Return Smith's Lambda by its integral over slopes."""
+        """Compute Smith's Lambda by its integral over slopes."""
         return integrated_lambda(self.slope_density, self.beta, cos)
 
     @property
     def roughness(self) -> jax.Array:
-        """Return beta."""
+        """Roughness beta."""
         return self.beta

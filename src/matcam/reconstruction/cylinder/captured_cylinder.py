@@ -86,7 +86,7 @@ def captured_cylinder(
         remarks.append(
             Remark(
                 "no-direction",
-                f"{', '.join(lost)}: left out of the fit, because the direction is unknown; {LIST_NEEDS}",
+                f"the fit excludes {', '.join(lost)}, because the lamp direction is unknown: {LIST_NEEDS}",
             ),
         )
     merged, radiometry = merge(capture, capture.region, progress, workers=workers, kept=kept)
@@ -95,7 +95,7 @@ def captured_cylinder(
     pictures = [one for one in merged if one.name not in lost]
     if len(pictures) < FEWEST:
         raise FitError(
-            f"{capture.folder}: only {len(pictures)} lamp positions can be used, but {FEWEST} are needed: {LIST_NEEDS}"
+            f"{capture.folder}: only {len(pictures)} of the lamp positions can be used, but {FEWEST} are required: {LIST_NEEDS}"
         )
     size = frame_size(capture)
     assert size is not None  # frames were merged
@@ -152,8 +152,8 @@ def _outline(capture: Capture, sigma: float, remarks: list[Remark]) -> StraightO
             remarks.append(Remark("outline-left-out", f"{error}; the specified outline was used"))
     if radius is None or axis is None:
         raise ArgumentError(
-            f"{capture.folder}: the outline of the cylinder is unknown: give a frame of the cylinder in front of a bright "
-            "field, in outline/, or set sample.outline_radius_px and sample.axis_column_px"
+            f"{capture.folder}: the outline of the cylinder is unknown: add a frame of the cylinder in front of a bright "
+            "field to outline/, or set sample.outline_radius_px and sample.axis_column_px"
         )
     std = (max(axis.std, 1e-3), max(radius.std, 1e-3)) if axis.std or radius.std else (_STATED_STD,) * 2
     return StraightOutline(axis.value, radius.value, np.diag(np.square(std)))

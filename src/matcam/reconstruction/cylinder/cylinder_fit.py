@@ -52,9 +52,9 @@ def fit_cylinder(
         **more: further arguments of `fit_sphere`.
     """
     if stretched and family != "ggx":
-        raise ArgumentError(f"family must be ggx for a lobe of two roughnesses, got {family}")
+        raise ArgumentError(f"family is {family}; a lobe with two roughnesses requires ggx")
     if stretched and more.get("spline"):
-        raise ArgumentError("a lobe of two roughnesses cannot be spline-modified: spline must be 0")
+        raise ArgumentError("a lobe with two roughnesses cannot be spline-modified: set spline to 0")
     profiles = {picture.name: strip_profiles(picture, strips) for picture in pictures}
     observe = partial(cylinder_pixels, strips=strips, profiles=profiles)
     return fit_sphere(pictures, scene, family, stretched=stretched, observe=observe, **more)
@@ -75,8 +75,8 @@ def cylinder_pixels(
 ) -> tuple[PixelModel, list[ObservedPixels], list[FieldChange]]:
     """Choose the columns about the highlights of strips, and their model.
 
-    strips: strips of material. profiles: profiles of each image by name. The other arguments and the results are those of
-    `sphere_pixels`.
+    `strips` are the strips of material, and `profiles` are the profiles of each image by its name. The other arguments and
+    the results are those of `sphere_pixels`.
     """
     width = float(np.exp(p[0]))
     alphas = (width, float(np.exp(p[1])) if kind.stretched else width)

@@ -56,13 +56,20 @@ class ProfileModel(eqx.Module):
     def window(
         self, p: np.ndarray, frame: LampFrame, window: ProfileWindow, *, slopes: bool
     ) -> tuple[Recorded, Recorded | None]:
-        """Compute the records of the windows, (channels x strips, WINDOW), and their derivatives, with a last axis (size,)."""
+        """Compute the records of the windows, (channels x strips, WINDOW), and their derivatives.
+
+        The derivatives have an additional last axis over the parameters, (size,).
+        """
         return _compiled("_of_window", slopes)(self, p, frame, window)
 
     def pixels(
         self, p: np.ndarray, frame: LampFrame, column: np.ndarray, row: np.ndarray, *, slopes: bool
     ) -> tuple[Recorded, Recorded | None]:
-        """Compute the records of single columns, (columns,), and their derivatives. row: index of the strip of each column."""
+        """Compute the records of single columns, (columns,), and their derivatives.
+
+        `row` is the index of the strip of each column. The derivatives have an additional last axis over the parameters,
+        (size,).
+        """
         return _compiled("_of_columns", slopes)(self, p, frame, column, row.astype(int))
 
     def _of_window(self, p: jax.Array, frame: LampFrame, window: ProfileWindow) -> Recorded:
@@ -103,7 +110,7 @@ class ProfileModel(eqx.Module):
     def _mean_over_rows(
         self, p: jax.Array, frame: LampFrame, out: jax.Array, depth: jax.Array, turn: jax.Array, rows: jax.Array
     ) -> tuple[jax.Array, jax.Array]:
-        """Average the radiance of lobe and diffuse part over the rows of a strip. rows: rows of the strip, px, (..., rule)."""
+        """Average the radiance of lobe and diffuse part over the rows of a strip. rows: shape (..., rule), px."""
         parts = self._radiance(p, frame, out[..., None], depth[..., None], turn[..., None], rows)
         lobe, lambert = (jnp.sum(part * self.row_weights, axis=-1) for part in parts)
         return lobe, lambert
@@ -111,7 +118,6 @@ class ProfileModel(eqx.Module):
     def _radiance(
         self, p: jax.Array, frame: LampFrame, out: jax.Array, depth: jax.Array, turn: jax.Array, row: jax.Array
     ) -> tuple[jax.Array, jax.Array]:
-        """Average the radiance of lobe and diffuse part at positions of the outline over the source disc."""
         slopes = self.kind.slopes(p[: self.kind.size])
         normal, point, camera, lamp, turns = self._surface(p, out, depth, row)
         tangent = jnp.cos(turn) * normal[2], jnp.sin(turn), -jnp.cos(turn) * normal[0]
@@ -127,7 +133,7 @@ class ProfileModel(eqx.Module):
         """Compute the normal and the point where a line of sight meets the cylinder.
 
         Returns:
-            Normal, point, inverse distances of camera and lamp (1/radii), and rotation of the lamp (rad).
+            Normal, point, inverse distances of camera and lamp (1/radii), and both rotations of the lamp (rad).
         """
         n = self.kind.size
         radius, camera, lamp = (p[n + SCENE.index(name)] for name in ("radius", "camera", "lamp"))

@@ -57,7 +57,7 @@ def chosen_columns(
     plateau: float = 0.0,
     keep: ObservedPixels | None = None,
 ) -> ObservedPixels:
-    """Choose the columns of an image for the fit, each as a pixel.
+    """Choose the columns of an image for the fit. Each column is treated as a pixel.
 
     Args:
         profiles: profiles of all strips and colours.

@@ -64,9 +64,6 @@ def strip_profiles(picture: MergedPicture, strips: Sequence[Strip]) -> StripProf
         picture: merged image with its noise.
         strips: strips of the cylinder.
 
-    Returns:
-        The profiles.
-
     Raises:
         FitError: a strip has too few rows in the image.
     """
@@ -77,8 +74,8 @@ def strip_profiles(picture: MergedPicture, strips: Sequence[Strip]) -> StripProf
         first, last = (row - picture.origin[0] for row in strip.read)
         if first < 0 or last >= picture.values.shape[0] or last - first + 1 < _FEWEST:
             raise FitError(
-                f"strip {s + 1} of rows {strip.first} to {strip.last} must have at least {_FEWEST + 2 * MARGIN} rows, inside "
-                "the region of the frames: correct sample.strip_rows_px"
+                f"strip {s + 1} (rows {strip.first} to {strip.last}) must have at least {_FEWEST + 2 * MARGIN} rows and be "
+                "inside the region of the frames: correct sample.strip_rows_px"
             )
         rows = slice(first, last + 1)
         light, noise = picture.values[rows].astype(float), picture.std[rows].astype(float)

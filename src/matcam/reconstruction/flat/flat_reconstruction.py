@@ -107,7 +107,7 @@ class FlatReconstruction(Summarised):
 
     @property
     def verdict(self) -> str:
-        """Summarise the result in plain sentences."""
+        """Summary of the result in plain sentences."""
         alpha, std = self.parameters["alpha"]
         resolved = "; ".join(f"{name} up to {self._resolution(name)}" for name in MAPS)
         return (
@@ -188,8 +188,9 @@ def reconstruct_flat(
         kept: stored results from which an interrupted computation resumes. Default: None, no results.
 
     Raises:
-        ArgumentError: the family has a second parameter, or the number of tilts is wrong.
-        FitError: fewer than three images can be used, or they have a colour mosaic.
+        ArgumentError: the family is unknown or has a second parameter, or the number of tilts is wrong.
+        FitError: fewer than three images can be used, the images are too small or have a colour mosaic, or a lamp or the
+            camera is behind the sample.
     """
     family = "ggx" if ndf == AUTO else ndf
     if family not in ONE_WIDTH:
@@ -212,7 +213,7 @@ def reconstruct_flat(
     for one in merged:
         towards = capture.lamps[one.name].direction
         if not np.all(np.isfinite(towards)):
-            lost.append(f"{one.name} has no direction of the lamp (angle_deg and azimuth_deg of frames.csv)")
+            lost.append(f"{one.name} has no lamp direction (angle_deg and azimuth_deg of frames.csv)")
         elif one.clipped.mean() > _CLIPPED:
             lost.append(f"{one.name} has {one.clipped.mean():.1%} of its pixels clipped in every exposure")
         else:
@@ -225,7 +226,8 @@ def reconstruct_flat(
     remarks.extend(Remark("picture-left-out", f"{text}, so the image was left out") for text in lost)
     if len(pictures) < FEWEST:
         raise FitError(
-            f"{capture.folder}: only {len(pictures)} images of the flat sample can be used, but {FEWEST} are needed"
+            f"{capture.folder}: only {len(pictures)} of the images of the flat sample can be used, but {FEWEST} are required: "
+            "specify the lamp directions in frames.csv, and add shorter exposures if pixels are clipped"
         )
     size = capture.stated("mm_per_px")
     left_out = tuple(text.split(" ")[0] for text in lost)
@@ -256,6 +258,9 @@ def reconstructed_flat(
         mm_per_px: size of a texel and its standard deviation, mm. Default: None, unknown.
         left_out: names of images that could not be used. Default: ().
         remarks: remarks of the preceding steps. Default: ().
+
+    Raises:
+        FitError: the images are too small, or a lamp or the camera is behind the sample.
     """
     shares = LobeShares(
         family, masking, np.array([one.tilt for one in pictures]), np.array([one.towards for one in pictures])
@@ -263,7 +268,8 @@ def reconstructed_flat(
     dark = [one.picture.name for one, lit in zip(pictures, shares.lit, strict=True) if not lit]
     if dark:
         raise FitError(
-            f"{', '.join(dark)}: lamp or camera is behind the sample at the given angles: correct frames.csv or sample.tilt_deg"
+            f"{', '.join(dark)}: the lamp or the camera is behind the sample at the given angles: correct frames.csv or "
+            "sample.tilt_deg"
         )
     stack = flat_stack(pictures, camera)
     fitted = fit_roughness(stack, shares, np.array([one.gain_std for one in pictures]))

@@ -19,7 +19,7 @@ from matcam.material.masking import Masking
 from matcam.material.microfacet import Microfacet
 from matcam.reconstruction.flat.flat_stack import FlatStack
 
-_COARSE = 0.15  # cycles/px
+_COARSE = 0.15  # frequency below which the texture is coarse, cycles/px
 _WIDTHS = np.geomspace(0.01, 0.9, 46)
 _EXACT = 1e-4
 """Smallest relative error that is assumed for the mean of an image, no unit."""
@@ -38,7 +38,7 @@ class FlatRoughness(NamedTuple):
         mean_slope: derivatives of the means with respect to log_alpha and gains, (2, 1 + pictures).
         misfit: mean squared residual, relative to the variance of the noise.
         stated: prior information matrix of the gains, with the axes of `covariance`.
-        freedom: degrees of freedom, no unit.
+        freedom: number of degrees of freedom.
     """
 
     log_alpha: float

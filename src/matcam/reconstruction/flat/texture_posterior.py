@@ -34,7 +34,7 @@ class PowerLaw(NamedTuple):
     slope: float
 
     def at(self, radius: np.ndarray) -> np.ndarray:
-        """Evaluate the power at frequencies, cycles/px."""
+        """Evaluate the power at the given frequencies, cycles/px."""
         return self.level * (np.maximum(radius, 0.005) / 0.1) ** self.slope
 
 

@@ -101,6 +101,9 @@ def solve(problem: JointProblem, start: np.ndarray, judge: Likelihood, enough: f
         start: parameters, (size,).
         judge: likelihood of the pixels.
         enough: decrease of the cost below which the iteration ends.
+
+    Raises:
+        FitError: a parameter is not finite.
     """
     p = np.clip(start, problem.low, problem.high)
     free = np.flatnonzero(~problem.fixed)

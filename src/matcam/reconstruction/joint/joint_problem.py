@@ -21,7 +21,7 @@ from matcam.reconstruction.picture_model import OWN, SCENE, LampFrame, Recorded
 
 
 class JointLayout(NamedTuple):
-    """Order of all parameters: those that all images share, then own parameters, gain and strengths of each image.
+    """Order of all parameters: shared parameters, then own parameters, gain and strengths of each image.
 
     The shared parameters are lobe, scene, diffuse parts, lens field, sample radius and diffuse shape.
 
@@ -44,12 +44,12 @@ class JointLayout(NamedTuple):
 
     @property
     def each(self) -> int:
-        """Number of parameters that each image has of its own."""
+        """Number of the own parameters of each image."""
         return len(OWN) + 1 + self.channels
 
     @property
     def size(self) -> int:
-        """Number of all parameters."""
+        """Total number of parameters."""
         return self.shared + self.pictures * self.each
 
     @property
@@ -58,7 +58,7 @@ class JointLayout(NamedTuple):
         return slice(self.lobe, self.lobe + len(SCENE))
 
     def of(self, name: str) -> int:
-        """Index of a parameter of `SCENE`."""
+        """Return the index of a parameter of `SCENE`."""
         return self.lobe + SCENE.index(name)
 
     @property
@@ -87,24 +87,24 @@ class JointLayout(NamedTuple):
         return slice(self.sample_radius + 1, self.shared)
 
     def own(self, k: int) -> slice:
-        """Indices of the centre and the lamp of an image."""
+        """Return the indices of the centre and the lamp of an image."""
         first = self.shared + k * self.each
         return slice(first, first + len(OWN))
 
     def centre(self, k: int) -> slice:
-        """Indices of column and row of the centre of an image."""
+        """Return the indices of column and row of the centre of an image."""
         return slice(self.own(k).start, self.own(k).start + 2)
 
     def turn(self, k: int) -> slice:
-        """Indices of the two rotations of the lamp of an image."""
+        """Return the indices of the two rotations of the lamp of an image."""
         return slice(self.own(k).start + 2, self.own(k).stop)
 
     def gain(self, k: int) -> int:
-        """Index of ln of the gain of an image."""
+        """Return the index of ln of the gain of an image."""
         return self.own(k).stop
 
     def strengths(self, k: int) -> slice:
-        """Indices of the strengths of an image, one per channel."""
+        """Return the indices of the strengths of an image, one per channel."""
         first = self.gain(k) + 1
         return slice(first, first + self.channels)
 
@@ -117,7 +117,7 @@ class PixelModel(Protocol):
     """Model of pixels at unit strengths, with derivatives with respect to the parameters of one image."""
 
     def window(self, p: np.ndarray, frame: LampFrame, window: Any, *, slopes: bool) -> tuple[Recorded, Recorded | None]:
-        """Compute the record of the window about the highlight, which has two axes."""
+        """Compute the record of the window about the highlight, an array with two pixel axes."""
 
     def pixels(
         self, p: np.ndarray, frame: LampFrame, column: np.ndarray, row: np.ndarray, *, slopes: bool
@@ -173,7 +173,10 @@ class JointProblem:
         return rows.T @ rows
 
     def recorded(self, p: np.ndarray, k: int, *, slopes: bool) -> tuple[Recorded, Recorded | None]:
-        """Compute the record of the pixels of image k at unit strengths, and its derivatives. The window is first."""
+        """Compute the record of the pixels of image k at unit strengths, and its derivatives.
+
+        The pixels of the window precede the scattered pixels.
+        """
         at, pixels, frame = p[self.layout.of_picture(k)], self.pixels[k], self.frames[k]
         window, column, row = pixels.window, pixels.column, pixels.row
         beside = at

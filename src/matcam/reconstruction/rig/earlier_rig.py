@@ -117,7 +117,9 @@ def known_rig(
     if unknown:
         remarks.append(
             Remark(
-                "rig-lamp-unknown", f"{', '.join(unknown)}: not in {rig.file}, so the directions of frames.csv are used"
+                "rig-lamp-unknown",
+                f"{rig.file}: the rig does not contain lamp{'s' * (len(unknown) > 1)} {', '.join(unknown)}, so the directions "
+                "of frames.csv are used",
             )
         )
     ratio = 1.0

@@ -143,7 +143,7 @@ def captured_scene(
             outline = find_outline(stacked(pictures), sighting=sighting)
         except FitError as error:
             tried = [one.text for one in remarks if one.code == "outline-left-out"]
-            advice = "photograph the sphere in front of a bright field, in outline/, or set outline.mask or outline.centre_px"
+            advice = "add frames of the sphere in front of a bright field to outline/, or set outline.mask or outline.centre_px"
             raise FitError(f"{'; '.join([*tried, str(error)])}; {advice}") from error
         outline, shifts = find_shifts(pictures, outline, _SHIFT)
         centres = np.array([[outline.column + s.column, outline.row + s.row] for s in shifts])
@@ -156,8 +156,8 @@ def captured_scene(
     left_out = tuple(one.name for k, one in enumerate(pictures) if k not in seen)
     if len(seen) < FEWEST:
         raise FitError(
-            f"{capture.folder}: only {len(seen)} of {len(pictures)} images show a highlight on the sphere, "
-            f"but {FEWEST} are needed"
+            f"{capture.folder}: a highlight on the sphere was found in only {len(seen)} of {len(pictures)} images, "
+            f"but {FEWEST} are required: check the outline and the exposures"
         )
     mirrored = [lamp_from_highlight(one, ball, far) for one in highlights if one is not None]
     lamps, covariances = map(np.array, zip(*mirrored, strict=True))

@@ -31,8 +31,8 @@ def under_one_light(pictures: Sequence[MergedPicture], capture: Capture) -> list
         light = stated[one.name] / mean
         if len(light) not in (1, len(one.channels)):
             raise FitError(
-                f"{capture.folder}: lamp {one.name} has {len(light)} intensities, but its images have "
-                f"{len(one.channels)} colours: give one intensity, or one per colour"
+                f"{capture.folder}: the number of intensities of lamp {one.name} is {len(light)}; it must be 1 or the number "
+                f"of colours of its images, {len(one.channels)}"
             )
         share = np.broadcast_to(light, len(one.channels))[one.channel]
         found.append(replace(one, values=one.values / share, std=one.std / share))
@@ -68,7 +68,10 @@ def gains_of(
             between=radiometry.reference_between,
         )
         if found is None:
-            text = "the diffuse reference is dark, clipped or lit at grazing incidence in every image: F is relative"
+            text = (
+                "the diffuse reference is dark, clipped or lit at grazing incidence in every image, so F is relative: "
+            )
+            text += "correct reference.region_px or the exposures"
             remarks.append(Remark("no-reference", text))
         elif found.units is None:
             text = "F is relative, because the reflectance of the reference is unknown: specify reference.reflectance"

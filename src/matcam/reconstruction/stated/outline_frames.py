@@ -28,7 +28,10 @@ _LEAST_NOISE = 1e-4
 
 
 def about_disc(capture: Capture) -> Region | None:
-    """Find the region about the dark disc of the first readable outline frame; None: no such frame."""
+    """Find the region about the dark disc of the first readable outline frame.
+
+    The result is None if there is no readable frame, or no disc in it.
+    """
     for _, codes in MosaicReader(capture).readable(capture.of("outline")):
         column, row, radius = dark_disc(codes)
         reach = radius * (1 + 2 * _MARGIN) + 8
@@ -128,14 +131,17 @@ def mean_outline_frame(
             continue
         if total is not None and total.shape != light.shape:
             remarks.append(
-                Remark("bad-frame", f"{capture.folder / frame.file}: differs in size from the other outline frames")
+                Remark(
+                    "bad-frame",
+                    f"{capture.folder / frame.file}: the frame differs in size from the other outline frames: repeat it",
+                )
             )
             continue
         total = light if total is None else total + light
         count += 1
         clipped |= field_is_clipped(codes, reader.saturation)
     if total is None:
-        raise FitError(f"{capture.folder / 'outline'}: its frames cannot be read: give at least one readable frame")
+        raise FitError(f"{capture.folder / 'outline'}: none of the frames can be read: add at least one readable frame")
     return np.asarray(total / count), clipped
 
 

@@ -15,7 +15,7 @@ from matcam.files.capture_settings import Stated
 from matcam.reconstruction.sphere_scene import lens_std
 
 FEWEST = 3
-"""Number of lamp positions that a reconstruction requires."""
+"""Smallest number of lamp positions for a reconstruction."""
 _EXACT = 1e-5
 """Default relative standard deviation of a specified length. It is smaller than that of any measurement, but not 0, so
 that a wrong length can be detected.
@@ -23,9 +23,9 @@ that a wrong length can be detected.
 
 
 def captured_lens(capture: Capture, remarks: list[Remark]) -> tuple[Camera, float]:
-    """Return the camera of a capture and the relative standard deviation of its lens.
+    """Determine the camera of a capture and the relative standard deviation of its lens.
 
-    Both are a guess, with a remark, if the profile is missing, unreadable or of another camera.
+    If the profile is missing, unreadable or of another camera, both are guessed and a remark is added.
     """
     value, std = GUESSED_LENS
     try:
@@ -51,11 +51,12 @@ def frame_size(capture: Capture) -> tuple[int, int] | None:
 
 
 def without_field(camera: Camera, sample: str, remarks: list[Remark]) -> Camera:
-    """Remove distortion and blur over the field from a camera, with a remark, for a sample that does not support them."""
+    """Remove distortion and blur over the field from a camera for a sample that does not support them, and add a remark."""
     if camera.field is None:
         return camera
     text = (
-        f"distortion and blur over the field of the profile are ignored for a {sample}: keep the sample in the middle"
+        f"distortion and blur over the field of the profile are ignored for a {sample}: keep the sample near the centre of "
+        "the frame"
     )
     remarks.append(Remark("field-not-used", text))
     return camera.with_field(None)
@@ -74,16 +75,18 @@ def with_radius(nearness: Stated, radius: Stated | None) -> Stated:
 
 
 def known_nearness(capture: Capture, of: str, remarks: list[Remark]) -> Stated:
-    """Return the inverse of a specified distance, 1/radii, or a guess with a remark.
+    """Compute the inverse of a specified distance, 1/radii.
 
-    The standard deviation is that of the distance only, because the error of the radius is common to both distances.
+    If the distance or the radius is unknown, a guess is returned and a remark is added. The standard deviation is that of the
+    distance only, because the error of the radius is common to both distances.
     """
     stated, radius = capture.settings["distances"][f"{of}_mm"], capture.radius_mm
     if stated is None or radius is None:
         remarks.append(
             Remark(
                 f"{of}-distance-not-stated",
-                f"the {of} distance in radii is unknown, so 25 or more are assumed: specify distance and sample radius",
+                f"the {of} distance in radii of the sample is unknown, so about 25 radii or more are assumed: specify "
+                f"distances.{of}_mm and sample.radius_mm",
             )
         )
         return GUESSED_NEARNESS
@@ -92,6 +95,6 @@ def known_nearness(capture: Capture, of: str, remarks: list[Remark]) -> Stated:
 
 
 def lamp_radius_of(capture: Capture) -> float:
-    """Return the angular radius of the lamp, rad; 0 if its size or distance is unknown."""
+    """Compute the angular radius of the lamp, rad; 0 if its size or distance is unknown."""
     radius, distance = capture.settings["lamp"]["radius_mm"][0], capture.settings["distances"]["lamp_mm"]
     return 0.0 if distance is None else float(radius / distance[0])
