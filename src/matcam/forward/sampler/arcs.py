@@ -19,6 +19,8 @@ CHUNK = 1024
 _TINY = 1e-300
 """Smallest divisor, which avoids a division by 0."""
 _TURN = 2 * np.pi
+_LIGHT_ENDS = 2
+"""Number of the first half-spaces, limb and terminator, at which the integrand does not vanish (`Windows.half_spaces`)."""
 _WHOLE = np.pi - 1e-9
 """Half length of an excluded interval, rad, above which the interval covers a whole circle."""
 
@@ -59,11 +61,14 @@ class Clips(NamedTuple):
 
 def _gaps(
     axial: jax.Array, radial: jax.Array, azimuth: jax.Array, offset: jax.Array, circle: jax.Array
-) -> tuple[jax.Array, jax.Array]:
-    """Compute start and length of the parts of circles inside all half-spaces, (..., half-spaces), rad; length 0: none.
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Compute the parts of circles inside all half-spaces, arrays (..., half-spaces).
 
     On a circle a half-space excludes one interval. A part starts at the end of an interval that no other interval
     covers, and ends at the next start of an interval.
+
+    Returns:
+        start, rad; length, rad, 0 for no part; and True if neither end lies on limb or terminator.
 
     Args:
         axial: see `Clips`, (..., half-spaces).
@@ -77,7 +82,7 @@ def _gaps(
     half = jnp.arccos(jnp.clip(cosine, -1, 1))
     excludes = half > 0
     end, begin = azimuth + half, azimuth - half
-    length = jnp.full_like(half, _TURN)
+    length, until_dark = jnp.full_like(half, _TURN), jnp.full_like(half, jnp.inf)
     for other in range(half.shape[-1]):
         own = excludes[..., other, None]
         since = end - begin[..., other, None]
@@ -85,14 +90,17 @@ def _gaps(
         # the distance from the end to the start of the same interval is a full turn minus its length
         covered = own & (since < 2 * half[..., other, None]) & (np.arange(half.shape[-1]) != other)
         length = jnp.where(own, jnp.minimum(length, _TURN - since), length)
+        if other < _LIGHT_ENDS:
+            until_dark = jnp.where(own, jnp.minimum(until_dark, _TURN - since), until_dark)
         length = jnp.where(covered | (own & (half[..., other, None] > _WHOLE)), 0.0, length)
     free = ~jnp.any(excludes, axis=-1, keepdims=True) & (np.arange(half.shape[-1]) == 0)
+    vanishes = (length < until_dark) & (free | (np.arange(half.shape[-1]) >= _LIGHT_ENDS))
     length = jnp.where(excludes | free, length, 0.0)
-    return end, jnp.where(length > _SHORTEST, length, 0.0)
+    return end, jnp.where(length > _SHORTEST, length, 0.0), vanishes
 
 
 @kept_program
-def _gap_blocks(used: jax.Array, rows: tuple[jax.Array, ...], clips: Clips) -> tuple[jax.Array, jax.Array]:
+def _gap_blocks(used: jax.Array, rows: tuple[jax.Array, ...], clips: Clips) -> tuple[jax.Array, jax.Array, jax.Array]:
     def block(arguments):  # type: ignore[no-untyped-def]
         window, circle = arguments
         return _gaps(*(a[window] for a in clips), circle)
@@ -100,35 +108,45 @@ def _gap_blocks(used: jax.Array, rows: tuple[jax.Array, ...], clips: Clips) -> t
     return in_blocks(block, used, rows)
 
 
-def gaps_of(clips: Clips, window: np.ndarray, circle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Compute start and length of the parts of circles inside their windows, (circles, half-spaces), rad."""
+def gaps_of(clips: Clips, window: np.ndarray, circle: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Compute the parts of circles inside their windows; see `_gaps`, arrays (circles, half-spaces)."""
     if not circle.size:
-        return (np.zeros((0, clips.axial.shape[1])),) * 2
+        nothing = np.zeros((0, clips.axial.shape[1]))
+        return nothing, nothing, nothing.astype(bool)
     more = CHUNK - clips.axial.shape[0]
     padded = Clips(*(np.pad(a, ((0, more), (0, 0)), mode="edge") for a in clips))
-    start, length = in_calls(_gap_blocks, (window, circle), padded)
-    return start, length
+    start, length, vanishes = in_calls(_gap_blocks, (window, circle), padded)
+    return start, length, vanishes
 
 
 class Arcs(NamedTuple):
-    """Arcs of at most `LONGEST`, arrays of shape (arcs,).
+    """Parts of circles, arrays of shape (arcs,).
 
     Attributes:
         circle: index of the circle.
         middle: azimuth of the middle of the arc, rad.
         half: half length of the arc, rad.
+        vanishes: True if the integrand vanishes at both ends of the arc, or if the arc is a whole circle.
     """
 
     circle: np.ndarray
     middle: np.ndarray
     half: np.ndarray
+    vanishes: np.ndarray
 
 
-def divided(start: np.ndarray, length: np.ndarray) -> Arcs:
-    """Divide the parts of circles, (circles, half-spaces), into arcs."""
-    circle, part = np.nonzero(length)
-    start, length = start[circle, part], length[circle, part]
-    count = np.ceil(length / LONGEST).astype(int)
-    circle, start, step = (np.repeat(a, count) for a in (circle, start, length / count))
-    number = np.arange(circle.size) - np.repeat(np.cumsum(count) - count, count)
-    return Arcs(circle, start + (number + 0.5) * step, step / 2)
+    @classmethod
+    def of(cls, start: np.ndarray, length: np.ndarray, vanishes: np.ndarray) -> Arcs:
+        """List the parts of circles. The arguments are the result of `gaps_of`."""
+        circle, part = np.nonzero(length)
+        start, length, vanishes = (a[circle, part] for a in (start, length, vanishes))
+        return cls(circle, start + length / 2, length / 2, vanishes)
+
+    def divided(self) -> Arcs:
+        """Divide the arcs into arcs of at most `LONGEST`."""
+        count = np.ceil(2 * self.half / LONGEST).astype(int)
+        circle, start, half, vanishes = (
+            np.repeat(a, count) for a in (self.circle, self.middle - self.half, self.half / count, self.vanishes)
+        )
+        number = np.arange(circle.size) - np.repeat(np.cumsum(count) - count, count)
+        return Arcs(circle, start + (2 * number + 1) * half, half, vanishes)

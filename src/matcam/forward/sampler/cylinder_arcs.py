@@ -27,7 +27,7 @@ from matcam.forward.sampler.cylinder_ridge import (
     ridge_of,
     turn_along,
 )
-from matcam.forward.sampler.gauss_rules import MOST_NODES, gauss_rules
+from matcam.forward.sampler.arc_rules import MOST_NODES, gauss_rules
 from matcam.forward.sampler.windows import Windows
 from matcam.numerics.blocks import in_blocks, in_calls
 from matcam.sample.curved import Cylinder

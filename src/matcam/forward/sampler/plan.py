@@ -18,17 +18,23 @@ from matcam.forward.integral.blur import Imaging
 from matcam.forward.integral.blur_groups import BlurGroup, groups_of
 from matcam.forward.integral.residual_at_limb import LimbRule, limb_rule
 from matcam.forward.integral.scene import Turn
-from matcam.forward.sampler.arcs import CHUNK
+from matcam.forward.sampler.arcs import CHUNK, LONGEST, Frame
 from matcam.forward.sampler.circle_arcs import CircleArcs
 from matcam.forward.sampler.circles import COARSEST, CircleLayout, lay_circles
 from matcam.forward.sampler.cylinder_arcs import CrossArcs, arcs_across, smooth_on_cylinder
-from matcam.forward.sampler.gauss_rules import MOST_NODES
+from matcam.forward.sampler.arc_rules import MOST_NODES
 from matcam.forward.sampler.windows import SphereView, Windows
 from matcam.numerics.blocks import in_blocks, in_calls
 from matcam.sample.curved import Cylinder, Sphere
 
 _ON_ARC, _ON_FULL_ARC = 6.0, 12.0
-"""Number of nodes on a short arc, and of additional nodes on an arc across a window whose kernel has the fineness 1."""
+"""Number of nodes of a Gauss-Legendre rule on a short arc, and of additional nodes on an arc across a window whose kernel has
+the fineness 1.
+"""
+_EVENLY, _EVENLY_PER_SIDE = 2.0, 10.0
+"""The same numbers of a midpoint rule. Their spacing in the image is at most 1.25 standard deviations of the kernel."""
+_EVENLY_PER_DISTANCE, _FEWEST = 5.0, 8.0
+"""Number of nodes of a midpoint rule per ratio of length to distance from the highlight."""
 _BESIDE, _PER_DISTANCE, _MOST_DISTANCES = 7.0, 2.5, 8.0
 """Number of nodes on an arc that is short relative to its distance from the highlight, number of additional nodes per ratio of
 length to distance, and largest ratio of length to distance.
@@ -113,7 +119,8 @@ class PlanPart(NamedTuple):
         limb_rule: quadrature rule of the pixels in `limb`; None: there are no such pixels.
         frames: frame of the circles of each pixel with arcs, (pixels, 9): axis, direction of azimuth 0, and of pi/2; empty
             for a cylinder.
-        arcs: arcs of these pixels.
+        arcs: arcs of these pixels with Gauss-Legendre nodes.
+        even_arcs: arcs of these pixels with equally spaced nodes. The integrand vanishes at the ends of these arcs.
     """
 
     terms: tuple[int, ...]
@@ -122,6 +129,7 @@ class PlanPart(NamedTuple):
     limb_rule: LimbRule | None
     frames: np.ndarray
     arcs: ArcRows | CrossArcs
+    even_arcs: ArcRows | CrossArcs
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,9 +188,9 @@ def _part(imaging: Imaging, group: BlurGroup, positions: RecordPositions, finest
             limb, dim = _residual_beside(imaging, view, pixels, ~dark & ~near & ~smooth)
             smooth |= dim
     rough = np.flatnonzero(~dark & ~smooth & ~limb)
-    frames, arcs = _arcs(view, pixels.at(rough), scale.fineness, finest, elongation)
-    arcs = arcs._replace(position=rough[arcs.window])
-    return PlanPart(group.terms, np.flatnonzero(smooth), np.flatnonzero(limb), rule, frames, arcs)
+    frames, *arcs = _arcs(view, pixels.at(rough), scale.fineness, finest, elongation)
+    arcs = (some._replace(position=rough[some.window]) for some in arcs)
+    return PlanPart(group.terms, np.flatnonzero(smooth), np.flatnonzero(limb), rule, frames, *arcs)
 
 
 def _part_on_cylinder(
@@ -194,7 +202,7 @@ def _part_on_cylinder(
     rough = np.flatnonzero(~smooth)
     arcs = arcs_across(imaging, pixels.at(rough), scale.fineness, finest, elongation)
     arcs = arcs._replace(position=rough[arcs.position])
-    return PlanPart(group.terms, np.flatnonzero(smooth), nothing, None, np.zeros((0, 9)), arcs)
+    return PlanPart(group.terms, np.flatnonzero(smooth), nothing, None, np.zeros((0, 9)), arcs, arcs.at(slice(0)))
 
 
 def _pixels(imaging: Imaging, positions: RecordPositions, half: float) -> Windows:
@@ -295,36 +303,66 @@ def _residual_beside(
 
 def _arcs(
     view: SphereView, windows: Windows, fineness: float, finest: float, elongation: float
-) -> tuple[np.ndarray, ArcRows]:
-    """Compute the frames of the circles of windows, (windows, 9), and all arcs."""
+) -> tuple[np.ndarray, ArcRows, ArcRows]:
+    """Compute the frames of the circles of windows, (windows, 9), and their arcs; see `PlanPart`."""
 
     def chunk(begin: int) -> tuple[np.ndarray, ...]:
         own = windows.at(slice(begin, begin + CHUNK))
         layout = lay_circles(view, own, finest, fineness)
-        circle, middle, half = layout.arcs
+        circle, middle, half, _ = layout.arcs
         window, angle, weight = (a[circle] for a in layout.circles)
         frames = np.concatenate(layout.frame).T
-        nodes = _nodes_on_arcs(view, own, layout, fineness, elongation)
-        return frames, nodes, begin + window, angle, weight * half, middle, half
+        nodes, evenly = _nodes_on_arcs(view, own, layout, fineness, elongation)
+        return frames, evenly, nodes, begin + window, angle, weight * half, middle, half
 
     nothing = np.zeros(0, dtype=int)
-    found = [(np.zeros((0, 9)), nothing, nothing, *[np.zeros(0)] * 4)]
+    found = [(np.zeros((0, 9)), nothing.astype(bool), nothing, nothing, *[np.zeros(0)] * 4)]
     found += in_order(chunk, range(0, windows.x.size, CHUNK), available_cores())
-    frames, nodes, window, *others = (np.concatenate(parts) for parts in zip(*found, strict=True))
-    return frames, ArcRows(nodes, window, window, *others).at(np.argsort(nodes, kind="stable"))
+    frames, evenly, nodes, window, *others = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    arcs, order = ArcRows(nodes, window, window, *others), np.argsort(nodes, kind="stable")
+    return frames, *(arcs.at(order[evenly[order] == one]) for one in (False, True))
 
 
 def _nodes_on_arcs(
     view: SphereView, windows: Windows, layout: CircleLayout, fineness: float, elongation: float
-) -> np.ndarray:
-    """Choose the number of nodes of each arc."""
-    circle, _, half = layout.arcs
+) -> tuple[np.ndarray, np.ndarray]:
+    """Choose the number of nodes of each arc, and whether they are those of a midpoint rule."""
+    circle, middle, half, vanishes = layout.arcs
     window = layout.circles.window[circle]
     highlight = layout.highlight[window]
     length = 2 * half * np.sin(layout.circles.angle[circle])
-    sides = np.minimum(length * view.radius / (2 * windows.half[0, window]), _LONGEST)
-    distances = np.where(np.isfinite(highlight), length / highlight, 2 * half * (elongation - 1))
-    needed = np.maximum(
-        _ON_ARC + _ON_FULL_ARC * fineness * sides, _BESIDE + _PER_DISTANCE * np.minimum(distances, _MOST_DISTANCES)
+    sides = length * view.radius / (2 * windows.half[0, window])
+    longer = elongation * _elongation(view, windows)[window]
+    distances = np.where(np.isfinite(highlight), length / highlight, 2 * half * (longer - 1))
+    # a long arc needs as many Gauss-Legendre nodes as its parts
+    parts = np.ceil(2 * half / LONGEST)
+    gauss = parts * np.maximum(
+        _ON_ARC + _ON_FULL_ARC * fineness * np.minimum(sides / parts, _LONGEST),
+        _BESIDE + _PER_DISTANCE * np.minimum(distances / parts, _MOST_DISTANCES),
     )
-    return np.minimum(2 * np.ceil(needed / 2), MOST_NODES).astype(int)
+    # the largest foreshortened step in the image is at the position whose tangent has the smallest depth
+    depth, azimuth = (a[window] for a in _depth_along(layout.frame))
+    off = np.abs(np.mod(middle - azimuth + np.pi / 2, np.pi) - np.pi / 2)
+    least = depth * np.sin(np.maximum(off - half, 0.0))
+    across = _EVENLY + _EVENLY_PER_SIDE * fineness * sides * np.sqrt(1 - least**2)
+    evenly = np.maximum(np.maximum(across, _EVENLY_PER_DISTANCE * distances), _FEWEST)
+    evenly, gauss = (2 * np.ceil(needed / 2) for needed in (evenly, gauss))
+    chosen = vanishes & (evenly < gauss)
+    return np.minimum(np.where(chosen, evenly, gauss), MOST_NODES).astype(int), chosen
+
+
+def _depth_along(frame: Frame) -> tuple[np.ndarray, np.ndarray]:
+    """Compute the largest depth of the unit tangents of circles, and the azimuth at which the tangent has no depth, rad."""
+    (_, _, along), (_, _, across) = frame.first, frame.second
+    return np.hypot(along, across), np.arctan2(across, along)
+
+
+def _elongation(view: SphereView, windows: Windows) -> np.ndarray:
+    """Compute the ratio of the axes of the curves of equal theta_h about the highlights, no unit; 1 in a distant rig.
+
+    A displacement across the plane of incidence rotates the direction to a near lamp or camera by a larger angle than one in
+    this plane, whose projection is shorter.
+    """
+    cosine = np.maximum(np.cos(windows.peak) - view.camera, _GRAZING)
+    turn = (view.camera / (1 - view.camera) + view.lamp / (1 - view.lamp)) / 2
+    return (1 + turn / cosine) / (1 + turn * cosine)

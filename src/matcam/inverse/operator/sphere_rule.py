@@ -25,7 +25,7 @@ import numpy as np
 
 from matcam.core.jax import jax, jit_plainly, jnp
 from matcam.forward.integral.blur import Blur, Spread
-from matcam.forward.sampler.arcs import CHUNK, Arcs, Clips, divided, gaps_of
+from matcam.forward.sampler.arcs import CHUNK, Arcs, Clips, gaps_of
 from matcam.forward.sampler.circles import about_highlight, from_highlight
 from matcam.forward.sampler.windows import SphereView, Windows
 from matcam.inverse.operator.lamp_lines import LampDisc, lamp_kernel
@@ -203,16 +203,15 @@ class WindowArcs(NamedTuple):
         circles, see `_MORE_CIRCLES`.
         """
         angle, step = circles.nodes(_MORE_CIRCLES if more else NODES)
-        starts, lengths = [], []
+        found = []
         for begin in range(0, angle.shape[0], CHUNK):
             part = slice(begin, begin + CHUNK)
             own = windows.at(part)
             clips = Clips.of(own.half_spaces(view), about_highlight(own))
             index = np.repeat(np.arange(own.x.size), angle.shape[1])
-            start, length = gaps_of(clips, index, angle[part].ravel())
-            starts.append(start)
-            lengths.append(length)
-        return cls(windows, angle, step, divided(np.concatenate(starts), np.concatenate(lengths)))
+            found.append(gaps_of(clips, index, angle[part].ravel()))
+        arcs = Arcs.of(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
+        return cls(windows, angle, step, arcs.divided())
 
 
 def sphere_rules(
