@@ -61,14 +61,12 @@ class Clips(NamedTuple):
 
 def _gaps(
     axial: jax.Array, radial: jax.Array, azimuth: jax.Array, offset: jax.Array, circle: jax.Array
-) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Compute the parts of circles inside all half-spaces, arrays (..., half-spaces).
+) -> tuple[jax.Array, jax.Array]:
+    """Compute start and length of the parts of circles inside all half-spaces, (..., half-spaces), rad; length 0: none.
 
     On a circle a half-space excludes one interval. A part starts at the end of an interval that no other interval
-    covers, and ends at the next start of an interval.
-
-    Returns:
-        start, rad; length, rad, 0 for no part; and True if neither end lies on limb or terminator.
+    covers, and ends at the next start of an interval. The length of a part is negative if neither end lies on limb or
+    terminator.
 
     Args:
         axial: see `Clips`, (..., half-spaces).
@@ -95,12 +93,12 @@ def _gaps(
         length = jnp.where(covered | (own & (half[..., other, None] > _WHOLE)), 0.0, length)
     free = ~jnp.any(excludes, axis=-1, keepdims=True) & (np.arange(half.shape[-1]) == 0)
     vanishes = (length < until_dark) & (free | (np.arange(half.shape[-1]) >= _LIGHT_ENDS))
-    length = jnp.where(excludes | free, length, 0.0)
-    return end, jnp.where(length > _SHORTEST, length, 0.0), vanishes
+    length = jnp.where((excludes | free) & (length > _SHORTEST), length, 0.0)
+    return end, jnp.where(vanishes, -length, length)
 
 
 @kept_program
-def _gap_blocks(used: jax.Array, rows: tuple[jax.Array, ...], clips: Clips) -> tuple[jax.Array, jax.Array, jax.Array]:
+def _gap_blocks(used: jax.Array, rows: tuple[jax.Array, ...], clips: Clips) -> tuple[jax.Array, jax.Array]:
     def block(arguments):  # type: ignore[no-untyped-def]
         window, circle = arguments
         return _gaps(*(a[window] for a in clips), circle)
@@ -108,15 +106,14 @@ def _gap_blocks(used: jax.Array, rows: tuple[jax.Array, ...], clips: Clips) -> t
     return in_blocks(block, used, rows)
 
 
-def gaps_of(clips: Clips, window: np.ndarray, circle: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Compute the parts of circles inside their windows; see `_gaps`, arrays (circles, half-spaces)."""
+def gaps_of(clips: Clips, window: np.ndarray, circle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Compute the parts of circles inside their windows, see `_gaps`, (circles, half-spaces)."""
     if not circle.size:
-        nothing = np.zeros((0, clips.axial.shape[1]))
-        return nothing, nothing, nothing.astype(bool)
+        return (np.zeros((0, clips.axial.shape[1])),) * 2
     more = CHUNK - clips.axial.shape[0]
     padded = Clips(*(np.pad(a, ((0, more), (0, 0)), mode="edge") for a in clips))
-    start, length, vanishes = in_calls(_gap_blocks, (window, circle), padded)
-    return start, length, vanishes
+    start, length = in_calls(_gap_blocks, (window, circle), padded)
+    return start, length
 
 
 class Arcs(NamedTuple):
@@ -134,17 +131,17 @@ class Arcs(NamedTuple):
     half: np.ndarray
     vanishes: np.ndarray
 
-
     @classmethod
-    def of(cls, start: np.ndarray, length: np.ndarray, vanishes: np.ndarray) -> Arcs:
+    def of(cls, start: np.ndarray, length: np.ndarray) -> Arcs:
         """List the parts of circles. The arguments are the result of `gaps_of`."""
         circle, part = np.nonzero(length)
-        start, length, vanishes = (a[circle, part] for a in (start, length, vanishes))
-        return cls(circle, start + length / 2, length / 2, vanishes)
+        start, length = start[circle, part], length[circle, part]
+        half = np.abs(length) / 2
+        return cls(circle, start + half, half, length < 0)
 
     def divided(self) -> Arcs:
-        """Divide the arcs into arcs of at most `LONGEST`."""
-        count = np.ceil(2 * self.half / LONGEST).astype(int)
+        """Divide arcs at whose ends the integrand does not vanish into arcs of at most `LONGEST`."""
+        count = np.where(self.vanishes, 1, np.ceil(2 * self.half / LONGEST)).astype(int)
         circle, start, half, vanishes = (
             np.repeat(a, count) for a in (self.circle, self.middle - self.half, self.half / count, self.vanishes)
         )

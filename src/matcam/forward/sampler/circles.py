@@ -59,6 +59,8 @@ _AT_END = 1e-3
 """Cosine of the angle of incidence or of the viewing angle below which a normal on the border of a window is treated as a
 normal of terminator or limb.
 """
+_GRAZING = 1e-3
+"""Smallest cosine of the viewing angle of a highlight by which the elongation of curves about it is estimated."""
 _EQUAL = 1e-9
 """Difference of angles, rad, below which they are equal."""
 _NEWTON = 5
@@ -196,6 +198,30 @@ def angles_from_axis(frame: Frame, normals: np.ndarray) -> np.ndarray:
     return np.arctan2(np.hypot(_dot(frame.first, normals), _dot(frame.second, normals)), _dot(frame.axis, normals))
 
 
+def largest_step(frame: Frame, window: np.ndarray, arcs: Arcs) -> np.ndarray:
+    """Compute the largest length in the image of a step of unit length along each arc, no unit.
+
+    It is the length where the tangent of the arc has the smallest depth. frame: frames of windows. window: index of the window
+    of each arc.
+    """
+    (_, _, along), (_, _, across) = frame.first, frame.second
+    from_flat = arcs.middle - np.arctan2(across, along)[window]  # azimuth from the position whose tangent has no depth
+    nearest = np.abs(from_flat - np.pi * np.rint(from_flat / np.pi)) - arcs.half
+    depth = np.hypot(along, across)[window] * np.sin(np.maximum(nearest, 0.0))
+    return np.sqrt(1 - depth**2)
+
+
+def elongation_about(view: SphereView, windows: Windows) -> np.ndarray:
+    """Compute the ratio of the axes of the curves of equal theta_h about the highlights, no unit; 1 in a distant rig.
+
+    A displacement across the plane of incidence rotates the direction to a near lamp or camera by a larger angle than one in
+    this plane, whose projection is shorter.
+    """
+    cosine = np.maximum(np.cos(windows.peak) - view.camera, _GRAZING)
+    turn = (view.camera / (1 - view.camera) + view.lamp / (1 - view.lamp)) / 2
+    return (1 + turn / cosine) / (1 + turn * cosine)
+
+
 def from_highlight(windows: Windows, normals: np.ndarray) -> np.ndarray:
     """Compute the angles of normals of windows, (3, windows, points), from the normal of the highlight, rad."""
     return angles_from_axis(about_highlight(windows), normals)
@@ -210,8 +236,8 @@ def _with_arcs(clips: Clips, low: np.ndarray, high: np.ndarray, ends: np.ndarray
     if not index.size:
         return low, high
     angle = low[index, None] + (high - low)[index, None] * _PROBES
-    _, length, _ = gaps_of(clips, np.repeat(index, _PROBES.size), angle.ravel())
-    seen = np.any(length > 0, axis=-1).reshape(angle.shape)
+    _, length = gaps_of(clips, np.repeat(index, _PROBES.size), angle.ravel())
+    seen = np.any(length != 0, axis=-1).reshape(angle.shape)
     first = np.maximum(seen.argmax(1) - 1, 0)
     last = np.minimum(_PROBES.size - seen[:, ::-1].argmax(1), _PROBES.size - 1)
     some, each = seen.any(1), np.arange(index.size)
@@ -267,8 +293,8 @@ def _gauss(count: int) -> tuple[np.ndarray, np.ndarray]:
 def _nodes(spans: _Spans, vanishes: np.ndarray) -> Circles:
     """Compute the nodes of spans and their weights.
 
-    vanishes: True if the integrand vanishes at both ends of the range of a window, (windows,). A single span then has a midpoint
-        rule.
+    vanishes: True if the integrand vanishes at both ends of the range of a window, (windows,). A single span then has a
+        midpoint rule.
     """
     length = _t(spans.high, spans.scale, spans.pitch) - _t(spans.low, spans.scale, spans.pitch)
     touches = np.isfinite(spans.before).astype(int) + np.isfinite(spans.after)

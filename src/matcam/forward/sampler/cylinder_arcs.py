@@ -20,6 +20,7 @@ import numpy as np
 from matcam.core.jax import AnyArray, jax, jnp
 from matcam.core.programs import kept_program
 from matcam.forward.integral.blur import Imaging
+from matcam.forward.sampler.arc_rules import MOST_NODES, gauss_rules
 from matcam.forward.sampler.cylinder_ridge import (
     PlacedLamps,
     ends_of_light,
@@ -27,7 +28,6 @@ from matcam.forward.sampler.cylinder_ridge import (
     ridge_of,
     turn_along,
 )
-from matcam.forward.sampler.arc_rules import MOST_NODES, gauss_rules
 from matcam.forward.sampler.windows import Windows
 from matcam.numerics.blocks import in_blocks, in_calls
 from matcam.sample.curved import Cylinder

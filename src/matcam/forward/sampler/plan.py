@@ -18,11 +18,11 @@ from matcam.forward.integral.blur import Imaging
 from matcam.forward.integral.blur_groups import BlurGroup, groups_of
 from matcam.forward.integral.residual_at_limb import LimbRule, limb_rule
 from matcam.forward.integral.scene import Turn
-from matcam.forward.sampler.arcs import CHUNK, LONGEST, Frame
-from matcam.forward.sampler.circle_arcs import CircleArcs
-from matcam.forward.sampler.circles import COARSEST, CircleLayout, lay_circles
-from matcam.forward.sampler.cylinder_arcs import CrossArcs, arcs_across, smooth_on_cylinder
 from matcam.forward.sampler.arc_rules import MOST_NODES
+from matcam.forward.sampler.arcs import CHUNK, LONGEST
+from matcam.forward.sampler.circle_arcs import CircleArcs
+from matcam.forward.sampler.circles import COARSEST, CircleLayout, elongation_about, largest_step, lay_circles
+from matcam.forward.sampler.cylinder_arcs import CrossArcs, arcs_across, smooth_on_cylinder
 from matcam.forward.sampler.windows import SphereView, Windows
 from matcam.numerics.blocks import in_blocks, in_calls
 from matcam.sample.curved import Cylinder, Sphere
@@ -327,12 +327,12 @@ def _nodes_on_arcs(
     view: SphereView, windows: Windows, layout: CircleLayout, fineness: float, elongation: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Choose the number of nodes of each arc, and whether they are those of a midpoint rule."""
-    circle, middle, half, vanishes = layout.arcs
+    circle, _, half, vanishes = layout.arcs
     window = layout.circles.window[circle]
     highlight = layout.highlight[window]
     length = 2 * half * np.sin(layout.circles.angle[circle])
     sides = length * view.radius / (2 * windows.half[0, window])
-    longer = elongation * _elongation(view, windows)[window]
+    longer = elongation * elongation_about(view, windows)[window]
     distances = np.where(np.isfinite(highlight), length / highlight, 2 * half * (longer - 1))
     # a long arc needs as many Gauss-Legendre nodes as its parts
     parts = np.ceil(2 * half / LONGEST)
@@ -340,29 +340,8 @@ def _nodes_on_arcs(
         _ON_ARC + _ON_FULL_ARC * fineness * np.minimum(sides / parts, _LONGEST),
         _BESIDE + _PER_DISTANCE * np.minimum(distances / parts, _MOST_DISTANCES),
     )
-    # the largest foreshortened step in the image is at the position whose tangent has the smallest depth
-    depth, azimuth = (a[window] for a in _depth_along(layout.frame))
-    off = np.abs(np.mod(middle - azimuth + np.pi / 2, np.pi) - np.pi / 2)
-    least = depth * np.sin(np.maximum(off - half, 0.0))
-    across = _EVENLY + _EVENLY_PER_SIDE * fineness * sides * np.sqrt(1 - least**2)
+    across = _EVENLY + _EVENLY_PER_SIDE * fineness * sides * largest_step(layout.frame, window, layout.arcs)
     evenly = np.maximum(np.maximum(across, _EVENLY_PER_DISTANCE * distances), _FEWEST)
     evenly, gauss = (2 * np.ceil(needed / 2) for needed in (evenly, gauss))
     chosen = vanishes & (evenly < gauss)
     return np.minimum(np.where(chosen, evenly, gauss), MOST_NODES).astype(int), chosen
-
-
-def _depth_along(frame: Frame) -> tuple[np.ndarray, np.ndarray]:
-    """Compute the largest depth of the unit tangents of circles, and the azimuth at which the tangent has no depth, rad."""
-    (_, _, along), (_, _, across) = frame.first, frame.second
-    return np.hypot(along, across), np.arctan2(across, along)
-
-
-def _elongation(view: SphereView, windows: Windows) -> np.ndarray:
-    """Compute the ratio of the axes of the curves of equal theta_h about the highlights, no unit; 1 in a distant rig.
-
-    A displacement across the plane of incidence rotates the direction to a near lamp or camera by a larger angle than one in
-    this plane, whose projection is shorter.
-    """
-    cosine = np.maximum(np.cos(windows.peak) - view.camera, _GRAZING)
-    turn = (view.camera / (1 - view.camera) + view.lamp / (1 - view.lamp)) / 2
-    return (1 + turn / cosine) / (1 + turn * cosine)

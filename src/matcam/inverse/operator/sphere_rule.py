@@ -25,8 +25,10 @@ import numpy as np
 
 from matcam.core.jax import jax, jit_plainly, jnp
 from matcam.forward.integral.blur import Blur, Spread
-from matcam.forward.sampler.arcs import CHUNK, Arcs, Clips, gaps_of
-from matcam.forward.sampler.circles import about_highlight, from_highlight
+from matcam.forward.integral.blur_groups import PERIODS, WIDTHS
+from matcam.forward.sampler.arc_rules import gauss_rules, midpoint_rules
+from matcam.forward.sampler.arcs import CHUNK, LONGEST, Arcs, Clips, gaps_of
+from matcam.forward.sampler.circles import about_highlight, elongation_about, from_highlight, largest_step
 from matcam.forward.sampler.windows import SphereView, Windows
 from matcam.inverse.operator.lamp_lines import LampDisc, lamp_kernel
 from matcam.inverse.operator.theta_nodes import (
@@ -42,6 +44,7 @@ from matcam.inverse.operator.theta_nodes import (
 from matcam.numerics.blocks import in_blocks, repeated_sum
 from matcam.numerics.elementary import sine
 
+_EVENLY_PER_DISTANCE = 5.0
 _GROUP = 8
 """Number of nodes of an arc that are computed at once."""
 _ON_ARCS = ((0.25, 8), (0.75, 16), (np.inf, 24))
@@ -51,13 +54,17 @@ For a Gaussian, the error bound of Gauss-Legendre quadrature is at most as large
 window. Compared with 24 nodes on every arc, records change by about 1e-6, and by at most 2e-5 for a lens with rings or of
 another shape.
 """
+_EVENLY, _EVENLY_PER_SIDE, _MOST_EVENLY = 2.0, 10.0, 16
+"""Number of nodes of a midpoint rule on an arc at whose ends the kernel vanishes, number of additional nodes on an arc across a
+window whose kernel has the fineness 1 (`BlurScale`), and largest number of groups of `_GROUP` nodes.
+"""
 _OF_RINGS = 2
 """Factor of the number of nodes on an arc for the diffraction rings of a lens."""
 _KERNELS = 2
 """Largest number of kernels that one call of the compiled program evaluates at the same nodes. The two Gaussians that are
 stretched along and across the plane of camera and lamp have the same windows.
 """
-_CALL, _BLOCK = 32768, 256
+_CALL, _BLOCK = 16384, 256
 """Numbers of arcs in one call of the compiled program, and in one of its blocks. The arrays of a block fit into the cache of
 a processor.
 """
@@ -187,20 +194,26 @@ class WindowArcs(NamedTuple):
         windows: windows of the pixels.
         angle: angles of the circles from the normal of the highlight, rad, (pixels, circles).
         step: weights of the circles in an integral over the angle, rad, (pixels, circles).
-        arcs: arcs of all circles. The index of a circle counts those of all pixels.
+        arcs: arcs of all circles. The index of a circle counts those of all pixels. Arcs at whose ends the integrand
+            vanishes have equally spaced nodes, the others Gauss-Legendre nodes.
+        sides: lengths of the arcs in sides of their windows, (arcs,): in the image if the nodes are equally spaced,
+            otherwise on the sphere.
+        least: smallest number of equally spaced nodes, which resolve the variation of theta_h along the arc, (arcs,).
     """
 
     windows: Windows
     angle: np.ndarray
     step: np.ndarray
     arcs: Arcs
+    sides: np.ndarray
+    least: np.ndarray
 
     @classmethod
-    def of(cls, view: SphereView, windows: Windows, circles: ThetaRange, more: bool) -> WindowArcs:
+    def of(cls, view: SphereView, windows: Windows, circles: ThetaRange, more: bool, even: bool) -> WindowArcs:
         """Find the arcs.
 
         circles: range of the angle from the normal of the highlight in which the circles lie. more: True for twice as many
-        circles, see `_MORE_CIRCLES`.
+        circles, see `_MORE_CIRCLES`. even: False if no arc has equally spaced nodes.
         """
         angle, step = circles.nodes(_MORE_CIRCLES if more else NODES)
         found = []
@@ -211,7 +224,17 @@ class WindowArcs(NamedTuple):
             index = np.repeat(np.arange(own.x.size), angle.shape[1])
             found.append(gaps_of(clips, index, angle[part].ravel()))
         arcs = Arcs.of(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
-        return cls(windows, angle, step, arcs.divided())
+        pixel = arcs.circle // angle.shape[1]
+        sides = arcs.half * np.sin(angle.ravel()[arcs.circle]) * view.radius / windows.half.min(axis=0)[pixel]
+        in_image = sides * largest_step(about_highlight(windows), pixel, arcs)
+        parts = np.ceil(2 * arcs.half / LONGEST)
+        gauss = parts * _gauss_count(sides / parts)
+        least = _EVENLY_PER_DISTANCE * 2 * arcs.half * (elongation_about(view, windows)[pixel] - 1)
+        evenly = np.maximum(_EVENLY + _EVENLY_PER_SIDE * in_image, least)
+        arcs = arcs._replace(vanishes=arcs.vanishes & even & (evenly < gauss))
+        count = np.where(arcs.vanishes, 1, parts).astype(int)
+        length = np.repeat(np.where(arcs.vanishes, in_image, sides / parts), count)
+        return cls(windows, angle, step, arcs.divided(), length, np.repeat(least, count))
 
 
 def sphere_rules(
@@ -244,7 +267,7 @@ def _kernel_sums(
     view: SphereView, at: WindowArcs, kernels: Sequence[Kernel], onto: ThetaRange, theta_d: np.ndarray
 ) -> np.ndarray:
     """Compute the sums over the nodes of each arc for a few kernels, (kernels, sums, arcs); see `_arc_sums`."""
-    windows, angle, _, arcs = at
+    windows, angle, _, arcs, sides, least = at
     kernel, count = kernels[0], len(kernels)
     filled = [*kernels, *[kernel] * (_KERNELS - count)] if kernel.disc is None else kernels
     blurs = jax.tree.map(lambda *leaves: np.stack(leaves), *(one.blur for one in filled))
@@ -255,25 +278,24 @@ def _kernel_sums(
         windows.x, windows.y, windows.cosine, windows.sine, windows.lamp, windows.peak, theta_d, *spacing,
     )  # fmt: skip
     near, rings = not view.distant, _OF_RINGS if kernel.blur.residual is not None else 1
-    length = 2 * arcs.half * np.sin(angle.ravel()[arcs.circle]) * view.radius
-    sides = length / (2 * windows.half.min(axis=0)[pixel])
     # the image of a disc has borders, which require all nodes on short arcs, too
-    on_arcs = _ON_ARCS if kernel.disc is None else _ON_ARCS[-1:]
-    classes = np.searchsorted([most for most, _ in on_arcs[:-1]], sides)
+    gauss = rings * (_gauss_count(sides) if kernel.disc is None else np.full(sides.shape, _ON_ARCS[-1][1]))
+    needed = np.maximum(_EVENLY + _EVENLY_PER_SIDE * _fineness(kernels, windows)[pixel] * sides, least)
+    groups = np.where(arcs.vanishes, np.minimum(np.ceil(needed / _GROUP), _MOST_EVENLY), gauss / _GROUP).astype(int)
     per_arc = angle.ravel()[arcs.circle], arcs.middle, arcs.half
     program = _arc_sums if kernel.disc is None else _arc_sums_of_disc
-    nodes = [rings * number for _, number in on_arcs]
-    rules = [np.pad(_gauss_rule(number), ((0, 0), (0, nodes[-1] - number))).reshape(2, -1, _GROUP) for number in nodes]
     sums = np.zeros((count, 7 + 2 * NODES[0].size if near else 4, arcs.circle.size))
-    order = np.argsort(classes, kind="stable")
-    for begin in range(0, order.size, _CALL):
-        some = order[begin : begin + _CALL]
+    order = np.argsort(groups, kind="stable")
+    kinds = [(even, order[arcs.vanishes[order] == even]) for even in (False, True)]
+    for even, some in (
+        (even, own[begin : begin + _CALL]) for even, own in kinds for begin in range(0, own.size, _CALL)
+    ):
         index = np.pad(some, (0, _CALL - some.size), mode="edge")
         seen_by = pixel[index]
         found = program(
             np.array(-(-some.size // _BLOCK)), np.array(count), np.array(view), np.stack([a[seen_by] for a in per_pixel]),
-            np.stack([a[index] for a in per_arc]), spread[:, seen_by], classes[index].reshape(-1, _BLOCK)[:, -1],
-            np.array(nodes) // _GROUP, np.stack(rules), blurs, kernel.disc_at(seen_by), kernel.terms, near, kernel.pixel_nodes,
+            np.stack([a[index] for a in per_arc]), spread[:, seen_by], groups[index].reshape(-1, _BLOCK)[:, -1],
+            _rules_of_groups(even), blurs, kernel.disc_at(seen_by), kernel.terms, near, kernel.pixel_nodes,
         )  # fmt: skip
         sums[..., some] = np.asarray(found)[:count, :, : some.size]
     return sums
@@ -283,7 +305,7 @@ def _from_sums(
     view: SphereView, at: WindowArcs, sums: np.ndarray, onto: ThetaRange, theta_d: np.ndarray, factor: np.ndarray
 ) -> SphereRule:
     """Compute the rule of a kernel from the sums over the nodes of each arc, (sums, arcs)."""
-    _, angle, step, arcs = at
+    angle, step, arcs = at.angle, at.step, at.arcs
     near, spacing = not view.distant, onto.spacing()
     through = factor[:, None] * view.stretch**2 / 4 * np.sin(angle) * step
     powers, moments = np.split(sums, [len(sums) - 2 * NODES[0].size * near])
@@ -303,10 +325,26 @@ def _from_sums(
     return SphereRule(own[0], seen, own[1])
 
 
+def _gauss_count(sides: np.ndarray) -> np.ndarray:
+    """Choose the numbers of Gauss-Legendre nodes on arcs. sides: lengths of the arcs in sides of their windows."""
+    most, nodes = zip(*_ON_ARCS, strict=True)
+    return np.array(nodes)[np.searchsorted(most, sides)]
+
+
+def _fineness(kernels: Sequence[Kernel], windows: Windows) -> np.ndarray:
+    """Compute the largest fineness of kernels in each window, see `BlurScale`."""
+    half, residual = windows.half.max(axis=0), kernels[0].blur.residual
+    if residual is not None:
+        return np.maximum(half / float(residual.period) / PERIODS, 1.0)
+    narrowest = min(float(np.min(np.asarray(kernel.blur.stds)[list(kernel.terms)])) for kernel in kernels)
+    return np.maximum(half / narrowest / WIDTHS, 1.0)
+
+
 @cache
-def _gauss_rule(nodes: int) -> np.ndarray:
-    """Compute the nodes of a Gauss-Legendre rule and their weights, (2, nodes)."""
-    return np.stack(np.polynomial.legendre.leggauss(nodes))
+def _rules_of_groups(even: bool) -> np.ndarray:
+    """Tabulate rules with 0 to `_MOST_EVENLY` groups of nodes, (groups + 1, 2, groups, nodes), midpoint or Gauss-Legendre."""
+    rules = (midpoint_rules if even else gauss_rules)(_MOST_EVENLY * _GROUP)[:, ::_GROUP]
+    return np.moveaxis(rules, 1, 0).reshape(-1, 2, _MOST_EVENLY, _GROUP)
 
 
 @partial(jit_plainly, static=("terms", "near", "pixel_nodes"))
@@ -317,7 +355,6 @@ def _arc_sums(
     of_pixel: Any,
     of_arc: Any,
     spread: Any,
-    classes: Any,
     groups: Any,
     rules: Any,
     blurs: Blur,
@@ -332,8 +369,8 @@ def _arc_sums(
     for weights, and 40 for moments.
 
     used: number of blocks with arcs. kernels: number of kernels that are used. spread: two variances of each kernel, see
-        `Kernel`, (2 kernels, arcs). classes: index of the rule of each block. groups: number of groups of nodes of each rule.
-        rules: nodes on each arc, and their weights, (rules, 2, groups, nodes). blurs: blur of each kernel; the first axis of
+        `Kernel`, (2 kernels, arcs). groups: number of groups of nodes of each block. rules: nodes on each arc, and their
+        weights, by number of groups, (rules, 2, groups, nodes). blurs: blur of each kernel; the first axis of
         its arrays is that of the kernels.
     """
     view = SphereView(*of_view) if near else SphereView(of_view[0], 0.0, 0.0)
@@ -348,14 +385,15 @@ def _arc_sums(
         arc = half, *(function(angle) for angle in (middle, circle, peak) for function in (jnp.sin, jnp.cos))
         nothing = jnp.zeros((most, 7 + 2 * NODES[0].size if near else 4, circle.shape[0]))
         rule = rules[own, 0], rules[own, 1]
-        return repeated_sum(lambda node: sums(pixel, arc, variances, disc, nothing, *node), groups[own], rule, nothing)
+        return repeated_sum(lambda node: sums(pixel, arc, variances, disc, nothing, *node), own, rule, nothing)
 
     def sums(pixel, arc, variances, disc, nothing, node, node_weight):  # type: ignore[no-untyped-def]
         """Compute the contribution of some nodes of each arc."""
         x, y, cosine, sine_, lamp, _, cell, *spacing = pixel
         half, sin_m, cos_m, s, c, sin_p, cos_p = arc
         off = half * node
-        sin_off, haversine = sine(off), sine(off / 2) ** 2
+        chord = sine(off / 2)
+        haversine, sin_off = chord**2, 2 * chord * jnp.sqrt(1 - chord**2)
         cos_a = cos_m - sin_m * sin_off - 2 * cos_m * haversine
         sin_a = sin_m + cos_m * sin_off - 2 * sin_m * haversine
         normal = c * sin_p + s * cos_a * cos_p, s * sin_a, c * cos_p - s * cos_a * sin_p
@@ -406,7 +444,7 @@ def _arc_sums(
         return array.reshape(-1, _BLOCK, *array.shape[1:])
 
     of_blocks = jax.tree.map(blocks, (tuple(of_pixel), tuple(of_arc), tuple(spread), disc))
-    found = in_blocks(block, used, (*of_blocks, classes))
+    found = in_blocks(block, used, (*of_blocks, groups))
     return jnp.moveaxis(found, 0, 2).reshape(*found.shape[1:3], -1)
 
 
