@@ -33,7 +33,7 @@ the fineness 1.
 """
 _EVENLY, _EVENLY_PER_SIDE = 2.0, 10.0
 """The same numbers of a midpoint rule. Their spacing in the image is at most 1.25 standard deviations of the kernel."""
-_EVENLY_PER_DISTANCE, _FEWEST = 5.0, 8.0
+_EVENLY_PER_DISTANCE, _FEWEST = 5.0, 12.0
 """Number of nodes of a midpoint rule per ratio of length to distance from the highlight."""
 _BESIDE, _PER_DISTANCE, _MOST_DISTANCES = 7.0, 2.5, 8.0
 """Number of nodes on an arc that is short relative to its distance from the highlight, number of additional nodes per ratio of

@@ -25,7 +25,7 @@ import numpy as np
 
 from matcam.core.jax import jax, jit_plainly, jnp
 from matcam.forward.integral.blur import Blur, Spread
-from matcam.forward.integral.blur_groups import PERIODS, WIDTHS
+from matcam.forward.integral.blur_groups import PERIODS
 from matcam.forward.sampler.arc_rules import gauss_rules, midpoint_rules
 from matcam.forward.sampler.arcs import CHUNK, LONGEST, Arcs, Clips, gaps_of
 from matcam.forward.sampler.circles import about_highlight, elongation_about, from_highlight, largest_step
@@ -44,22 +44,21 @@ from matcam.inverse.operator.theta_nodes import (
 from matcam.numerics.blocks import in_blocks, repeated_sum
 from matcam.numerics.elementary import sine
 
-_EVENLY_PER_DISTANCE = 5.0
-_GROUP = 8
-"""Number of nodes of an arc that are computed at once."""
+_GROUP, _MOST_GROUPS = 8, 16
+"""Number of nodes of an arc that are computed at once, and largest number of these groups."""
 _ON_ARCS = ((0.25, 8), (0.75, 16), (np.inf, 24))
-"""Pairs (largest length of an arc in sides of its window, number of nodes), in groups of `_GROUP`.
+"""Pairs (largest length of an arc in sides of its window, number of Gauss-Legendre nodes) for a kernel with the fineness 1.
 
 For a Gaussian, the error bound of Gauss-Legendre quadrature is at most as large on the short arcs as on an arc across the
 window. Compared with 24 nodes on every arc, records change by about 1e-6, and by at most 2e-5 for a lens with rings or of
 another shape.
 """
-_EVENLY, _EVENLY_PER_SIDE, _MOST_EVENLY = 2.0, 10.0, 16
-"""Number of nodes of a midpoint rule on an arc at whose ends the kernel vanishes, number of additional nodes on an arc across a
-window whose kernel has the fineness 1 (`BlurScale`), and largest number of groups of `_GROUP` nodes.
+_EVENLY, _EVENLY_PER_SIDE, _EVENLY_PER_STRETCH = 4.0, 11.5, 5.0
+"""Numbers of nodes of a midpoint rule: on a short arc at whose ends the kernel vanishes; additional nodes on an arc across a
+window whose kernel has the fineness 1; and least number per radian and per excess of the elongation of curves of equal theta_h.
 """
-_OF_RINGS = 2
-"""Factor of the number of nodes on an arc for the diffraction rings of a lens."""
+_WIDTHS = 7.2
+"""Half side of a window whose kernel has the fineness 1, in standard deviations of its narrowest Gaussian."""
 _KERNELS = 2
 """Largest number of kernels that one call of the compiled program evaluates at the same nodes. The two Gaussians that are
 stretched along and across the plane of camera and lamp have the same windows.
@@ -229,7 +228,7 @@ class WindowArcs(NamedTuple):
         in_image = sides * largest_step(about_highlight(windows), pixel, arcs)
         parts = np.ceil(2 * arcs.half / LONGEST)
         gauss = parts * _gauss_count(sides / parts)
-        least = _EVENLY_PER_DISTANCE * 2 * arcs.half * (elongation_about(view, windows)[pixel] - 1)
+        least = _EVENLY_PER_STRETCH * 2 * arcs.half * (elongation_about(view, windows)[pixel] - 1)
         evenly = np.maximum(_EVENLY + _EVENLY_PER_SIDE * in_image, least)
         arcs = arcs._replace(vanishes=arcs.vanishes & even & (evenly < gauss))
         count = np.where(arcs.vanishes, 1, parts).astype(int)
@@ -277,11 +276,12 @@ def _kernel_sums(
     per_pixel = (
         windows.x, windows.y, windows.cosine, windows.sine, windows.lamp, windows.peak, theta_d, *spacing,
     )  # fmt: skip
-    near, rings = not view.distant, _OF_RINGS if kernel.blur.residual is not None else 1
+    near, fineness = not view.distant, _fineness(kernels, windows)[pixel]
     # the image of a disc has borders, which require all nodes on short arcs, too
-    gauss = rings * (_gauss_count(sides) if kernel.disc is None else np.full(sides.shape, _ON_ARCS[-1][1]))
-    needed = np.maximum(_EVENLY + _EVENLY_PER_SIDE * _fineness(kernels, windows)[pixel] * sides, least)
-    groups = np.where(arcs.vanishes, np.minimum(np.ceil(needed / _GROUP), _MOST_EVENLY), gauss / _GROUP).astype(int)
+    gauss = fineness * (_gauss_count(sides) if kernel.disc is None else np.full(sides.shape, _ON_ARCS[-1][1]))
+    evenly = np.maximum(_EVENLY + _EVENLY_PER_SIDE * fineness * sides, least)
+    groups = np.ceil(np.where(arcs.vanishes, evenly, gauss) / _GROUP)
+    groups = np.minimum(groups, _MOST_GROUPS).astype(int)
     per_arc = angle.ravel()[arcs.circle], arcs.middle, arcs.half
     program = _arc_sums if kernel.disc is None else _arc_sums_of_disc
     sums = np.zeros((count, 7 + 2 * NODES[0].size if near else 4, arcs.circle.size))
@@ -332,19 +332,19 @@ def _gauss_count(sides: np.ndarray) -> np.ndarray:
 
 
 def _fineness(kernels: Sequence[Kernel], windows: Windows) -> np.ndarray:
-    """Compute the largest fineness of kernels in each window, see `BlurScale`."""
+    """Compute the fineness of kernels in each window: required number of nodes, relative to that for a Gaussian of 0.5 px."""
     half, residual = windows.half.max(axis=0), kernels[0].blur.residual
     if residual is not None:
         return np.maximum(half / float(residual.period) / PERIODS, 1.0)
     narrowest = min(float(np.min(np.asarray(kernel.blur.stds)[list(kernel.terms)])) for kernel in kernels)
-    return np.maximum(half / narrowest / WIDTHS, 1.0)
+    return np.maximum(half / narrowest / _WIDTHS, 1.0)
 
 
 @cache
 def _rules_of_groups(even: bool) -> np.ndarray:
-    """Tabulate rules with 0 to `_MOST_EVENLY` groups of nodes, (groups + 1, 2, groups, nodes), midpoint or Gauss-Legendre."""
-    rules = (midpoint_rules if even else gauss_rules)(_MOST_EVENLY * _GROUP)[:, ::_GROUP]
-    return np.moveaxis(rules, 1, 0).reshape(-1, 2, _MOST_EVENLY, _GROUP)
+    """Tabulate rules with 0 to `_MOST_GROUPS` groups of nodes, (groups + 1, 2, groups, nodes), midpoint or Gauss-Legendre."""
+    rules = (midpoint_rules if even else gauss_rules)(_MOST_GROUPS * _GROUP)[:, ::_GROUP]
+    return np.moveaxis(rules, 1, 0).reshape(-1, 2, _MOST_GROUPS, _GROUP)
 
 
 @partial(jit_plainly, static=("terms", "near", "pixel_nodes"))
