@@ -10,8 +10,6 @@ from matcam.core.jax import jax, jnp
 from matcam.core.programs import kept_program
 from matcam.numerics.blocks import in_blocks, in_calls
 
-LONGEST = 2 * np.pi / 3 + 1e-9
-"""Length of an arc, rad, above which it is divided."""
 _SHORTEST = 1e-14
 """Length of an arc, rad, below which it is dropped as a rounding error."""
 CHUNK = 1024
@@ -138,12 +136,3 @@ class Arcs(NamedTuple):
         start, length = start[circle, part], length[circle, part]
         half = np.abs(length) / 2
         return cls(circle, start + half, half, length < 0)
-
-    def divided(self) -> Arcs:
-        """Divide arcs at whose ends the integrand does not vanish into arcs of at most `LONGEST`."""
-        count = np.where(self.vanishes, 1, np.ceil(2 * self.half / LONGEST)).astype(int)
-        circle, start, half, vanishes = (
-            np.repeat(a, count) for a in (self.circle, self.middle - self.half, self.half / count, self.vanishes)
-        )
-        number = np.arange(circle.size) - np.repeat(np.cumsum(count) - count, count)
-        return Arcs(circle, start + (2 * number + 1) * half, half, vanishes)

@@ -59,8 +59,6 @@ _AT_END = 1e-3
 """Cosine of the angle of incidence or of the viewing angle below which a normal on the border of a window is treated as a
 normal of terminator or limb.
 """
-_GRAZING = 1e-3
-"""Smallest cosine of the viewing angle of a highlight by which the elongation of curves about it is estimated."""
 _EQUAL = 1e-9
 """Difference of angles, rad, below which they are equal."""
 _NEWTON = 5
@@ -196,30 +194,6 @@ def _dot(vector: np.ndarray, others: np.ndarray) -> np.ndarray:
 def angles_from_axis(frame: Frame, normals: np.ndarray) -> np.ndarray:
     """Compute the angles of normals, (3, windows, points), from the axis, rad, to full precision."""
     return np.arctan2(np.hypot(_dot(frame.first, normals), _dot(frame.second, normals)), _dot(frame.axis, normals))
-
-
-def largest_step(frame: Frame, window: np.ndarray, arcs: Arcs) -> np.ndarray:
-    """Compute the largest length in the image of a step of unit length along each arc, no unit.
-
-    It is the length where the tangent of the arc has the smallest depth. frame: frames of windows. window: index of the window
-    of each arc.
-    """
-    (_, _, along), (_, _, across) = frame.first, frame.second
-    from_flat = arcs.middle - np.arctan2(across, along)[window]  # azimuth from the position whose tangent has no depth
-    nearest = np.abs(from_flat - np.pi * np.rint(from_flat / np.pi)) - arcs.half
-    depth = np.hypot(along, across)[window] * np.sin(np.maximum(nearest, 0.0))
-    return np.sqrt(1 - depth**2)
-
-
-def elongation_about(view: SphereView, windows: Windows) -> np.ndarray:
-    """Compute the ratio of the axes of the curves of equal theta_h about the highlights, no unit; 1 in a distant rig.
-
-    A displacement across the plane of incidence rotates the direction to a near lamp or camera by a larger angle than one in
-    this plane, whose projection is shorter.
-    """
-    cosine = np.maximum(np.cos(windows.peak) - view.camera, _GRAZING)
-    turn = (view.camera / (1 - view.camera) + view.lamp / (1 - view.lamp)) / 2
-    return (1 + turn / cosine) / (1 + turn * cosine)
 
 
 def from_highlight(windows: Windows, normals: np.ndarray) -> np.ndarray:

@@ -18,29 +18,15 @@ from matcam.forward.integral.blur import Imaging
 from matcam.forward.integral.blur_groups import BlurGroup, groups_of
 from matcam.forward.integral.residual_at_limb import LimbRule, limb_rule
 from matcam.forward.integral.scene import Turn
-from matcam.forward.sampler.arc_rules import MOST_NODES
-from matcam.forward.sampler.arcs import CHUNK, LONGEST
+from matcam.forward.sampler.arc_nodes import nodes_on_arcs
+from matcam.forward.sampler.arcs import CHUNK
 from matcam.forward.sampler.circle_arcs import CircleArcs
-from matcam.forward.sampler.circles import COARSEST, CircleLayout, elongation_about, largest_step, lay_circles
+from matcam.forward.sampler.circles import COARSEST, lay_circles
 from matcam.forward.sampler.cylinder_arcs import CrossArcs, arcs_across, smooth_on_cylinder
 from matcam.forward.sampler.windows import SphereView, Windows
 from matcam.numerics.blocks import in_blocks, in_calls
 from matcam.sample.curved import Cylinder, Sphere
 
-_ON_ARC, _ON_FULL_ARC = 6.0, 12.0
-"""Number of nodes of a Gauss-Legendre rule on a short arc, and of additional nodes on an arc across a window whose kernel has
-the fineness 1.
-"""
-_EVENLY, _EVENLY_PER_SIDE = 2.0, 10.0
-"""The same numbers of a midpoint rule. Their spacing in the image is at most 1.25 standard deviations of the kernel."""
-_EVENLY_PER_DISTANCE, _FEWEST = 5.0, 12.0
-"""Number of nodes of a midpoint rule per ratio of length to distance from the highlight."""
-_BESIDE, _PER_DISTANCE, _MOST_DISTANCES = 7.0, 2.5, 8.0
-"""Number of nodes on an arc that is short relative to its distance from the highlight, number of additional nodes per ratio of
-length to distance, and largest ratio of length to distance.
-"""
-_LONGEST = 1.3
-"""Length of an arc, in sides of its window, above which the number of nodes is constant."""
 _AROUND = np.pi / 8 * np.arange(16)
 """Azimuths, rad, of positions around a pixel that are visible and lit if the radiance around the pixel is smooth."""
 _GRAZING = 1e-3
@@ -312,7 +298,7 @@ def _arcs(
         circle, middle, half, _ = layout.arcs
         window, angle, weight = (a[circle] for a in layout.circles)
         frames = np.concatenate(layout.frame).T
-        nodes, evenly = _nodes_on_arcs(view, own, layout, fineness, elongation)
+        nodes, evenly = nodes_on_arcs(view, own, layout, fineness, elongation)
         return frames, evenly, nodes, begin + window, angle, weight * half, middle, half
 
     nothing = np.zeros(0, dtype=int)
@@ -321,27 +307,3 @@ def _arcs(
     frames, evenly, nodes, window, *others = (np.concatenate(parts) for parts in zip(*found, strict=True))
     arcs, order = ArcRows(nodes, window, window, *others), np.argsort(nodes, kind="stable")
     return frames, *(arcs.at(order[evenly[order] == one]) for one in (False, True))
-
-
-def _nodes_on_arcs(
-    view: SphereView, windows: Windows, layout: CircleLayout, fineness: float, elongation: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Choose the number of nodes of each arc, and whether they are those of a midpoint rule."""
-    circle, _, half, vanishes = layout.arcs
-    window = layout.circles.window[circle]
-    highlight = layout.highlight[window]
-    length = 2 * half * np.sin(layout.circles.angle[circle])
-    sides = length * view.radius / (2 * windows.half[0, window])
-    longer = elongation * elongation_about(view, windows)[window]
-    distances = np.where(np.isfinite(highlight), length / highlight, 2 * half * (longer - 1))
-    # a long arc needs as many Gauss-Legendre nodes as its parts
-    parts = np.ceil(2 * half / LONGEST)
-    gauss = parts * np.maximum(
-        _ON_ARC + _ON_FULL_ARC * fineness * np.minimum(sides / parts, _LONGEST),
-        _BESIDE + _PER_DISTANCE * np.minimum(distances / parts, _MOST_DISTANCES),
-    )
-    across = _EVENLY + _EVENLY_PER_SIDE * fineness * sides * largest_step(layout.frame, window, layout.arcs)
-    evenly = np.maximum(np.maximum(across, _EVENLY_PER_DISTANCE * distances), _FEWEST)
-    evenly, gauss = (2 * np.ceil(needed / 2) for needed in (evenly, gauss))
-    chosen = vanishes & (evenly < gauss)
-    return np.minimum(np.where(chosen, evenly, gauss), MOST_NODES).astype(int), chosen

@@ -218,8 +218,7 @@ def _sphere_rules(
             seen_in = windows._replace(half=through.reaches[numbers[0]])
             seen = sphere_range(sphere, seen_in)[0]
             ranges = [seen.scaled(own)] if common is None else seen.parts()
-            even = all(disc is None for disc in through.discs)
-            of_ranges = [rules(through, numbers, WindowArcs.of(sphere, seen_in, one, more, even)) for one in ranges]
+            of_ranges = [rules(through, numbers, WindowArcs.of(sphere, seen_in, one, more)) for one in ranges]
             found |= {n: list(of_blur) for n, of_blur in zip(numbers, zip(*of_ranges, strict=True), strict=True)}
         return [found[n] if n in found else found[0] for n in range(len(through.blurs))]
 
@@ -239,8 +238,7 @@ def _sphere_rules(
         shown = first[0]  # its circles cover the whole range
     else:
         by = lens[0] if len(lens) == 1 else _standing_for(lens)
-        seen_in, even = windows._replace(half=lens[-1].reaches[0]), all(disc is None for disc in by.discs)
-        (shown,) = rules(by, [0], WindowArcs.of(sphere, seen_in, widest, more, even))
+        (shown,) = rules(by, [0], WindowArcs.of(sphere, windows._replace(half=lens[-1].reaches[0]), widest, more))
     theta = onto.nodes(NODES)[0]
     # only the symmetry of an aligned, distant rig allows polynomials to represent G close to the limb
     at = SAMPLED if view.distant and not view.azimuth else np.arange(NODES[0].size)

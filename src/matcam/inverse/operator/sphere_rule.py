@@ -25,10 +25,11 @@ import numpy as np
 
 from matcam.core.jax import jax, jit_plainly, jnp
 from matcam.forward.integral.blur import Blur, Spread
-from matcam.forward.integral.blur_groups import PERIODS
-from matcam.forward.sampler.arc_rules import gauss_rules, midpoint_rules
-from matcam.forward.sampler.arcs import CHUNK, LONGEST, Arcs, Clips, gaps_of
-from matcam.forward.sampler.circles import about_highlight, elongation_about, from_highlight, largest_step
+from matcam.forward.integral.blur_groups import PERIODS, WIDTHS
+from matcam.forward.sampler.arc_nodes import nodes_on_arcs
+from matcam.forward.sampler.arc_rules import MOST_NODES, gauss_rules, midpoint_rules
+from matcam.forward.sampler.arcs import CHUNK, Arcs, Clips, gaps_of
+from matcam.forward.sampler.circles import CircleLayout, Circles, about_highlight, from_highlight
 from matcam.forward.sampler.windows import SphereView, Windows
 from matcam.inverse.operator.lamp_lines import LampDisc, lamp_kernel
 from matcam.inverse.operator.theta_nodes import (
@@ -44,21 +45,10 @@ from matcam.inverse.operator.theta_nodes import (
 from matcam.numerics.blocks import in_blocks, repeated_sum
 from matcam.numerics.elementary import sine
 
-_GROUP, _MOST_GROUPS = 8, 16
-"""Number of nodes of an arc that are computed at once, and largest number of these groups."""
-_ON_ARCS = ((0.25, 8), (0.75, 16), (np.inf, 24))
-"""Pairs (largest length of an arc in sides of its window, number of Gauss-Legendre nodes) for a kernel with the fineness 1.
-
-For a Gaussian, the error bound of Gauss-Legendre quadrature is at most as large on the short arcs as on an arc across the
-window. Compared with 24 nodes on every arc, records change by about 1e-6, and by at most 2e-5 for a lens with rings or of
-another shape.
-"""
-_EVENLY, _EVENLY_PER_SIDE, _EVENLY_PER_STRETCH = 4.0, 11.5, 5.0
-"""Numbers of nodes of a midpoint rule: on a short arc at whose ends the kernel vanishes; additional nodes on an arc across a
-window whose kernel has the fineness 1; and least number per radian and per excess of the elongation of curves of equal theta_h.
-"""
-_WIDTHS = 7.2
-"""Half side of a window whose kernel has the fineness 1, in standard deviations of its narrowest Gaussian."""
+_GROUP = 4
+"""Number of nodes of an arc that are computed at once. It divides `MOST_NODES`."""
+_BESIDE_BORDER = 24
+"""Least number of nodes on an arc under a source disc, whose image has borders."""
 _KERNELS = 2
 """Largest number of kernels that one call of the compiled program evaluates at the same nodes. The two Gaussians that are
 stretched along and across the plane of camera and lamp have the same windows.
@@ -191,28 +181,19 @@ class WindowArcs(NamedTuple):
 
     Attributes:
         windows: windows of the pixels.
-        angle: angles of the circles from the normal of the highlight, rad, (pixels, circles).
-        step: weights of the circles in an integral over the angle, rad, (pixels, circles).
-        arcs: arcs of all circles. The index of a circle counts those of all pixels. Arcs at whose ends the integrand
-            vanishes have equally spaced nodes, the others Gauss-Legendre nodes.
-        sides: lengths of the arcs in sides of their windows, (arcs,): in the image if the nodes are equally spaced,
-            otherwise on the sphere.
-        least: smallest number of equally spaced nodes, which resolve the variation of theta_h along the arc, (arcs,).
+        layout: circles about the highlights, and their arcs. The weights of the circles are those of an integral over the
+            angle, rad.
     """
 
     windows: Windows
-    angle: np.ndarray
-    step: np.ndarray
-    arcs: Arcs
-    sides: np.ndarray
-    least: np.ndarray
+    layout: CircleLayout
 
     @classmethod
-    def of(cls, view: SphereView, windows: Windows, circles: ThetaRange, more: bool, even: bool) -> WindowArcs:
+    def of(cls, view: SphereView, windows: Windows, circles: ThetaRange, more: bool) -> WindowArcs:
         """Find the arcs.
 
         circles: range of the angle from the normal of the highlight in which the circles lie. more: True for twice as many
-        circles, see `_MORE_CIRCLES`. even: False if no arc has equally spaced nodes.
+        circles, see `_MORE_CIRCLES`.
         """
         angle, step = circles.nodes(_MORE_CIRCLES if more else NODES)
         found = []
@@ -223,17 +204,9 @@ class WindowArcs(NamedTuple):
             index = np.repeat(np.arange(own.x.size), angle.shape[1])
             found.append(gaps_of(clips, index, angle[part].ravel()))
         arcs = Arcs.of(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
-        pixel = arcs.circle // angle.shape[1]
-        sides = arcs.half * np.sin(angle.ravel()[arcs.circle]) * view.radius / windows.half.min(axis=0)[pixel]
-        in_image = sides * largest_step(about_highlight(windows), pixel, arcs)
-        parts = np.ceil(2 * arcs.half / LONGEST)
-        gauss = parts * _gauss_count(sides / parts)
-        least = _EVENLY_PER_STRETCH * 2 * arcs.half * (elongation_about(view, windows)[pixel] - 1)
-        evenly = np.maximum(_EVENLY + _EVENLY_PER_SIDE * in_image, least)
-        arcs = arcs._replace(vanishes=arcs.vanishes & even & (evenly < gauss))
-        count = np.where(arcs.vanishes, 1, parts).astype(int)
-        length = np.repeat(np.where(arcs.vanishes, in_image, sides / parts), count)
-        return cls(windows, angle, step, arcs.divided(), length, np.repeat(least, count))
+        window, everywhere = np.repeat(np.arange(windows.x.size), angle.shape[1]), np.full(windows.x.size, np.inf)
+        circles_of = Circles(window, angle.ravel(), step.ravel())
+        return cls(windows, CircleLayout(about_highlight(windows), everywhere, circles_of, arcs))
 
 
 def sphere_rules(
@@ -266,27 +239,27 @@ def _kernel_sums(
     view: SphereView, at: WindowArcs, kernels: Sequence[Kernel], onto: ThetaRange, theta_d: np.ndarray
 ) -> np.ndarray:
     """Compute the sums over the nodes of each arc for a few kernels, (kernels, sums, arcs); see `_arc_sums`."""
-    windows, angle, _, arcs, sides, least = at
+    windows, layout = at
+    (window, angle, _), arcs = layout.circles, layout.arcs
     kernel, count = kernels[0], len(kernels)
     filled = [*kernels, *[kernel] * (_KERNELS - count)] if kernel.disc is None else kernels
     blurs = jax.tree.map(lambda *leaves: np.stack(leaves), *(one.blur for one in filled))
     spread = np.stack([variance for one in filled for variance in one.variances])
     spacing = onto.spacing()
-    pixel = arcs.circle // angle.shape[1]
+    pixel = window[arcs.circle]
     per_pixel = (
         windows.x, windows.y, windows.cosine, windows.sine, windows.lamp, windows.peak, theta_d, *spacing,
     )  # fmt: skip
-    near, fineness = not view.distant, _fineness(kernels, windows)[pixel]
-    # the image of a disc has borders, which require all nodes on short arcs, too
-    gauss = fineness * (_gauss_count(sides) if kernel.disc is None else np.full(sides.shape, _ON_ARCS[-1][1]))
-    evenly = np.maximum(_EVENLY + _EVENLY_PER_SIDE * fineness * sides, least)
-    groups = np.ceil(np.where(arcs.vanishes, evenly, gauss) / _GROUP)
-    groups = np.minimum(groups, _MOST_GROUPS).astype(int)
-    per_arc = angle.ravel()[arcs.circle], arcs.middle, arcs.half
+    near, least = not view.distant, 0
+    if kernel.disc is not None:  # its image has borders
+        layout, least = layout._replace(arcs=arcs._replace(vanishes=np.zeros_like(arcs.vanishes))), _BESIDE_BORDER
+    nodes, evenly = nodes_on_arcs(view, windows, layout, _fineness(kernels, windows), 1.0)
+    groups = -(-np.maximum(nodes, least) // _GROUP)
+    per_arc = angle[arcs.circle], arcs.middle, arcs.half
     program = _arc_sums if kernel.disc is None else _arc_sums_of_disc
     sums = np.zeros((count, 7 + 2 * NODES[0].size if near else 4, arcs.circle.size))
     order = np.argsort(groups, kind="stable")
-    kinds = [(even, order[arcs.vanishes[order] == even]) for even in (False, True)]
+    kinds = [(even, order[evenly[order] == even]) for even in (False, True)]
     for even, some in (
         (even, own[begin : begin + _CALL]) for even, own in kinds for begin in range(0, own.size, _CALL)
     ):
@@ -305,7 +278,8 @@ def _from_sums(
     view: SphereView, at: WindowArcs, sums: np.ndarray, onto: ThetaRange, theta_d: np.ndarray, factor: np.ndarray
 ) -> SphereRule:
     """Compute the rule of a kernel from the sums over the nodes of each arc, (sums, arcs)."""
-    angle, step, arcs = at.angle, at.step, at.arcs
+    circles, arcs = at.layout.circles, at.layout.arcs
+    angle, step = (a.reshape(factor.size, -1) for a in (circles.angle, circles.weight))
     near, spacing = not view.distant, onto.spacing()
     through = factor[:, None] * view.stretch**2 / 4 * np.sin(angle) * step
     powers, moments = np.split(sums, [len(sums) - 2 * NODES[0].size * near])
@@ -315,7 +289,7 @@ def _from_sums(
     seen = CircleSums(total, np.stack(others[:3]), *others[3:])
     if not near:
         return SphereRule(onto.carry(angle, through * total), seen)
-    own, pixel = np.zeros((2, len(angle), NODES[0].size)), arcs.circle // angle.shape[1]
+    own, pixel = np.zeros((2, factor.size, NODES[0].size)), circles.window[arcs.circle]
     begins = np.flatnonzero(np.diff(pixel, prepend=-1))
     if not begins.size:
         return SphereRule(own[0], seen, own[1])
@@ -325,26 +299,20 @@ def _from_sums(
     return SphereRule(own[0], seen, own[1])
 
 
-def _gauss_count(sides: np.ndarray) -> np.ndarray:
-    """Choose the numbers of Gauss-Legendre nodes on arcs. sides: lengths of the arcs in sides of their windows."""
-    most, nodes = zip(*_ON_ARCS, strict=True)
-    return np.array(nodes)[np.searchsorted(most, sides)]
-
-
 def _fineness(kernels: Sequence[Kernel], windows: Windows) -> np.ndarray:
-    """Compute the fineness of kernels in each window: required number of nodes, relative to that for a Gaussian of 0.5 px."""
+    """Compute the fineness of kernels in each window, see `BlurScale`."""
     half, residual = windows.half.max(axis=0), kernels[0].blur.residual
     if residual is not None:
         return np.maximum(half / float(residual.period) / PERIODS, 1.0)
     narrowest = min(float(np.min(np.asarray(kernel.blur.stds)[list(kernel.terms)])) for kernel in kernels)
-    return np.maximum(half / narrowest / _WIDTHS, 1.0)
+    return np.maximum(half / narrowest / WIDTHS, 1.0)
 
 
 @cache
 def _rules_of_groups(even: bool) -> np.ndarray:
-    """Tabulate rules with 0 to `_MOST_GROUPS` groups of nodes, (groups + 1, 2, groups, nodes), midpoint or Gauss-Legendre."""
-    rules = (midpoint_rules if even else gauss_rules)(_MOST_GROUPS * _GROUP)[:, ::_GROUP]
-    return np.moveaxis(rules, 1, 0).reshape(-1, 2, _MOST_GROUPS, _GROUP)
+    """Tabulate midpoint or Gauss-Legendre rules by their number of groups of nodes, (groups + 1, 2, groups, nodes)."""
+    rules = (midpoint_rules if even else gauss_rules)(MOST_NODES)[:, ::_GROUP]
+    return np.moveaxis(rules, 1, 0).reshape(-1, 2, MOST_NODES // _GROUP, _GROUP)
 
 
 @partial(jit_plainly, static=("terms", "near", "pixel_nodes"))
