@@ -174,9 +174,9 @@ def _part(imaging: Imaging, group: BlurGroup, positions: RecordPositions, finest
             limb, dim = _residual_beside(imaging, view, pixels, ~dark & ~near & ~smooth)
             smooth |= dim
     rough = np.flatnonzero(~dark & ~smooth & ~limb)
-    frames, *arcs = _arcs(view, pixels.at(rough), scale.fineness, finest, elongation)
-    arcs = (some._replace(position=rough[some.window]) for some in arcs)
-    return PlanPart(group.terms, np.flatnonzero(smooth), np.flatnonzero(limb), rule, frames, *arcs)
+    frames, *found = _arcs(view, pixels.at(rough), scale.fineness, finest, elongation)
+    arcs, even_arcs = (some._replace(position=rough[some.window]) for some in found)
+    return PlanPart(group.terms, np.flatnonzero(smooth), np.flatnonzero(limb), rule, frames, arcs, even_arcs)
 
 
 def _part_on_cylinder(
@@ -306,4 +306,5 @@ def _arcs(
     found += in_order(chunk, range(0, windows.x.size, CHUNK), available_cores())
     frames, evenly, nodes, window, *others = (np.concatenate(parts) for parts in zip(*found, strict=True))
     arcs, order = ArcRows(nodes, window, window, *others), np.argsort(nodes, kind="stable")
-    return frames, *(arcs.at(order[evenly[order] == one]) for one in (False, True))
+    even = evenly[order]
+    return frames, arcs.at(order[~even]), arcs.at(order[even])
