@@ -13,7 +13,7 @@ _ON_ARC, _ON_FULL_ARC = 6.0, 12.0
 """Number of nodes of a Gauss-Legendre rule on a short arc, and of additional nodes on an arc across a window whose kernel has
 the fineness 1.
 """
-_EVENLY, _EVENLY_PER_SIDE = 2.0, 10.0
+_EVENLY, _EVENLY_PER_SIDE = 4.0, 10.0
 """The same numbers of a midpoint rule. Their spacing in the image is at most 1.25 standard deviations of the kernel."""
 _EVENLY_PER_DISTANCE, _FEWEST = 5.0, 12.0
 """Number of nodes of a midpoint rule per ratio of length to distance from the highlight."""

@@ -47,6 +47,8 @@ from matcam.numerics.elementary import sine
 
 _GROUP = 4
 """Number of nodes of an arc that are computed at once. It divides `MOST_NODES`."""
+_MIDPOINT = MOST_NODES // _GROUP + 1
+"""Index of the first midpoint rule in `_tabulated_rules`."""
 _BESIDE_BORDER = 24
 """Least number of nodes on an arc under a source disc, whose image has borders."""
 _KERNELS = 2
@@ -254,21 +256,23 @@ def _kernel_sums(
     if kernel.disc is not None:  # its image has borders
         layout, least = layout._replace(arcs=arcs._replace(vanishes=np.zeros_like(arcs.vanishes))), _BESIDE_BORDER
     nodes, evenly = nodes_on_arcs(view, windows, layout, _fineness(kernels, windows), 1.0)
-    groups = -(-np.maximum(nodes, least) // _GROUP)
+    rule = -(-np.maximum(nodes, least) // _GROUP) + evenly * _MIDPOINT
     per_arc = angle[arcs.circle], arcs.middle, arcs.half
     program = _arc_sums if kernel.disc is None else _arc_sums_of_disc
     sums = np.zeros((count, 7 + 2 * NODES[0].size if near else 4, arcs.circle.size))
-    order = np.argsort(groups, kind="stable")
-    kinds = [(even, order[evenly[order] == even]) for even in (False, True)]
-    for even, some in (
-        (even, own[begin : begin + _CALL]) for even, own in kinds for begin in range(0, own.size, _CALL)
-    ):
+    # all arcs of a block have one rule, so the sums of an arc do not depend on the others
+    of_rules = np.split(np.argsort(rule, kind="stable"), np.cumsum(np.bincount(rule))[:-1])
+    order = np.concatenate(
+        [np.pad(own, (0, -own.size % _BLOCK), mode="edge") for own in of_rules if own.size] or of_rules
+    )
+    for begin in range(0, order.size, _CALL):
+        some = order[begin : begin + _CALL]
         index = np.pad(some, (0, _CALL - some.size), mode="edge")
         seen_by = pixel[index]
         found = program(
             np.array(-(-some.size // _BLOCK)), np.array(count), np.array(view), np.stack([a[seen_by] for a in per_pixel]),
-            np.stack([a[index] for a in per_arc]), spread[:, seen_by], groups[index].reshape(-1, _BLOCK)[:, -1],
-            _rules_of_groups(even), blurs, kernel.disc_at(seen_by), kernel.terms, near, kernel.pixel_nodes,
+            np.stack([a[index] for a in per_arc]), spread[:, seen_by], rule[index].reshape(-1, _BLOCK)[:, 0],
+            _tabulated_rules(), blurs, kernel.disc_at(seen_by), kernel.terms, near, kernel.pixel_nodes,
         )  # fmt: skip
         sums[..., some] = np.asarray(found)[:count, :, : some.size]
     return sums
@@ -309,9 +313,9 @@ def _fineness(kernels: Sequence[Kernel], windows: Windows) -> np.ndarray:
 
 
 @cache
-def _rules_of_groups(even: bool) -> np.ndarray:
-    """Tabulate midpoint or Gauss-Legendre rules by their number of groups of nodes, (groups + 1, 2, groups, nodes)."""
-    rules = (midpoint_rules if even else gauss_rules)(MOST_NODES)[:, ::_GROUP]
+def _tabulated_rules() -> np.ndarray:
+    """Tabulate Gauss-Legendre and then midpoint rules by their number of groups of nodes, (rules, 2, groups, nodes)."""
+    rules = np.concatenate([table(MOST_NODES)[:, ::_GROUP] for table in (gauss_rules, midpoint_rules)], axis=1)
     return np.moveaxis(rules, 1, 0).reshape(-1, 2, MOST_NODES // _GROUP, _GROUP)
 
 
@@ -323,7 +327,7 @@ def _arc_sums(
     of_pixel: Any,
     of_arc: Any,
     spread: Any,
-    groups: Any,
+    rule: Any,
     rules: Any,
     blurs: Blur,
     disc: LampDisc | None,
@@ -337,9 +341,8 @@ def _arc_sums(
     for weights, and 40 for moments.
 
     used: number of blocks with arcs. kernels: number of kernels that are used. spread: two variances of each kernel, see
-        `Kernel`, (2 kernels, arcs). groups: number of groups of nodes of each block. rules: nodes on each arc, and their
-        weights, by number of groups, (rules, 2, groups, nodes). blurs: blur of each kernel; the first axis of
-        its arrays is that of the kernels.
+        `Kernel`, (2 kernels, arcs). rule: index of the rule of each block. rules: result of `_tabulated_rules`.
+        blurs: blur of each kernel; the first axis of its arrays is that of the kernels.
     """
     view = SphereView(*of_view) if near else SphereView(of_view[0], 0.0, 0.0)
     most = len(spread) // 2
@@ -353,7 +356,9 @@ def _arc_sums(
         arc = half, *(function(angle) for angle in (middle, circle, peak) for function in (jnp.sin, jnp.cos))
         nothing = jnp.zeros((most, 7 + 2 * NODES[0].size if near else 4, circle.shape[0]))
         rule = rules[own, 0], rules[own, 1]
-        return repeated_sum(lambda node: sums(pixel, arc, variances, disc, nothing, *node), own, rule, nothing)
+        return repeated_sum(
+            lambda node: sums(pixel, arc, variances, disc, nothing, *node), own % _MIDPOINT, rule, nothing
+        )
 
     def sums(pixel, arc, variances, disc, nothing, node, node_weight):  # type: ignore[no-untyped-def]
         """Compute the contribution of some nodes of each arc."""
@@ -412,7 +417,7 @@ def _arc_sums(
         return array.reshape(-1, _BLOCK, *array.shape[1:])
 
     of_blocks = jax.tree.map(blocks, (tuple(of_pixel), tuple(of_arc), tuple(spread), disc))
-    found = in_blocks(block, used, (*of_blocks, groups))
+    found = in_blocks(block, used, (*of_blocks, rule))
     return jnp.moveaxis(found, 0, 2).reshape(*found.shape[1:3], -1)
 
 
