@@ -186,9 +186,9 @@ def _part_on_cylinder(
     pixels = _pixels(imaging, positions, scale.reach)
     smooth = smooth_on_cylinder(imaging, pixels, scale.near * elongation)
     rough = np.flatnonzero(~smooth)
-    arcs = arcs_across(imaging, pixels.at(rough), scale.fineness, finest, elongation)
-    arcs = arcs._replace(position=rough[arcs.position])
-    return PlanPart(group.terms, np.flatnonzero(smooth), nothing, None, np.zeros((0, 9)), arcs, arcs.at(slice(0)))
+    found = arcs_across(imaging, pixels.at(rough), scale.fineness, finest, elongation)
+    arcs, even_arcs = (some._replace(position=rough[some.position]) for some in found)
+    return PlanPart(group.terms, np.flatnonzero(smooth), nothing, None, np.zeros((0, 9)), arcs, even_arcs)
 
 
 def _pixels(imaging: Imaging, positions: RecordPositions, half: float) -> Windows:
