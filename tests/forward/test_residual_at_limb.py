@@ -74,6 +74,19 @@ def test_positions_at_the_limb_take_it(imaging):
     assert set(part.arcs.position) == {0, 1}
 
 
+def test_each_lamp_has_its_azimuth(imaging):
+    """A quarter turn of lamp and position changes nothing: the pixels are square, and the lens is isotropic."""
+    x, y, lamp = np.array([LIMB - 3.0, 60.0, LIMB - 2.0]), np.array([4.0, 5.0, 0.0]), np.array([1.7, 1.2, 0.9])
+    quarters = np.array([1, 2, 3]) * np.pi / 2
+    turned = x * np.cos(quarters) - y * np.sin(quarters), x * np.sin(quarters) + y * np.cos(quarters)
+    material = Microfacet(GGX(0.3), 1.0)
+    found, expected = (
+        np.asarray(record(material, imaging, record_plan(imaging, positions, 0.3)))[:, 0]
+        for positions in (RecordPositions(*turned, lamp, quarters), RecordPositions(x, y, lamp))
+    )
+    np.testing.assert_allclose(found, expected, rtol=1e-6)
+
+
 def test_a_rule_follows_the_parameters(imaging):
     x = np.array([LIMB - 3.0])
     positions = RecordPositions(x, np.array([5.0]), np.array([1.7]))

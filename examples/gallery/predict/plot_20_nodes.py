@@ -11,6 +11,7 @@ import numpy as np
 
 import matcam
 from matcam.forward.integral.blur import imaging_of
+from matcam.forward.sampler.arc_rules import MOST_NODES, gauss_rules, midpoint_rules
 from matcam.forward.sampler.plan import RecordPositions, record_plan
 
 lamp_angle = np.radians(80)
@@ -22,22 +23,24 @@ part = record_plan(imaging_of(rig), positions, finest=0.001).parts[0]
 
 figure, axes = plt.subplots(1, 2, figsize=(9, 4.6))
 for number, (axis, (x, y)) in enumerate(zip(axes, pixels, strict=True)):
-    arcs = part.arcs.at(np.flatnonzero(part.arcs.position == number))
-    frame = part.frames[arcs.window].reshape(
-        -1, 3, 3
-    )  # axis of the circles, and the directions of azimuth 0 and 90 degrees
-    for nodes, angle, middle, half, vectors in zip(arcs.nodes, arcs.angle, arcs.middle, arcs.half, frame, strict=True):
-        azimuth = middle + half * np.polynomial.legendre.leggauss(nodes)[0]
-        circle = np.stack(
-            [np.full(nodes, np.cos(angle)), np.sin(angle) * np.cos(azimuth), np.sin(angle) * np.sin(azimuth)]
-        )
-        normal = vectors.T @ circle
-        axis.plot(256 * normal[0] - x, 256 * normal[1] - y, ".", color="C0", markersize=1.5)
+    total = 0
+    for arcs, rules in ((part.arcs, gauss_rules(MOST_NODES)), (part.even_arcs, midpoint_rules(MOST_NODES))):
+        own = arcs.at(np.flatnonzero(arcs.position == number))
+        total += own.nodes.sum()
+        # axis of the circles, and the directions of azimuth 0 and 90 degrees
+        frame = part.frames[own.window].reshape(-1, 3, 3)
+        for nodes, angle, middle, half, vectors in zip(own.nodes, own.angle, own.middle, own.half, frame, strict=True):
+            azimuth = middle + half * rules[0, nodes, :nodes]
+            circle = np.stack(
+                [np.full(nodes, np.cos(angle)), np.sin(angle) * np.cos(azimuth), np.sin(angle) * np.sin(azimuth)]
+            )
+            normal = vectors.T @ circle
+            axis.plot(256 * normal[0] - x, 256 * normal[1] - y, ".", color="C0", markersize=1.5)
     turn = np.linspace(0, np.pi, 2000)
     axis.plot(256 * np.sin(turn) - x, 256 * np.cos(turn) - y, color="C1", label="limb")
     axis.add_patch(plt.Rectangle((-0.5, -0.5), 1, 1, fill=False, label="pixel"))
     axis.set(xlim=(-3.4, 3.4), ylim=(-3.4, 3.4), aspect="equal", xlabel="right of the pixel [px]")
-    axis.set_title(f"{arcs.nodes.sum()} nodes {('about a highlight', 'at the limb')[number]}")
+    axis.set_title(f"{total} nodes {('about a highlight', 'at the limb')[number]}")
 axes[0].set_ylabel("above the pixel [px]")
 axes[1].legend(loc="upper right")
 figure.tight_layout()

@@ -21,7 +21,7 @@ _FOLLOWED = 5.2
 """Support radius of a Gaussian, in standard deviations."""
 _REST_NEAR = 1.3
 """Half side of the square around a highlight, in support radii of the residual."""
-_WIDTHS, _PERIODS = 6.2, 1.8
+WIDTHS, PERIODS = 6.2, 1.8
 """Support radius of a kernel with the fineness 1: in standard deviations of its narrowest Gaussian, and for a residual in
 periods of its highest frequency.
 """
@@ -79,14 +79,14 @@ def groups_of(blur: Blur, sample: Curved) -> tuple[BlurGroup, ...]:
 def _residual_scale(residual: KernelResidual, added: float) -> BlurScale:
     """Compute the lengths of a residual. added: variance that defocus and source disc add to the residual, px^2."""
     reach = float(residual.reach_through(added))
-    fineness = max(reach / float(residual.period) / _PERIODS, 1.0)
+    fineness = max(reach / float(residual.period) / PERIODS, 1.0)
     return BlurScale(near=_REST_NEAR * reach, margin=reach, reach=reach, fineness=fineness)
 
 
 def _scale(half: float, stds: np.ndarray, widened: np.ndarray) -> BlurScale:
     widest, narrowest = float(np.max(widened)), float(np.min(stds))
     std, reach = float(np.hypot(widest, half / np.sqrt(3))), half + _FOLLOWED * widest
-    return BlurScale(near=10 * std, margin=4.8 * std, reach=reach, fineness=max(reach / narrowest / _WIDTHS, 1.0))
+    return BlurScale(near=10 * std, margin=4.8 * std, reach=reach, fineness=max(reach / narrowest / WIDTHS, 1.0))
 
 
 def _widest_spread(blur: Blur, sample: Curved) -> tuple[float, float]:

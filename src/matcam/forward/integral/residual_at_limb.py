@@ -66,8 +66,9 @@ class LimbRule(eqx.Module):
         c = c[:, None, None] * (_ACROSS[:, None] + 1) / 2
         at = azimuth[:, None, None] + turn * _ALONG
         far = limb * jnp.sqrt(1 - c**2)
-        element, _ = scene.sample.at(*scene.from_sensor(far * jnp.cos(at), far * jnp.sin(at)))
-        light = scene.beside_nodes(2).sent(element) * c[..., None]
+        of_nodes = scene.beside_nodes(2)
+        element, _ = scene.sample.at(*of_nodes.from_sensor(far * jnp.cos(at), far * jnp.sin(at)))
+        light = of_nodes.sent(element) * c[..., None]
         depths, azimuths, nodes = self.weights.shape
         step = 2 * reach / (depths - 1 - 2 * _BEYOND)
         period = np.pi / 2 if self.quarter else 2 * np.pi

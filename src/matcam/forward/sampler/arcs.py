@@ -10,8 +10,6 @@ from matcam.core.jax import jax, jnp
 from matcam.core.programs import kept_program
 from matcam.numerics.blocks import in_blocks, in_calls
 
-LONGEST = 2 * np.pi / 3 + 1e-9
-"""Length of an arc, rad, above which it is divided."""
 _SHORTEST = 1e-14
 """Length of an arc, rad, below which it is dropped as a rounding error."""
 CHUNK = 1024
@@ -19,6 +17,8 @@ CHUNK = 1024
 _TINY = 1e-300
 """Smallest divisor, which avoids a division by 0."""
 _TURN = 2 * np.pi
+_LIGHT_ENDS = 2
+"""Number of the first half-spaces, limb and terminator, at which the integrand does not vanish (`Windows.half_spaces`)."""
 _WHOLE = np.pi - 1e-9
 """Half length of an excluded interval, rad, above which the interval covers a whole circle."""
 
@@ -63,7 +63,8 @@ def _gaps(
     """Compute the start and the length of the parts of circles inside all half-spaces, (..., half-spaces), rad.
 
     Entries without a part have the length 0. On a circle, a half-space excludes one interval. A part starts at the end of an
-    interval that no other interval covers, and ends at the next start of an interval.
+    interval that no other interval covers, and ends at the next start of an interval. Lengths of parts of which neither end
+    lies on limb or terminator are negative.
 
     Args:
         axial: see `Clips`, (..., half-spaces).
@@ -77,7 +78,7 @@ def _gaps(
     half = jnp.arccos(jnp.clip(cosine, -1, 1))
     excludes = half > 0
     end, begin = azimuth + half, azimuth - half
-    length = jnp.full_like(half, _TURN)
+    length, until_dark = jnp.full_like(half, _TURN), jnp.full_like(half, jnp.inf)
     for other in range(half.shape[-1]):
         own = excludes[..., other, None]
         since = end - begin[..., other, None]
@@ -85,10 +86,13 @@ def _gaps(
         # the distance from the end to the start of the same interval is a full turn minus its length
         covered = own & (since < 2 * half[..., other, None]) & (np.arange(half.shape[-1]) != other)
         length = jnp.where(own, jnp.minimum(length, _TURN - since), length)
+        if other < _LIGHT_ENDS:
+            until_dark = jnp.where(own, jnp.minimum(until_dark, _TURN - since), until_dark)
         length = jnp.where(covered | (own & (half[..., other, None] > _WHOLE)), 0.0, length)
     free = ~jnp.any(excludes, axis=-1, keepdims=True) & (np.arange(half.shape[-1]) == 0)
-    length = jnp.where(excludes | free, length, 0.0)
-    return end, jnp.where(length > _SHORTEST, length, 0.0)
+    vanishes = (length < until_dark) & (free | (np.arange(half.shape[-1]) >= _LIGHT_ENDS))
+    length = jnp.where((excludes | free) & (length > _SHORTEST), length, 0.0)
+    return end, jnp.where(vanishes, -length, length)
 
 
 @kept_program
@@ -101,7 +105,7 @@ def _gap_blocks(used: jax.Array, rows: tuple[jax.Array, ...], clips: Clips) -> t
 
 
 def gaps_of(clips: Clips, window: np.ndarray, circle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Compute start and length of the parts of circles inside their windows, (circles, half-spaces), rad."""
+    """Compute the parts of circles inside their windows, see `_gaps`, (circles, half-spaces)."""
     if not circle.size:
         return (np.zeros((0, clips.axial.shape[1])),) * 2
     more = CHUNK - clips.axial.shape[0]
@@ -111,24 +115,24 @@ def gaps_of(clips: Clips, window: np.ndarray, circle: np.ndarray) -> tuple[np.nd
 
 
 class Arcs(NamedTuple):
-    """Arcs of at most `LONGEST`, arrays of shape (arcs,).
+    """Parts of circles, arrays of shape (arcs,).
 
     Attributes:
         circle: index of the circle.
         middle: azimuth of the middle of the arc, rad.
         half: half length of the arc, rad.
+        vanishes: True if the integrand vanishes at both ends of the arc, or if the arc is a whole circle.
     """
 
     circle: np.ndarray
     middle: np.ndarray
     half: np.ndarray
+    vanishes: np.ndarray
 
-
-def divided(start: np.ndarray, length: np.ndarray) -> Arcs:
-    """Divide the parts of circles, (circles, half-spaces), into arcs."""
-    circle, part = np.nonzero(length)
-    start, length = start[circle, part], length[circle, part]
-    count = np.ceil(length / LONGEST).astype(int)
-    circle, start, step = (np.repeat(a, count) for a in (circle, start, length / count))
-    number = np.arange(circle.size) - np.repeat(np.cumsum(count) - count, count)
-    return Arcs(circle, start + (number + 0.5) * step, step / 2)
+    @classmethod
+    def of(cls, start: np.ndarray, length: np.ndarray) -> Arcs:
+        """List the parts of circles. The arguments are the result of `gaps_of`."""
+        circle, part = np.nonzero(length)
+        start, length = start[circle, part], length[circle, part]
+        half = np.abs(length) / 2
+        return cls(circle, start + half, half, length < 0)

@@ -41,7 +41,8 @@ class CircleArcs(NamedTuple):
         """Compute the surface element at a node in [-1, 1] on each arc, and the weight of its radiance."""
         (sine_m, cosine_m), (radius, up) = directions
         off = jnp.asarray(self.half) * node
-        sine_off, versine = sine(off), 2 * sine(off / 2) ** 2
+        chord = sine(off / 2)
+        sine_off, versine = 2 * chord * jnp.sqrt(1 - chord**2), 2 * chord**2
         along = radius * (cosine_m - sine_m * sine_off - cosine_m * versine)
         across = radius * (sine_m + cosine_m * sine_off - sine_m * versine)
         x, y, z = (up * a + along * b + across * c for a, b, c in zip(*self.frame, strict=True))

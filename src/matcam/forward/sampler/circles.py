@@ -22,7 +22,8 @@ import numpy as np
 
 from matcam.core.jax import jax, jnp
 from matcam.core.programs import kept_program
-from matcam.forward.sampler.arcs import Arcs, Clips, Frame, divided, gaps_of
+from matcam.forward.sampler.arc_rules import midpoints
+from matcam.forward.sampler.arcs import Arcs, Clips, Frame, gaps_of
 from matcam.forward.sampler.windows import SphereView, Windows
 from matcam.numerics.blocks import in_blocks, in_calls
 
@@ -32,6 +33,8 @@ _ACROSS = 14.0
 """Number of nodes across a window whose kernel has the fineness 1."""
 _MORE, _MORE_AT_TOUCH = 6, 4
 """Number of additional nodes of every span, and of a span near a circle that touches limb or terminator."""
+_EVENLY, _MORE_EVENLY = 0.75, 2
+"""Number of nodes of a midpoint rule relative to that of a Gauss-Legendre rule, and number of additional nodes."""
 COARSEST = 0.2
 """Largest scale of the grading towards the highlight, px at the centre of the sphere."""
 _UNGRADED = 1e3
@@ -125,7 +128,8 @@ def lay_circles(view: SphereView, windows: Windows, finest: float, fineness: flo
         fineness: factor of the number of nodes across a window, see `BlurScale`.
     """
     border = windows.border(view)
-    ends = _ends_inside(view, windows, border)
+    limb, terminator = _ends_inside(view, windows, border)
+    ends = limb | terminator
     about, across = about_highlight(windows), _across_radius(windows)
     peak = about.axis
     inside = windows.contains(view, peak)
@@ -153,15 +157,16 @@ def lay_circles(view: SphereView, windows: Windows, finest: float, fineness: flo
     scale = np.where(strip, _UNGRADED, min(COARSEST / view.radius, finest))
     touching = np.where(ends[:, None], _touching(view, windows, frame), np.nan)
     spans = _spans(np.where(both, side, np.nan), touching, (low, high), scale, pitches)
-    circles = _nodes(spans)
-    arcs = divided(*gaps_of(clips, circles.window, circles.angle))
+    # the integrand vanishes at both ends of the range, unless the highlight, a terminator or a touching limb is there
+    circles = _nodes(spans, (low > 0) & ~terminator & (strip | ~limb))
+    arcs = Arcs.of(*gaps_of(clips, circles.window, circles.angle))
     return CircleLayout(frame, np.where(strip, nearest, np.inf), circles, arcs)
 
 
-def _ends_inside(view: SphereView, windows: Windows, border: np.ndarray) -> np.ndarray:
-    """Check whether limb or terminator may be in each window. border: normals along the borders of the windows."""
+def _ends_inside(view: SphereView, windows: Windows, border: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Check whether limb and terminator may be in each window. border: normals along the borders of the windows."""
     lit = np.sin(windows.lamp)[:, None] * border[0] + np.cos(windows.lamp)[:, None] * border[2]
-    return np.any((border[2] < view.camera + _AT_END) | (lit < view.lamp + _AT_END), axis=1)
+    return np.any(border[2] < view.camera + _AT_END, axis=1), np.any(lit < view.lamp + _AT_END, axis=1)
 
 
 def about_highlight(windows: Windows) -> Frame:
@@ -206,7 +211,7 @@ def _with_arcs(clips: Clips, low: np.ndarray, high: np.ndarray, ends: np.ndarray
         return low, high
     angle = low[index, None] + (high - low)[index, None] * _PROBES
     _, length = gaps_of(clips, np.repeat(index, _PROBES.size), angle.ravel())
-    seen = np.any(length > 0, axis=-1).reshape(angle.shape)
+    seen = np.any(length != 0, axis=-1).reshape(angle.shape)
     first = np.maximum(seen.argmax(1) - 1, 0)
     last = np.minimum(_PROBES.size - seen[:, ::-1].argmax(1), _PROBES.size - 1)
     some, each = seen.any(1), np.arange(index.size)
@@ -259,14 +264,22 @@ def _gauss(count: int) -> tuple[np.ndarray, np.ndarray]:
     return np.polynomial.legendre.leggauss(count)
 
 
-def _nodes(spans: _Spans) -> Circles:
-    count = _t(spans.high, spans.scale, spans.pitch) - _t(spans.low, spans.scale, spans.pitch) + _MORE
-    count += _MORE_AT_TOUCH * (np.isfinite(spans.before).astype(int) + np.isfinite(spans.after))
-    count = 4 * np.ceil(count / 4).astype(int)  # rounded up, so that there are few different numbers
+def _nodes(spans: _Spans, vanishes: np.ndarray) -> Circles:
+    """Compute the nodes of spans and their weights.
+
+    vanishes: True if the integrand vanishes at both ends of the range of a window, (windows,). A single span then has a
+        midpoint rule.
+    """
+    length = _t(spans.high, spans.scale, spans.pitch) - _t(spans.low, spans.scale, spans.pitch)
+    touches = np.isfinite(spans.before).astype(int) + np.isfinite(spans.after)
+    single = np.bincount(spans.window, minlength=vanishes.size)[spans.window] == 1
+    evenly = vanishes[spans.window] & single & (touches == 0)
+    count = np.where(evenly, _EVENLY * length + _MORE_EVENLY, length + _MORE + _MORE_AT_TOUCH * touches)
+    count = np.where(evenly, 2 * np.ceil(count / 2), 4 * np.ceil(count / 4)).astype(int)  # few different numbers
     span, at, share = [], [], []
-    for number in np.unique(count):
-        index = np.flatnonzero(count == number)
-        node, weight = _gauss(int(number))
+    for even, number in sorted({*zip(evenly.tolist(), count.tolist(), strict=True)}):
+        index = np.flatnonzero((count == number) & (evenly == even))
+        node, weight = midpoints(number) if even else _gauss(number)
         span.append(np.repeat(index, number))
         at.append(np.tile(node, index.size))
         share.append(np.tile(weight, index.size))

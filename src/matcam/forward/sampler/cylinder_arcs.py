@@ -20,6 +20,7 @@ import numpy as np
 from matcam.core.jax import AnyArray, jax, jnp
 from matcam.core.programs import kept_program
 from matcam.forward.integral.blur import Imaging
+from matcam.forward.sampler.arc_rules import MOST_NODES, midpoint_rules
 from matcam.forward.sampler.cylinder_ridge import (
     PlacedLamps,
     ends_of_light,
@@ -27,7 +28,6 @@ from matcam.forward.sampler.cylinder_ridge import (
     ridge_of,
     turn_along,
 )
-from matcam.forward.sampler.gauss_rules import MOST_NODES, gauss_rules
 from matcam.forward.sampler.windows import Windows
 from matcam.numerics.blocks import in_blocks, in_calls
 from matcam.sample.curved import Cylinder
@@ -37,10 +37,12 @@ _AWAY = 0.9
 """Smallest angle from the half vector at which the radiance is smooth on the scale of the kernel, relative to the angle that
 corresponds to `BlurScale.near`.
 """
-_LEAST, _GRADED, _ACROSS = 6.0, 3.0, 14.0
-"""Number of nodes on every arc, number of additional nodes per unit of t, and number of additional nodes across a window
-whose kernel has the fineness 1.
+_LEAST, _GRADED, _ACROSS = 5.0, 2.5, 12.0
+"""Number of Gauss-Legendre nodes on every arc, number of additional nodes per unit of t, and number of additional nodes across
+a window whose kernel has the fineness 1.
 """
+_EVENLY, _EVENLY_GRADED, _EVENLY_ACROSS = 2.0, 1.5, 8.0
+"""The same numbers for midpoint rules, see `arc_nodes`."""
 _WIDEST = 1e9
 """Largest scale of the substitution for rows, px. Nodes with this scale are not graded."""
 _FLAT = 1e-300
@@ -100,8 +102,10 @@ def smooth_on_cylinder(imaging: Imaging, windows: Windows, near: float) -> np.nd
     return inside & (away > _AWAY * near * turn)
 
 
-def arcs_across(imaging: Imaging, windows: Windows, fineness: float, finest: float, elongation: float) -> CrossArcs:
-    """Compute the arcs in the windows of pixels.
+def arcs_across(
+    imaging: Imaging, windows: Windows, fineness: float, finest: float, elongation: float
+) -> tuple[CrossArcs, CrossArcs]:
+    """Compute the arcs in the windows of pixels, with Gauss-Legendre and with equally spaced nodes (`PlanPart`).
 
     Args:
         imaging: cylinder, blur and inverse distance of the lamp.
@@ -113,7 +117,7 @@ def arcs_across(imaging: Imaging, windows: Windows, fineness: float, finest: flo
     count = windows.x.size
     if not count:
         nothing = np.zeros(0)
-        return CrossArcs(nothing.astype(int), nothing.astype(int), *[nothing] * 6)
+        return (CrossArcs(nothing.astype(int), nothing.astype(int), *[nothing] * 6),) * 2
     row, weight, which = windows.y, np.ones(count), np.arange(count)
     if not (imaging.sample.distant and imaging.lamp_nearness is None):
         *_, mirror, along = _around(imaging, windows)
@@ -121,7 +125,7 @@ def arcs_across(imaging: Imaging, windows: Windows, fineness: float, finest: flo
         middle = np.clip(mirror, low, high)
         narrow = np.hypot(finest, along * (middle - mirror) / elongation) / np.maximum(along, _FLAT)
         spans = _Spans.of(middle, np.minimum(narrow, _WIDEST), low, high)
-        row, weight, which = spans.nodes(spans.counts(high - low, fineness))
+        row, weight, which = spans.nodes(spans.counts(high - low, fineness, True))
     first, last, low, high, ridge, miss = in_calls(_arc_blocks, (*_columns(windows.at(which)), row), imaging)
     middle = np.clip(ridge, first, last)
     narrow = np.sqrt(finest**2 + (miss**2 + (middle - ridge) ** 2) / elongation**2)
@@ -132,16 +136,18 @@ def arcs_across(imaging: Imaging, windows: Windows, fineness: float, finest: flo
     narrow = np.where(ends, np.minimum(narrow, np.hypot(finest, after)), narrow)
     left, right = np.where(starts, first + before / 2, first), np.where(ends, last - after / 2, last)
     scales = np.full(row.size, finest)
+    inner = ~starts & ~ends
     parts = (
-        _Spans.of(first, scales, first, left),
-        _Spans.of(middle, narrow, left, right),
-        _Spans.of(last, scales, right, last),
+        (False, _Spans.of(first, scales, first, left)),
+        (False, _Spans.of(middle, narrow, left, np.where(inner, left, right))),
+        (False, _Spans.of(last, scales, right, last)),
+        (True, _Spans.of(middle, narrow, left, np.where(inner, right, left))),
     )
     found = []
-    for spans in parts:
+    for evenly, spans in parts:
         some = np.flatnonzero(spans.half > 0)
         spans, width = spans.at(some), (last - first)[some]
-        nodes = spans.counts(width, fineness)
+        nodes = spans.counts(width, fineness, evenly)
         found.append(
             (
                 nodes,
@@ -154,8 +160,9 @@ def arcs_across(imaging: Imaging, windows: Windows, fineness: float, finest: flo
                 spans.half,
             )
         )
-    arcs = CrossArcs(*(np.concatenate(a) for a in zip(*found, strict=True)))
-    return arcs.at(np.argsort(arcs.nodes, kind="stable"))
+    arcs = CrossArcs(*(np.concatenate(a) for a in zip(*found[:-1], strict=True))), CrossArcs(*found[-1])
+    ordered, even = (one.at(np.argsort(one.nodes, kind="stable")) for one in arcs)
+    return ordered, even
 
 
 class _Spans(NamedTuple):
@@ -174,17 +181,21 @@ class _Spans(NamedTuple):
     def at(self, index: np.ndarray) -> _Spans:
         return _Spans(*(a[index] for a in self))
 
-    def counts(self, width: np.ndarray, fineness: float) -> np.ndarray:
-        """Choose the number of nodes in each interval. width: width of the window, in the unit of `scale`."""
+    def counts(self, width: np.ndarray, fineness: float, evenly: bool) -> np.ndarray:
+        """Choose the number of nodes in each interval.
+
+        width: width of the window, in the unit of `scale`. evenly: True for a midpoint rule.
+        """
         steepest = self.scale * np.cosh(np.abs(self.middle) + self.half)
-        needed = _LEAST + 2 * self.half * (_GRADED + _ACROSS * fineness * steepest / np.maximum(width, _FLAT))
+        least, graded, across = (_EVENLY, _EVENLY_GRADED, _EVENLY_ACROSS) if evenly else (_LEAST, _GRADED, _ACROSS)
+        needed = least + 2 * self.half * (graded + across * fineness * steepest / np.maximum(width, _FLAT))
         return np.minimum(2 * np.ceil(needed / 2), MOST_NODES).astype(int)
 
     def nodes(self, counts: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Compute positions and weights of all nodes, and the indices of their intervals."""
+        """Compute positions and weights of the nodes of midpoint rules, and the indices of their intervals."""
         which = np.repeat(np.arange(counts.size), counts)
         number = np.arange(which.size) - np.repeat(np.cumsum(counts) - counts, counts)
-        node, share = gauss_rules(MOST_NODES)[:, counts[which], number]
+        node, share = midpoint_rules(MOST_NODES)[:, counts[which], number]
         centre, scale, middle, half = (a[which] for a in self)
         t = middle + half * node
         return centre + scale * np.sinh(t), share * half * scale * np.cosh(t), which

@@ -18,23 +18,15 @@ from matcam.forward.integral.blur import Imaging
 from matcam.forward.integral.blur_groups import BlurGroup, groups_of
 from matcam.forward.integral.residual_at_limb import LimbRule, limb_rule
 from matcam.forward.integral.scene import Turn
+from matcam.forward.sampler.arc_nodes import nodes_on_arcs
 from matcam.forward.sampler.arcs import CHUNK
 from matcam.forward.sampler.circle_arcs import CircleArcs
-from matcam.forward.sampler.circles import COARSEST, CircleLayout, lay_circles
+from matcam.forward.sampler.circles import COARSEST, lay_circles
 from matcam.forward.sampler.cylinder_arcs import CrossArcs, arcs_across, smooth_on_cylinder
-from matcam.forward.sampler.gauss_rules import MOST_NODES
 from matcam.forward.sampler.windows import SphereView, Windows
 from matcam.numerics.blocks import in_blocks, in_calls
 from matcam.sample.curved import Cylinder, Sphere
 
-_ON_ARC, _ON_FULL_ARC = 6.0, 12.0
-"""Number of nodes on a short arc, and of additional nodes on an arc across a window whose kernel has the fineness 1."""
-_BESIDE, _PER_DISTANCE, _MOST_DISTANCES = 7.0, 2.5, 8.0
-"""Number of nodes on an arc that is short relative to its distance from the highlight, number of additional nodes per ratio of
-length to distance, and largest ratio of length to distance.
-"""
-_LONGEST = 1.3
-"""Length of an arc, in sides of its window, above which the number of nodes is constant."""
 _AROUND = np.pi / 8 * np.arange(16)
 """Azimuths, rad, of positions around a pixel that are visible and lit if the radiance around the pixel is smooth."""
 _GRAZING = 1e-3
@@ -113,7 +105,8 @@ class PlanPart(NamedTuple):
         limb_rule: quadrature rule of the pixels in `limb`; None: there are no such pixels.
         frames: frame of the circles of each pixel with arcs, (pixels, 9): axis, direction of azimuth 0, and of pi/2; empty
             for a cylinder.
-        arcs: arcs of these pixels.
+        arcs: arcs of these pixels with Gauss-Legendre nodes.
+        even_arcs: arcs of these pixels with equally spaced nodes. The integrand vanishes at the ends of these arcs.
     """
 
     terms: tuple[int, ...]
@@ -122,6 +115,7 @@ class PlanPart(NamedTuple):
     limb_rule: LimbRule | None
     frames: np.ndarray
     arcs: ArcRows | CrossArcs
+    even_arcs: ArcRows | CrossArcs
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,9 +177,9 @@ def _part(imaging: Imaging, group: BlurGroup, positions: RecordPositions, finest
             limb, dim = _residual_beside(imaging, view, pixels, ~dark & ~near & ~smooth)
             smooth |= dim
     rough = np.flatnonzero(~dark & ~smooth & ~limb)
-    frames, arcs = _arcs(view, pixels.at(rough), scale.fineness, finest, elongation)
-    arcs = arcs._replace(position=rough[arcs.window])
-    return PlanPart(group.terms, np.flatnonzero(smooth), np.flatnonzero(limb), rule, frames, arcs)
+    frames, *found = _arcs(view, pixels.at(rough), scale.fineness, finest, elongation)
+    arcs, even_arcs = (some._replace(position=rough[some.window]) for some in found)
+    return PlanPart(group.terms, np.flatnonzero(smooth), np.flatnonzero(limb), rule, frames, arcs, even_arcs)
 
 
 def _part_on_cylinder(
@@ -195,9 +189,9 @@ def _part_on_cylinder(
     pixels = _pixels(imaging, positions, scale.reach)
     smooth = smooth_on_cylinder(imaging, pixels, scale.near * elongation)
     rough = np.flatnonzero(~smooth)
-    arcs = arcs_across(imaging, pixels.at(rough), scale.fineness, finest, elongation)
-    arcs = arcs._replace(position=rough[arcs.position])
-    return PlanPart(group.terms, np.flatnonzero(smooth), nothing, None, np.zeros((0, 9)), arcs)
+    found = arcs_across(imaging, pixels.at(rough), scale.fineness, finest, elongation)
+    arcs, even_arcs = (some._replace(position=rough[some.position]) for some in found)
+    return PlanPart(group.terms, np.flatnonzero(smooth), nothing, None, np.zeros((0, 9)), arcs, even_arcs)
 
 
 def _pixels(imaging: Imaging, positions: RecordPositions, half: float) -> Windows:
@@ -298,35 +292,22 @@ def _residual_beside(
 
 def _arcs(
     view: SphereView, windows: Windows, fineness: float, finest: float, elongation: float
-) -> tuple[np.ndarray, ArcRows]:
-    """Compute the frames of the circles of windows, (windows, 9), and all arcs."""
+) -> tuple[np.ndarray, ArcRows, ArcRows]:
+    """Compute the frames of the circles of windows, (windows, 9), and their arcs; see `PlanPart`."""
 
     def chunk(begin: int) -> tuple[np.ndarray, ...]:
         own = windows.at(slice(begin, begin + CHUNK))
         layout = lay_circles(view, own, finest, fineness)
-        circle, middle, half = layout.arcs
+        circle, middle, half, _ = layout.arcs
         window, angle, weight = (a[circle] for a in layout.circles)
         frames = np.concatenate(layout.frame).T
-        nodes = _nodes_on_arcs(view, own, layout, fineness, elongation)
-        return frames, nodes, begin + window, angle, weight * half, middle, half
+        nodes, evenly = nodes_on_arcs(view, own, layout, fineness, elongation)
+        return frames, evenly, nodes, begin + window, angle, weight * half, middle, half
 
     nothing = np.zeros(0, dtype=int)
-    found = [(np.zeros((0, 9)), nothing, nothing, *[np.zeros(0)] * 4)]
+    found = [(np.zeros((0, 9)), nothing.astype(bool), nothing, nothing, *[np.zeros(0)] * 4)]
     found += in_order(chunk, range(0, windows.x.size, CHUNK), available_cores())
-    frames, nodes, window, *others = (np.concatenate(parts) for parts in zip(*found, strict=True))
-    return frames, ArcRows(nodes, window, window, *others).at(np.argsort(nodes, kind="stable"))
-
-
-def _nodes_on_arcs(
-    view: SphereView, windows: Windows, layout: CircleLayout, fineness: float, elongation: float
-) -> np.ndarray:
-    circle, _, half = layout.arcs
-    window = layout.circles.window[circle]
-    highlight = layout.highlight[window]
-    length = 2 * half * np.sin(layout.circles.angle[circle])
-    sides = np.minimum(length * view.radius / (2 * windows.half[0, window]), _LONGEST)
-    distances = np.where(np.isfinite(highlight), length / highlight, 2 * half * (elongation - 1))
-    needed = np.maximum(
-        _ON_ARC + _ON_FULL_ARC * fineness * sides, _BESIDE + _PER_DISTANCE * np.minimum(distances, _MOST_DISTANCES)
-    )
-    return np.minimum(2 * np.ceil(needed / 2), MOST_NODES).astype(int)
+    frames, evenly, nodes, window, *others = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    arcs, order = ArcRows(nodes, window, window, *others), np.argsort(nodes, kind="stable")
+    even = evenly[order]
+    return frames, arcs.at(order[~even]), arcs.at(order[even])

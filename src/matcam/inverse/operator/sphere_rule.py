@@ -25,8 +25,11 @@ import numpy as np
 
 from matcam.core.jax import jax, jit_plainly, jnp
 from matcam.forward.integral.blur import Blur, Spread
-from matcam.forward.sampler.arcs import CHUNK, Arcs, Clips, divided, gaps_of
-from matcam.forward.sampler.circles import about_highlight, from_highlight
+from matcam.forward.integral.blur_groups import PERIODS, WIDTHS
+from matcam.forward.sampler.arc_nodes import nodes_on_arcs
+from matcam.forward.sampler.arc_rules import MOST_NODES, gauss_rules, midpoint_rules
+from matcam.forward.sampler.arcs import CHUNK, Arcs, Clips, gaps_of
+from matcam.forward.sampler.circles import CircleLayout, Circles, about_highlight, from_highlight
 from matcam.forward.sampler.windows import SphereView, Windows
 from matcam.inverse.operator.lamp_lines import LampDisc, lamp_kernel
 from matcam.inverse.operator.theta_nodes import (
@@ -42,22 +45,17 @@ from matcam.inverse.operator.theta_nodes import (
 from matcam.numerics.blocks import in_blocks, repeated_sum
 from matcam.numerics.elementary import sine
 
-_GROUP = 8
-"""Number of nodes of an arc that are computed at once."""
-_ON_ARCS = ((0.25, 8), (0.75, 16), (np.inf, 24))
-"""Pairs (largest length of an arc in sides of its window, number of nodes), in groups of `_GROUP`.
-
-For a Gaussian, the error bound of Gauss-Legendre quadrature is at most as large on the short arcs as on an arc across the
-window. Compared with 24 nodes on every arc, records change by about 1e-6, and by at most 2e-5 for a lens with rings or of
-another shape.
-"""
-_OF_RINGS = 2
-"""Factor of the number of nodes on an arc for the diffraction rings of a lens."""
+_GROUP = 4
+"""Number of nodes of an arc that are computed at once. It divides `MOST_NODES`."""
+_MIDPOINT = MOST_NODES // _GROUP + 1
+"""Index of the first midpoint rule in `_tabulated_rules`."""
+_BESIDE_BORDER = 24
+"""Least number of nodes on an arc under a source disc, whose image has borders."""
 _KERNELS = 2
 """Largest number of kernels that one call of the compiled program evaluates at the same nodes. The two Gaussians that are
 stretched along and across the plane of camera and lamp have the same windows.
 """
-_CALL, _BLOCK = 32768, 256
+_CALL, _BLOCK = 16384, 256
 """Numbers of arcs in one call of the compiled program, and in one of its blocks. The arrays of a block fit into the cache of
 a processor.
 """
@@ -185,15 +183,12 @@ class WindowArcs(NamedTuple):
 
     Attributes:
         windows: windows of the pixels.
-        angle: angles of the circles from the normal of the highlight, rad, (pixels, circles).
-        step: weights of the circles in an integral over the angle, rad, (pixels, circles).
-        arcs: arcs of all circles. The index of a circle counts those of all pixels.
+        layout: circles about the highlights, and their arcs. The weights of the circles are those of an integral over the
+            angle, rad.
     """
 
     windows: Windows
-    angle: np.ndarray
-    step: np.ndarray
-    arcs: Arcs
+    layout: CircleLayout
 
     @classmethod
     def of(cls, view: SphereView, windows: Windows, circles: ThetaRange, more: bool) -> WindowArcs:
@@ -203,16 +198,17 @@ class WindowArcs(NamedTuple):
         circles, see `_MORE_CIRCLES`.
         """
         angle, step = circles.nodes(_MORE_CIRCLES if more else NODES)
-        starts, lengths = [], []
+        found = []
         for begin in range(0, angle.shape[0], CHUNK):
             part = slice(begin, begin + CHUNK)
             own = windows.at(part)
             clips = Clips.of(own.half_spaces(view), about_highlight(own))
             index = np.repeat(np.arange(own.x.size), angle.shape[1])
-            start, length = gaps_of(clips, index, angle[part].ravel())
-            starts.append(start)
-            lengths.append(length)
-        return cls(windows, angle, step, divided(np.concatenate(starts), np.concatenate(lengths)))
+            found.append(gaps_of(clips, index, angle[part].ravel()))
+        arcs = Arcs.of(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
+        window, everywhere = np.repeat(np.arange(windows.x.size), angle.shape[1]), np.full(windows.x.size, np.inf)
+        circles_of = Circles(window, angle.ravel(), step.ravel())
+        return cls(windows, CircleLayout(about_highlight(windows), everywhere, circles_of, arcs))
 
 
 def sphere_rules(
@@ -245,36 +241,38 @@ def _kernel_sums(
     view: SphereView, at: WindowArcs, kernels: Sequence[Kernel], onto: ThetaRange, theta_d: np.ndarray
 ) -> np.ndarray:
     """Compute the sums over the nodes of each arc for a few kernels, (kernels, sums, arcs); see `_arc_sums`."""
-    windows, angle, _, arcs = at
+    windows, layout = at
+    (window, angle, _), arcs = layout.circles, layout.arcs
     kernel, count = kernels[0], len(kernels)
     filled = [*kernels, *[kernel] * (_KERNELS - count)] if kernel.disc is None else kernels
     blurs = jax.tree.map(lambda *leaves: np.stack(leaves), *(one.blur for one in filled))
     spread = np.stack([variance for one in filled for variance in one.variances])
     spacing = onto.spacing()
-    pixel = arcs.circle // angle.shape[1]
+    pixel = window[arcs.circle]
     per_pixel = (
         windows.x, windows.y, windows.cosine, windows.sine, windows.lamp, windows.peak, theta_d, *spacing,
     )  # fmt: skip
-    near, rings = not view.distant, _OF_RINGS if kernel.blur.residual is not None else 1
-    length = 2 * arcs.half * np.sin(angle.ravel()[arcs.circle]) * view.radius
-    sides = length / (2 * windows.half.min(axis=0)[pixel])
-    # the image of a disc has borders, which require all nodes on short arcs, too
-    on_arcs = _ON_ARCS if kernel.disc is None else _ON_ARCS[-1:]
-    classes = np.searchsorted([most for most, _ in on_arcs[:-1]], sides)
-    per_arc = angle.ravel()[arcs.circle], arcs.middle, arcs.half
+    near, least = not view.distant, 0
+    if kernel.disc is not None:  # its image has borders
+        layout, least = layout._replace(arcs=arcs._replace(vanishes=np.zeros_like(arcs.vanishes))), _BESIDE_BORDER
+    nodes, evenly = nodes_on_arcs(view, windows, layout, _fineness(kernels, windows), 1.0)
+    rule = -(-np.maximum(nodes, least) // _GROUP) + evenly * _MIDPOINT
+    per_arc = angle[arcs.circle], arcs.middle, arcs.half
     program = _arc_sums if kernel.disc is None else _arc_sums_of_disc
-    nodes = [rings * number for _, number in on_arcs]
-    rules = [np.pad(_gauss_rule(number), ((0, 0), (0, nodes[-1] - number))).reshape(2, -1, _GROUP) for number in nodes]
     sums = np.zeros((count, 7 + 2 * NODES[0].size if near else 4, arcs.circle.size))
-    order = np.argsort(classes, kind="stable")
+    # all arcs of a block have one rule, so the sums of an arc do not depend on the others
+    of_rules = np.split(np.argsort(rule, kind="stable"), np.cumsum(np.bincount(rule))[:-1])
+    order = np.concatenate(
+        [np.pad(own, (0, -own.size % _BLOCK), mode="edge") for own in of_rules if own.size] or of_rules
+    )
     for begin in range(0, order.size, _CALL):
         some = order[begin : begin + _CALL]
         index = np.pad(some, (0, _CALL - some.size), mode="edge")
         seen_by = pixel[index]
         found = program(
             np.array(-(-some.size // _BLOCK)), np.array(count), np.array(view), np.stack([a[seen_by] for a in per_pixel]),
-            np.stack([a[index] for a in per_arc]), spread[:, seen_by], classes[index].reshape(-1, _BLOCK)[:, -1],
-            np.array(nodes) // _GROUP, np.stack(rules), blurs, kernel.disc_at(seen_by), kernel.terms, near, kernel.pixel_nodes,
+            np.stack([a[index] for a in per_arc]), spread[:, seen_by], rule[index].reshape(-1, _BLOCK)[:, 0],
+            _tabulated_rules(), blurs, kernel.disc_at(seen_by), kernel.terms, near, kernel.pixel_nodes,
         )  # fmt: skip
         sums[..., some] = np.asarray(found)[:count, :, : some.size]
     return sums
@@ -284,7 +282,8 @@ def _from_sums(
     view: SphereView, at: WindowArcs, sums: np.ndarray, onto: ThetaRange, theta_d: np.ndarray, factor: np.ndarray
 ) -> SphereRule:
     """Compute the rule of a kernel from the sums over the nodes of each arc, (sums, arcs)."""
-    _, angle, step, arcs = at
+    circles, arcs = at.layout.circles, at.layout.arcs
+    angle, step = (a.reshape(factor.size, -1) for a in (circles.angle, circles.weight))
     near, spacing = not view.distant, onto.spacing()
     through = factor[:, None] * view.stretch**2 / 4 * np.sin(angle) * step
     powers, moments = np.split(sums, [len(sums) - 2 * NODES[0].size * near])
@@ -294,7 +293,7 @@ def _from_sums(
     seen = CircleSums(total, np.stack(others[:3]), *others[3:])
     if not near:
         return SphereRule(onto.carry(angle, through * total), seen)
-    own, pixel = np.zeros((2, len(angle), NODES[0].size)), arcs.circle // angle.shape[1]
+    own, pixel = np.zeros((2, factor.size, NODES[0].size)), circles.window[arcs.circle]
     begins = np.flatnonzero(np.diff(pixel, prepend=-1))
     if not begins.size:
         return SphereRule(own[0], seen, own[1])
@@ -304,10 +303,20 @@ def _from_sums(
     return SphereRule(own[0], seen, own[1])
 
 
+def _fineness(kernels: Sequence[Kernel], windows: Windows) -> np.ndarray:
+    """Compute the fineness of kernels in each window, see `BlurScale`."""
+    half, residual = windows.half.max(axis=0), kernels[0].blur.residual
+    if residual is not None:
+        return np.maximum(half / float(residual.period) / PERIODS, 1.0)
+    narrowest = min(float(np.min(np.asarray(kernel.blur.stds)[list(kernel.terms)])) for kernel in kernels)
+    return np.maximum(half / narrowest / WIDTHS, 1.0)
+
+
 @cache
-def _gauss_rule(nodes: int) -> np.ndarray:
-    """Compute the nodes of a Gauss-Legendre rule and their weights, (2, nodes)."""
-    return np.stack(np.polynomial.legendre.leggauss(nodes))
+def _tabulated_rules() -> np.ndarray:
+    """Tabulate Gauss-Legendre and then midpoint rules by their number of groups of nodes, (rules, 2, groups, nodes)."""
+    rules = np.concatenate([table(MOST_NODES)[:, ::_GROUP] for table in (gauss_rules, midpoint_rules)], axis=1)
+    return np.moveaxis(rules, 1, 0).reshape(-1, 2, MOST_NODES // _GROUP, _GROUP)
 
 
 @partial(jit_plainly, static=("terms", "near", "pixel_nodes"))
@@ -318,8 +327,7 @@ def _arc_sums(
     of_pixel: Any,
     of_arc: Any,
     spread: Any,
-    classes: Any,
-    groups: Any,
+    rule: Any,
     rules: Any,
     blurs: Blur,
     disc: LampDisc | None,
@@ -333,9 +341,8 @@ def _arc_sums(
     for weights, and 40 for moments.
 
     used: number of blocks with arcs. kernels: number of kernels that are used. spread: two variances of each kernel, see
-        `Kernel`, (2 kernels, arcs). classes: index of the rule of each block. groups: number of groups of nodes of each rule.
-        rules: nodes on each arc, and their weights, (rules, 2, groups, nodes). blurs: blur of each kernel; the first axis of
-        its arrays is that of the kernels.
+        `Kernel`, (2 kernels, arcs). rule: index of the rule of each block. rules: result of `_tabulated_rules`.
+        blurs: blur of each kernel; the first axis of its arrays is that of the kernels.
     """
     view = SphereView(*of_view) if near else SphereView(of_view[0], 0.0, 0.0)
     most = len(spread) // 2
@@ -349,14 +356,17 @@ def _arc_sums(
         arc = half, *(function(angle) for angle in (middle, circle, peak) for function in (jnp.sin, jnp.cos))
         nothing = jnp.zeros((most, 7 + 2 * NODES[0].size if near else 4, circle.shape[0]))
         rule = rules[own, 0], rules[own, 1]
-        return repeated_sum(lambda node: sums(pixel, arc, variances, disc, nothing, *node), groups[own], rule, nothing)
+        return repeated_sum(
+            lambda node: sums(pixel, arc, variances, disc, nothing, *node), own % _MIDPOINT, rule, nothing
+        )
 
     def sums(pixel, arc, variances, disc, nothing, node, node_weight):  # type: ignore[no-untyped-def]
         """Compute the contribution of some nodes of each arc."""
         x, y, cosine, sine_, lamp, _, cell, *spacing = pixel
         half, sin_m, cos_m, s, c, sin_p, cos_p = arc
         off = half * node
-        sin_off, haversine = sine(off), sine(off / 2) ** 2
+        chord = sine(off / 2)
+        haversine, sin_off = chord**2, 2 * chord * jnp.sqrt(1 - chord**2)
         cos_a = cos_m - sin_m * sin_off - 2 * cos_m * haversine
         sin_a = sin_m + cos_m * sin_off - 2 * sin_m * haversine
         normal = c * sin_p + s * cos_a * cos_p, s * sin_a, c * cos_p - s * cos_a * sin_p
@@ -407,7 +417,7 @@ def _arc_sums(
         return array.reshape(-1, _BLOCK, *array.shape[1:])
 
     of_blocks = jax.tree.map(blocks, (tuple(of_pixel), tuple(of_arc), tuple(spread), disc))
-    found = in_blocks(block, used, (*of_blocks, classes))
+    found = in_blocks(block, used, (*of_blocks, rule))
     return jnp.moveaxis(found, 0, 2).reshape(*found.shape[1:3], -1)
 
 
