@@ -256,7 +256,7 @@ def prints_what_the_files_hold(ran):
     (stated,) = re.findall(r"the peak at 75° was raised by a factor of ([\d.]+)", ran.printed)
     assert float(stated) == pytest.approx(gain, abs=0.006)
     share = supported[np.isfinite(data["brdf_std"].values)].mean()
-    (stated,) = re.findall(r"(\d+)% of the entries that can be judged", ran.printed)
+    (stated,) = re.findall(r"(\d+)% of the entries with known uncertainty", ran.printed)
     assert float(stated) == pytest.approx(100 * share, abs=0.51)
     # light of the blurred highlight is part of the corrected peak, so it is not kept beside it
     lowered = (data["response"].values > 1)[..., None] & (data["correction_std"].values < 0.05)

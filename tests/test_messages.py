@@ -14,7 +14,7 @@ NAMES = ("BRDF", "MERL", "Mitsuba", "RGL", "Zarr")
 """Words that may begin a message with a capital letter."""
 
 RIGHT = re.compile(
-    r"\b(must|needs?|needed|requires?|give|use|choose|name|install|wait|see|ask|call|leave|render|append|calibrate|photograph|only"
+    r"\b(must|needs?|needed|requires?|give|specify|use|choose|name|install|wait|see|ask|call|leave|render|append|calibrate|photograph|only"
     r"|at least|at most|fewer|more than|instead|can|cannot|goes into|it has|are read|is for|are for|belongs|takes?|reads)\b"
 )
 """A message that is no file's says with one of these what would be right; or it gives the reason after a colon."""

@@ -41,7 +41,7 @@ _NAMES = {
 def peak_eq11(
     sigma: ArrayLike, sigma_mtf: ArrayLike, sigma_p: ArrayLike, radius: ArrayLike, theta: ArrayLike
 ) -> jax.Array:
-    """Evaluate equation (11) of the paper, the recorded peak divided by the true peak.
+    """Evaluate equation (11), the recorded peak divided by the true peak.
 
     It is erf((sigma_p / radius) / (sqrt2 sigma_m)) with sigma_m = sqrt(sigma^2 + (sigma_mtf / (radius cos theta))^2),
     equation (10). The arguments broadcast.

@@ -141,7 +141,7 @@ class Rig(Module):
         return self.lamp.angular_radius
 
     def azimuths(self, azimuth: ArrayLike | None = None) -> jax.Array:
-        """Check azimuths of the lamp about the optical axis, rad, or select that of the rig.
+        """Check azimuths of the lamp, rad, or select that of the rig.
 
         Args:
             azimuth: azimuths in [-2 pi, 2 pi], rad, any shape. Default: None, `lamp_azimuth` of the rig, or 0, towards

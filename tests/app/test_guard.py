@@ -152,7 +152,7 @@ def reset(app, request, wait=0.3):
 def test_another_host_must_be_asked_for_and_is_explained():
     with running("--host", "0.0.0.0") as app:
         time.sleep(0.5)
-        assert "every machine that can reach this one" in "".join(app.errors)
+        assert "anyone who has the address below and can reach this machine" in "".join(app.errors)
         cookie = answer(app, f"/?token={app.token}")[1]["Set-Cookie"].split(";")[0]
         assert answer(app, host=f"192.0.2.7:{app.port}", Cookie=cookie)[0] == 200
         assert answer(app, host=f"evil.example:{app.port}", Cookie=cookie)[0] == 403

@@ -70,7 +70,7 @@ BAD = [
     ({"page": "a9"}, "page must be one of"),
     ({"pixels_across": 100}, "pixels_across must lie in"),
     ({"pixels_across": 300, "kinds": KINDS}, "or pixels_across above"),
-    ({"pixels_across": 100_000, "kinds": ["dots"], "page": "a3"}, "too many"),
+    ({"pixels_across": 100_000, "kinds": ["dots"], "page": "a3"}, "at most 200,000"),
 ]
 
 

@@ -149,7 +149,7 @@ METAL = Microfacet(GGX(0.1), 0.9)
         ),
         (
             lambda: matcam.measure(METAL, Rig(Camera(SeidelOptics(*PARTS, unit=9.0)), Sphere(60.0))),
-            "SeidelOptics has several",
+            "SeidelOptics consists of several",
         ),
         (
             lambda: matcam.fit(

@@ -138,7 +138,7 @@ def test_one_sentence_says_which_tables_are_taken(tmp_path):
                 check_rig(matcam.Rig(camera, sample(256.0, distance), lamp))
     for lamp in lamps:
         check_rig(matcam.Rig(camera, matcam.Sphere(256.0, 30.0), lamp, lamp_azimuth=0.7))
-    with pytest.raises(matcam.MatcamError, match="needs a table recorded from a Sphere or Cylinder"):
+    with pytest.raises(matcam.MatcamError, match="must be a Sphere or a Cylinder"):
         check_rig(matcam.Rig(camera, matcam.Flat()))
 
 

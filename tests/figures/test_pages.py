@@ -114,7 +114,7 @@ def test_numbers_do_not_break_at_their_exponent(chromium, template, tmp_path):
 def test_an_index_says_of_what_a_share_is(tmp_path):
     write_run_index(tmp_path / "index.html", [("a", record("a"))], [])
     page = (tmp_path / "index.html").read_text()
-    assert "supported, of entries<br>that can be judged" in page
+    assert "supported, of entries<br>with known uncertainty" in page
 
 
 @pytest.mark.parametrize("layout", ["constrained", None])

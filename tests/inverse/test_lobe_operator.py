@@ -201,7 +201,7 @@ def test_rigs_that_cannot_be_fitted_are_refused():
 
     camera = rigs.merl().camera
     for bad, words in (
-        (Rig(camera, Flat()), "recorded from a Sphere or Cylinder, but this rig has a Flat"),
+        (Rig(camera, Flat()), "must be a Sphere or a Cylinder for a fit, got a Flat"),
         (Rig(camera, Sphere(256, 20), cell_value="nearest"), "with near ones each cell has its own image"),
         (Rig(camera, Sphere(256, 20), cell_value="mean"), "with near ones each cell has its own image"),
         (camera, "must be a Rig"),

@@ -136,7 +136,7 @@ def test_no_outline_is_a_line(problem):
     with pytest.raises(FitError, match="px of the field on either side"):
         straight_outline(stripe, grey)
     flat = MergedPicture("L", stripe, stripe, stripe < 0, grey, ("grey",))
-    with pytest.raises(FitError, match="strip 1 of rows 30 to 60"):
+    with pytest.raises(FitError, match=r"strip 1 \(rows 30 to 60\) must"):
         strip_profiles(flat, [Strip(30, 60, 0.0)])
 
 

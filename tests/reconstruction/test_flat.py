@@ -98,7 +98,7 @@ def test_fine_texture_is_lost_and_coarse_is_resolved():
 def test_a_lamp_behind_the_sample_is_named():
     _, pictures = stack(0)
     behind = pictures[0]._replace(towards=direction(np.radians(120), 0.0))
-    with pytest.raises(FitError, match="L0: lamp or camera is behind the sample"):
+    with pytest.raises(FitError, match="L0: the lamp or the camera is behind the sample"):
         reconstructed_flat([behind, *pictures[1:]], Camera(GaussianOptics(STAND.sigma)))
 
 

@@ -293,7 +293,7 @@ _COLUMNS: tuple[tuple[tuple[str, ...], str, Callable[[dict[str, Any]], _Cell]], 
     (("at 75°",), "number", _peak_loss("75")),
     (("std of correction", "at 75°"), "number", lambda r: _number(r.get("correction_std_75"), lambda x: f"{x:.0%}")),
     (
-        ("supported, of entries", "that can be judged"),
+        ("supported, of entries", "with known uncertainty"),
         "number",
         lambda r: _number(r.get("supported_share"), lambda x: f"{x:.0%}"),
     ),

@@ -33,7 +33,7 @@ pixels.
 """
 _FLOOR = 30.0
 """Smallest useful signal of a pixel, in units of the read noise, which is then about 3 % of the signal."""
-_STEP_OF_EXPOSURE = 4.0
+_STEP_OF_EXPOSURE = 4.0  # ratio of successive exposure times: two photographic stops
 _RADII = (0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0)
 """Radii that are tried, as multiples of the radius of the rig. Neighbouring radii differ by
 a factor of about sqrt(2), so that the number of pixels doubles.
@@ -41,7 +41,7 @@ a factor of about sqrt(2), so that the number of pixels doubles.
 
 
 class CaptureNeeds(NamedTuple):
-    """Requirements for a wanted accuracy of F.
+    """Requirements of a capture for a wanted accuracy of F.
 
     Attributes:
         theta_d: theta_d of the lamp positions, rad, (n,).
@@ -121,7 +121,7 @@ def plan_capture(
     accuracy = float(checks.within("accuracy", accuracy, 1e-4, 0.5))
     last = float(checks.within("last", last, 0.2, 1.5, "rad"))
     if not isinstance(rig.sample, Sphere):
-        raise ArgumentError(f"a capture can be planned for a Sphere, not for a {type(rig.sample).__name__}")
+        raise ArgumentError(f"the sample must be a Sphere, got a {type(rig.sample).__name__}")
     share = accuracy / math.sqrt(_SHARES)
     reflectance = lambda t: float(fresnel_conductor(t, n, k))  # noqa: E731
     step = 1e-4
@@ -168,7 +168,7 @@ def plan_capture(
 
 
 def _enlarged(rig: Rig, radius: float) -> Rig:
-    """Replace the radius of the sphere in the image, px; distances in radii are constant."""
+    """Replace the radius of the sphere in the image, px, at constant distances in units of the radius."""
     assert isinstance(rig.sample, Sphere)
     distance = np.inf if rig.sample.distant else rig.sample.distance
     return eqx.tree_at(lambda r: r.sample, rig, Sphere(radius, distance))

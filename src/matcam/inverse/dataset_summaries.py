@@ -53,7 +53,7 @@ def corrected_summary(data: xr.Dataset) -> Summary:
     verdict = (
         "Rig and data contradict each other, so the table is unchanged. No entry is supported."
         if data.attrs.get("withheld")
-        else f"The correction leaves less than 5 % of the value uncertain in {share:.0%} of the entries that can be judged."
+        else f"The correction leaves less than 5 % of the value uncertain in {share:.0%} of the entries with known uncertainty."
     )
     theta = data["theta_d"].values
     rows = [int(np.argmin(np.abs(theta - np.radians(angle)))) for angle in _ANGLES]

@@ -28,10 +28,7 @@ _NAMES = {
 
 
 def check_fresnel_result(result: xr.Dataset) -> None:
-    """Check that a result is a Dataset from `fresnel`.
-
-    The ArgumentError lists the missing variables.
-    """
+    """Raise an ArgumentError, which lists the missing variables, unless a result is a Dataset from `fresnel`."""
     checks.instance("result", result, xr.Dataset)
     dims = {"theta_d": ("theta_d",), "raw": _DIMS, "corrected": _DIMS, "supported_angle": _DIMS[1:]}
     lacking = [name for name, wanted in dims.items() if name not in result.variables or result[name].dims != wanted]
@@ -41,9 +38,9 @@ def check_fresnel_result(result: xr.Dataset) -> None:
 
 
 def known_wavelengths(table: xr.DataArray | xr.Dataset) -> tuple[float, ...] | None:
-    """Return the wavelengths of channels R, G and B, m; None if there are other channels.
+    """Look up the wavelength of each channel of a table, m.
 
-    Three channels without these names are in the order R, G, B.
+    Three channels with other names than R, G and B are assumed to be in this order. The result is None for any other channels.
     """
     labels = [str(label) for label in table["channel"].values]
     if len(labels) == len(CHANNELS) and set(labels) != set(CHANNELS):
@@ -55,7 +52,9 @@ def known_wavelengths(table: xr.DataArray | xr.Dataset) -> tuple[float, ...] | N
 def tabulated_fresnel(
     result: xr.Dataset, metal: str | None = None, wavelengths: Sequence[float] | None = None
 ) -> xr.Dataset:
-    """Compute the Fresnel terms of metals and dielectrics from published tables.
+    """Compare a measured Fresnel term with those of metals and dielectrics.
+
+    The Fresnel terms of metals are computed from published optical constants.
 
     Args:
         result: Dataset from `fresnel`.
@@ -97,10 +96,13 @@ def tabulated_fresnel(
     wavelengths = known_wavelengths(result) if wavelengths is None else wavelengths
     if wavelengths is None:
         raise ArgumentError(
-            f"the wavelengths of the channels {', '.join(map(str, result['channel'].values))} are unknown: give wavelengths"
+            f"the wavelengths of the channels {', '.join(map(str, result['channel'].values))} are unknown; "
+            "specify them by the argument wavelengths"
         )
     if len(wavelengths) != channels:
-        raise ArgumentError(f"wavelengths must be {channels}, one per channel of the result, got {len(wavelengths)}")
+        raise ArgumentError(
+            f"wavelengths must have length {channels}, one value per channel of the result, got {len(wavelengths)}"
+        )
     theta_d = result["theta_d"].values
     low, high = result.attrs["normalised_over"]
     inside = (theta_d >= low) & (theta_d <= high)

@@ -93,7 +93,7 @@ def fresnel(
 
     Args:
         brdf: table, 1/sr, for example from `read_merl`.
-        rig: rig that recorded the table: a sphere; camera and lamp are distant or near.
+        rig: rig that recorded the table, with a sphere or a cylinder; camera and lamp are distant or near.
         ndf: family of the lobe. Default: "auto", the mean over several explanations, weighted by their evidence. They are
             "ggx" and "epd". If their residuals exceed the noise, Student's t, two lobes, a lobe over a rough base, and a
             spline-modified lobe are added.
@@ -263,8 +263,13 @@ def fresnel_of_peaks(
 
     The corrected F has mean 1.
 
-    response: ratio of recorded to true peak, relative to that at theta_d = 0, (slices,). used: True for slices that
-        contribute to the mean; it broadcasts to (channels, slices).
+    Args:
+        brdf: table, 1/sr.
+        theta_d: difference angles of the slices, rad, (slices,).
+        lobe: fitted lobe, from which masking is computed.
+        masking: masking G of the lobe.
+        response: ratio of recorded to true peak, relative to that at theta_d = 0, (slices,).
+        used: True for slices that contribute to the mean; it broadcasts to (channels, slices).
     """
     hidden, highest = (np.asarray(a) for a in _mirror_masking(lobe, placed(theta_d), masking))
     raw = recorded_peak(brdf, theta_d) * (4 * np.cos(theta_d) ** 2 / (highest * hidden))
@@ -307,7 +312,8 @@ def fresnel_budget(result: xr.Dataset, theta_d: float, channel: str | None = Non
     value, degrees = float(result["corrected"].values[at]), float(np.degrees(result["theta_d"].values[at[0]]))
     if not np.isfinite(value):
         raise ArgumentError(
-            f"the result has no F at theta_d = {degrees:.1f} degrees in channel {channel}: choose an angle where F has a value"
+            f"no F was determined at theta_d = {degrees:.1f} degrees in channel {channel}: choose an angle at which "
+            "`corrected` is finite"
         )
     return parts_budget(f"F({degrees:.1f} deg), {channel}", value, budget_parts(result), at)
 
@@ -358,7 +364,7 @@ def _check_highlight(brdf: xr.DataArray, normalise: tuple[float, float]) -> None
 def _supported_angle(term: NormalisedFresnel, theta_d: np.ndarray) -> np.ndarray:
     """Find the largest theta_d, rad, up to which the relative standard deviation of F is below 5 %, (channels,).
 
-    The search starts at the smallest theta_d with such a standard deviation. Without any the result is 0.
+    The search starts at the smallest theta_d with such a standard deviation. The result is 0 if there is none.
     """
     relative = np.hypot(term.std_noise, term.std_camera) / term.normalised
     fine = relative < SUPPORTED_STD  # False where NaN

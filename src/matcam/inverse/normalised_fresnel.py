@@ -14,7 +14,7 @@ from matcam.numerics.fit_budget import VariancePart, statement_parts
 
 GAIN = "gains of the images"
 OTHER_LOBES = "other lobes that explain the table"
-NO_CAMERA = "no camera, instead of this one"
+NO_CAMERA = "no camera, instead of the specified camera"
 
 
 class NormalisedFresnel:
@@ -64,10 +64,7 @@ class NormalisedFresnel:
         return self.normalised * np.sqrt(np.clip(variance, 0, None))
 
     def with_gain(self, gain: float) -> NormalisedFresnel:
-        """Add the variance of the image gain to the noise.
-
-        gain: relative standard deviation of the image gain.
-        """
+        """Add the variance of an image gain of relative standard deviation `gain` to that of the noise."""
         one = gain**2 * np.eye(self.normalised.shape[1])
         own = self._normalised_std(np.broadcast_to(one, self.relative.shape))
         self.std_noise = np.hypot(self.std_noise, own)
@@ -86,10 +83,14 @@ def averaged(
 ) -> NormalisedFresnel:
     """Average F over the explanations of a table.
 
-    terms: F of the most probable lobe through the camera and, unless its probability is negligible, F of the fit without a
-        camera. members: F of each other lobe, with the probability of this lobe. others: name of each rig parameter that was
-        refitted, F of the refit, and factor of the difference as a standard deviation. weight: probability of the explanation
-        without a camera. held_back: True if the correction is withheld, so that the result is F without a camera.
+    Args:
+        terms: F of the most probable lobe through the camera and, unless its probability is negligible, F of the fit without a
+            camera.
+        members: F of each other lobe, with the probability of this lobe.
+        others: name of each refitted rig parameter, F of the refit, and the factor by which the difference between both F is
+            multiplied to obtain a standard deviation.
+        weight: probability of the explanation without a camera.
+        held_back: True if the correction is withheld, so that the result is F without a camera.
     """
     camera, *blind = terms
     shift, spread, moved, scatter = (np.zeros_like(camera.normalised) for _ in range(4))
@@ -171,11 +172,8 @@ def budget_parts(result: xr.Dataset) -> list[VariancePart]:
 
 
 def nothing_to_normalise_by(normalise: tuple[float, float]) -> FitError:
-    """Build the error for a range of normalisation without a highlight.
-
-    normalise: range of theta_d, rad.
-    """
+    """Build the error for a range of normalisation without values of F. normalise: range of theta_d, rad."""
     low, high = np.degrees(normalise)
     return FitError(
-        f"no theta_d between {low:g} and {high:g} degrees has a highlight in every channel: give other angles to normalise"
+        f"no theta_d between {low:g} and {high:g} degrees has a value of F in every channel; give other angles to normalise"
     )

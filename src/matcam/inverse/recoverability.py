@@ -81,8 +81,8 @@ def limits(
     Args:
         rig: camera with a Gaussian lens, a sphere or cylinder, and a lamp; camera and lamp are distant or near.
         ndf: family of the lobe, with roughness as its only parameter. Default: "ggx". "auto" is not available.
-        roughness: roughnesses, (n,), no unit, or rad for a Gaussian lobe. The quadrature resolves at least 2.5e-4, or less
-            on large samples. Default: ten from 0.0003 to 0.2.
+        roughness: roughnesses, (n,), no unit, or rad for a Gaussian lobe. The quadrature resolves roughnesses from 2.5e-4,
+            and smaller ones on large samples. Default: ten values from 0.0003 to 0.2.
         noise: noise of a pixel and of the image gain. Default: None, 1 % of the value, 1e-4 of the peak and 1 % of gain.
         slice_step: spacing of the slices of theta_d (no unit). Default: 10, unlike `fit`, because few slices suffice to
             compare rigs. Bounds decrease with more slices.
@@ -201,15 +201,7 @@ def changed_rigs(rig: Rig) -> dict[str, Rig]:
 
 
 class _View(NamedTuple):
-    """Conditions, other than the roughness, for which bounds are computed.
-
-    Attributes:
-        rig: the rig.
-        ndf: family of the lobe.
-        noise: noise of a pixel and of the image gain.
-        slice_step: spacing of the slices of theta_d.
-        workspace: store of results that depend only on the rig.
-    """
+    """Conditions, other than the roughness, for which bounds are computed."""
 
     rig: Rig
     ndf: str
@@ -246,7 +238,7 @@ class _Information:
     def free(self, column: np.ndarray) -> np.ndarray:
         """Project a change of the record orthogonally to the free strengths.
 
-        The change is first divided by the noise of the record.
+        The change is first divided by the standard deviation of the noise.
         """
         u = column * self.root
         return u - self.direction * (u * self.direction).sum(-1, keepdims=True)
@@ -259,17 +251,18 @@ class _Information:
         return scaled_inverse(information)
 
     def std(self, prior: float) -> np.ndarray:
-        """Compute bounds of the standard deviations of roughness and lens.
+        """Compute bounds of the standard deviations of ln roughness and ln sigma_mtf, (2,).
 
-        The bounds are those of ln roughness and ln sigma_mtf, (2,). prior: standard deviation of ln sigma_mtf; infinite:
-        the lens is free.
+        prior: standard deviation of ln sigma_mtf; infinite for a free lens.
         """
         return np.sqrt(np.diag(self._matrix(prior)))
 
     def fresnel_std(self, prior: float) -> np.ndarray:
         """Compute bounds of the relative standard deviation of F, (slices,).
 
-        Pixel noise, roughness and lens contribute. prior: standard deviation of ln sigma_mtf; infinite: the lens is free.
+        Pixel noise, roughness and lens contribute.
+
+        prior: standard deviation of ln sigma_mtf; infinite for a free lens.
         """
         by_lobe = ((self.slopes * self.root) * self.direction).sum(-1) / np.where(self.length > 0, self.length, np.inf)
         shared = np.einsum("ps,pq,qs->s", by_lobe, self._matrix(prior), by_lobe)
@@ -277,12 +270,11 @@ class _Information:
 
 
 def _exact_and_free(information: _Information) -> tuple[float, float]:
-    """Compute the bounds of ln roughness for an exact lens and for a free lens."""
     return information.std(0.0)[0], information.std(np.inf)[0]
 
 
 def _signature(own: _Information, field: str, size: float) -> tuple[float, float, float]:
-    """Compute correlation, smallest size and bias of one blur, as in `limits`. size: size of `field` of the rig."""
+    """Compute correlation, smallest size and bias of one blur, as in `limits`. The blur is `field` = `size` of the rig."""
     blurred = rig_with(own.view.rig, {field: size})
     other = _Information(own.view._replace(rig=blurred), own.roughness)
     change = own.free(other.record - own.record).ravel()

@@ -38,7 +38,7 @@ class Rival(NamedTuple):
     log_evidence: float
 
     def to_dict(self) -> dict[str, Any]:
-        """Return evidence, misfit, degrees of freedom and noise by name.
+        """Convert the fit to a dictionary of JSON types.
 
         Returns:
             Dictionary with the logarithm of the evidence, and misfit, degrees of freedom and noise of the fit.
@@ -70,7 +70,7 @@ class Rivals(NamedTuple):
 
     @property
     def probability(self) -> float:
-        """Return the probability of the explanation by the camera, no unit.
+        """Probability of the explanation by the camera, no unit.
 
         Both explanations have equal prior probability.
         """
@@ -79,9 +79,9 @@ class Rivals(NamedTuple):
 
     @property
     def verdict(self) -> str:
-        """Describe the better explanation, and the noise that each requires."""
+        """Statement of the better explanation and of the noise that each requires."""
         noise = (
-            f"the noise of a pixel would be {self.camera.fit.noise.relative:.2%} with the camera, "
+            f"the noise of a pixel would be {self.camera.fit.noise.relative:.2%} with the camera and "
             f"{self.shadowing.fit.noise.relative:.2%} with free shadowing"
         )
         if PROBABLE > self.probability > 1 - PROBABLE:

@@ -75,7 +75,10 @@ class Sphere(Curved):
         )
 
     def at(self, x: jax.Array, y: jax.Array) -> tuple[Element, jax.Array]:
-        """Compute the surface elements at which lines of sight meet the sphere, and a mask of hits."""
+        """Compute the surface elements at positions in the image.
+
+        The result also contains a mask, True for lines of sight that meet the sphere.
+        """
         q = self.nearness
         n_z, hits = depth_of(plane_length(x, y) / self.stretch, q)
         depth = 1 - q * n_z
@@ -194,7 +197,10 @@ class Cylinder(Curved):
         return element
 
     def at(self, x: jax.Array, y: jax.Array) -> tuple[Element, jax.Array]:
-        """Compute the surface elements at which lines of sight meet the cylinder, and a mask of hits."""
+        """Compute the surface elements at positions in the image.
+
+        The result also contains a mask, True for lines of sight that meet the cylinder.
+        """
         n_z, hits = depth_of(x / self.stretch, self.nearness)
         depth = 1 - self.nearness * n_z
         element, cos_o = self._element(x / self.stretch * depth, n_z, y / self.stretch * depth)

@@ -175,7 +175,7 @@ class CameraFit(Summarised):
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Convert the fit to its part of the JSON object of `matcam calibrate`.
+        """Convert the fit to a part of the JSON of `matcam calibrate`.
 
         Returns:
             Parameters by name, their covariance, statistics of the fit, and the mean MTF.

@@ -41,16 +41,16 @@ from matcam.core.remark import Remark
 from matcam.files.photographs import Photograph
 
 AT_ONCE = 10
-"""Number of edges that are processed together. Their data fit into the cache of the processor."""
+"""Number of edges that are processed together. The data of ten edges fit into the cache of the processor."""
 _WIDEST = 0.1
 """Largest standard deviation of the blur, as a share of the region width, at which the illumination is estimated.
 
 With a wider blur, too little of the two flat sides remains.
 """
 _OF_REGION = ("no-edge", "unexplained")
-"""Codes of the problems of a region that another region of the image may not have."""
+"""Codes of problems that may be absent in another region of the image."""
 _BRIGHTEST = 0.2
-"""Relative standard deviation of the estimated light above which the variation is attributed to a pattern of the scene."""
+"""Largest relative standard deviation of uneven light. A larger variation is attributed to a pattern of the scene."""
 
 
 @dataclass(frozen=True)
@@ -121,7 +121,7 @@ def edge_mtf(
 
     Raises:
         ArgumentError: an argument is invalid.
-        RegionError: the region contains no single edge.
+        RegionError: the region does not contain exactly one edge.
         FitError: the edge cannot be measured; the message gives the reason.
 
     Source:
@@ -157,8 +157,8 @@ def edge_mtf_stack(
 ) -> EdgeStack:
     """Measure the MTF across the edges of many regions of one shape.
 
-    For 500 edges or more, a compiled program is used, which is several times faster than calls of `edge_mtf`. Either all edges
-    must be nearer to vertical, or all must be nearer to horizontal.
+    For 500 edges or more, a compiled program is used, which is several times faster than calls of `edge_mtf`. All edges must be
+    nearer to vertical, or all edges must be nearer to horizontal.
 
     Args:
         images: regions, each with one edge: array (n, height, width) of linear values, or `LinearImage`s of one shape without a
@@ -196,8 +196,8 @@ def edge_mtf_stack(
         regions.append((rows, [flaw(one) for one in some]))
         if rows.frame.transposed != regions[0][0].frame.transposed:
             raise ArgumentError(
-                f"images must have edges in similar directions, but those from index {i} on are perpendicular to the first "
-                "ones: measure them separately"
+                f"images must have edges in similar directions, but the edges from index {i} on are perpendicular to the "
+                "first edges: measure them separately"
             )
     return edge_stack(regions, settings, even_light=True)
 
@@ -208,7 +208,7 @@ def edge_stack(
     """Measure the edges in regions of one shape.
 
     Args:
-        regions: groups of at most `AT_ONCE` regions, each with a list of the known problem of each region, or None.
+        regions: groups of at most `AT_ONCE` regions. A list contains the known problem of each region, or None.
         settings: settings of the measurement.
         even_light: divide uneven light out of the regions, and search for traces of image processing. Default: False.
     """
@@ -248,22 +248,22 @@ def _placed(rows: EdgeRegions, x: ArrayLike, y: ArrayLike) -> EdgeRegions:
 
 
 def _of_each(count: int, function: Callable[..., Any], *edges: Any) -> Any:
-    """Apply a function to each of `count` edges, and stack the results. `edges`: arrays with a leading axis of `count`."""
+    """Apply a function to each edge, and stack the results. `edges`: arrays with a leading axis of length `count`."""
     found = [function(*tuple_map(lambda a: a[i], edges)) for i in range(count)]  # noqa: B023
     return tuple_map(lambda *a: np.array(a), *found)
 
 
 def _fits(rows: EdgeRegions, settings: EdgeSettings) -> EdgeFits:
-    """Fit the edges of regions one by one; arrays of the result have a leading axis."""
+    """Fit the edges of n regions one by one. The arrays of the result have a leading axis of length n."""
     half = np.float64(settings.half_width)
     fit = partial(edge_fits, noise=settings.noise, half_width=half, step=rows.step, turns=rows.turns)
     return _of_each(len(rows.value), fit, rows.value, rows.y, rows.start)
 
 
 def _compiled_fits(rows: EdgeRegions, settings: EdgeSettings) -> EdgeFits:
-    """Fit the edges of at most `AT_ONCE` regions in parallel; the result is that of `_fits`."""
+    """Fit the edges of at most `AT_ONCE` regions in parallel, with the result of `_fits`."""
     count, half = len(rows.value), np.float64(settings.half_width)
-    # The number of edges is constant, so that one compiled program serves every stack; repeated edges are discarded.
+    # A constant number of edges requires only one compiled program. Repeated edges are discarded.
     value, y, start = (
         np.concatenate([a, np.repeat(a[:1], AT_ONCE - count, axis=0)]) for a in (rows.value, rows.y, rows.start)
     )
@@ -277,10 +277,10 @@ def _in_even_light(rows: EdgeRegions, fits: EdgeFits) -> tuple[EdgeRegions, list
 
     Args:
         rows: n regions.
-        fits: their edges, NumPy arrays with a leading axis of n.
+        fits: fits of their edges, NumPy arrays with a leading axis of length n.
 
     Returns:
-        The regions in even light, and the light of each region; None if light of third order explains the region.
+        The corrected regions, and the light of each region, or None if light of third order explains the region.
     """
     value, fields = np.array(rows.value), list[LightField | None]()
     widths = line_width(fits.free.shape)
@@ -307,12 +307,12 @@ def _in_even_light(rows: EdgeRegions, fits: EdgeFits) -> tuple[EdgeRegions, list
 
 
 def _stacked(images: ArrayLike | Sequence[LinearImage]) -> tuple[np.ndarray, np.ndarray]:
-    """Stack images to regions (n, height, width), with the positions (n, 2) of their first pixels in the photograph, px."""
+    """Stack images as regions (n, height, width), and list the positions (n, 2) of their first pixels in the photograph, px."""
     planes = list(images) if isinstance(images, list | tuple) else []
     if planes and all(isinstance(plane, LinearImage) for plane in planes):
         if len({plane.shape for plane in planes}) > 1 or any(plane.cfa is not None for plane in planes):
             shapes = ", ".join(f"{plane.shape}{' of a mosaic' if plane.cfa else ''}" for plane in planes)
-            raise ArgumentError(f"images must be regions of one shape without a mosaic, got {shapes:.100}")
+            raise ArgumentError(f"images must be regions of one shape without a mosaic, got shapes {shapes:.100}")
         values, corners = np.stack([plane.values for plane in planes]), np.array([plane.corner for plane in planes])
     else:
         values = checks.plain_array("images", images)

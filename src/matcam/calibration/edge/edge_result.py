@@ -41,7 +41,7 @@ _NAMES = {
 }  # fmt: skip
 """Descriptions of the variables of `EdgeMTF.dataset`."""
 _ROUGH = 0.03
-"""Roughness above which a remark is given, px."""
+"""Roughness above which a remark is given, px. The blur by a smaller roughness is negligible."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -132,22 +132,21 @@ class EdgeMTF(Summarised, EdgeValues[float]):
             text = f"the scatter of the pixels exceeds their noise: standard deviations were multiplied by {raised:.1f}"
             remarks.append(Remark("scatter", text))
         if self.misfit > MISFIT:
-            text = f"neither a lens nor smooth light explains {self.misfit:.2%} of the step: there may be a ghost, a shadow or "
-            remarks.append(Remark("unexplained", f"{text}dirt; standard deviations were increased"))
+            text = f"neither a lens nor smooth light explains {self.misfit:.2%} of the step: the region may contain a ghost, a "
+            remarks.append(Remark("unexplained", f"{text}shadow or dirt; standard deviations were increased"))
         if self.roughness > _ROUGH:
             text = f"the edge has a roughness of {self.roughness:.2f} px, which blurs it: standard deviations were increased"
             remarks.append(Remark("rough-edge", text))
         if self.outliers:
-            remarks.append(
-                Remark("outliers", f"{self.outliers} outlying pixels (hot or dead pixels, dust) were excluded")
-            )
+            text = f"outlying pixels, such as hot or dead pixels and dust, were excluded ({self.outliers})"
+            remarks.append(Remark("outliers", text))
         return tuple(remarks)
 
     def dataset(self) -> xr.Dataset:
         """Convert the MTFs to a data set over `frequency`.
 
         Returns:
-            A Dataset with units, and with the other values as attributes.
+            Data set with units. Its attributes are the other values of the edge.
         """
         import xarray as xr
 
@@ -172,7 +171,7 @@ class EdgeMTF(Summarised, EdgeValues[float]):
         return named(data, _NAMES)
 
     def columns(self) -> dict[str, np.ndarray]:
-        """List frequencies and MTFs (81,), the columns that `matcam edge` writes.
+        """Collect frequencies and MTFs (81,) for the table of `matcam edge`.
 
         Returns:
             Arrays by name.
@@ -184,10 +183,10 @@ class EdgeMTF(Summarised, EdgeValues[float]):
         }  # fmt: skip
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the result as a JSON object, which `matcam edge --json` prints.
+        """Convert the result to the JSON object of `matcam edge --json`.
 
         Returns:
-            Values by name, units in the names, angles in degrees.
+            Values by name, with units in the names; angles are in degrees.
         """
         return plain(
             {
@@ -248,7 +247,7 @@ class EdgeMTF(Summarised, EdgeValues[float]):
 
     @cached_property
     def bare(self) -> BareEdge:
-        """Cells of the edge without a lens model."""
+        """Measured cells of the edge, corrected for levels and uneven light."""
         fits = self.fits
         order = np.argsort(fits.cells.distance)
         order = order[fits.cells.pixels[order] > 0]
@@ -341,10 +340,10 @@ class EdgeStack(Summarised, EdgeValues[np.ndarray]):
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the results as a JSON object.
+        """Convert the results to a JSON object.
 
         Returns:
-            "edges": `EdgeMTF.to_dict` of each edge; "problems": for each edge, the reason why it cannot be measured, or null.
+            "edges": result of `EdgeMTF.to_dict` of each edge; "problems": reason why each edge cannot be measured, or null.
         """
         return plain({"edges": list(self), "problems": self.problems})
 
@@ -365,7 +364,7 @@ class EdgeStack(Summarised, EdgeValues[np.ndarray]):
 def stack_result(
     fits: EdgeFits, frame: RegionFrame, lens: LensModel, half_width: float, problems: tuple[Remark | None, ...]
 ) -> EdgeStack:
-    """Convert the fits of a stack to results in the coordinates of the image. All arrays of `fits` are NumPy arrays."""
+    """Convert the fits of a stack to results in the coordinates of the image. The arrays of `fits` are NumPy arrays."""
     free = fits.free
     glare = free.coefficients[..., GLARE]
     slope, end = np.asarray(fits.slope), frame.length / 2 / fits.length

@@ -100,10 +100,10 @@ class FreeCurve(NamedTuple):
 
     Attributes:
         shape: parameters of the basis.
-        coefficients: (EVEN + ODD,) even coefficients, then odd ones, relative to the step; 0 for a ghost or glare that was
-            not found.
+        coefficients: (EVEN + ODD,) even coefficients, then odd coefficients, relative to the step. The coefficients of a
+            ghost or of glare are 0 if it was not found.
         levels: (SHIFT,) dark level, bright level and coefficients of the light, as in `State.linear`.
-        covariance: covariance matrix of the coefficients and ln of the glare radius.
+        covariance: covariance matrix of the coefficients and of ln of the glare radius in px.
     """
 
     shape: CoreShape
@@ -128,9 +128,9 @@ def line_width(shape: CoreShape) -> jax.Array:
 
 
 def edge_basis(shape: CoreShape, distance: AnyArray, spread: AnyArray) -> tuple[jax.Array, jax.Array]:
-    """Evaluate the basis as edge responses at `distance`, px: P (n,), then B_k - P and O_k (EVEN + ODD, n).
+    """Evaluate the basis as edge responses: P (n,), then B_k - P and O_k (EVEN + ODD, n).
 
-    `spread`: variance of the distances in each bin, px^2.
+    `distance`: distances (n,) from the edge, px. `spread`: variance of the distances in each bin, px^2.
     """
     positions, width = _bumps(shape)
     blurred = xp.sqrt(shape.sigma**2 + spread)
@@ -147,12 +147,12 @@ def edge_basis(shape: CoreShape, distance: AnyArray, spread: AnyArray) -> tuple[
 
 
 def glare_edge(radius: jax.Array, distance: AnyArray, spread: AnyArray) -> jax.Array:
-    """Evaluate the edge response of Gaussian glare."""
+    """Evaluate the edge response of Gaussian glare. `radius`, `distance`: px. `spread`: variance of the distances, px^2."""
     return special.ndtr(distance / xp.sqrt(radius**2 + spread))
 
 
 def transfer_basis(shape: CoreShape, f: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Evaluate the Fourier transforms of the functions of `edge_basis` at f cycles/px.
+    """Evaluate the Fourier transforms of the line spread functions of `edge_basis` at f cycles/px.
 
     The transforms of P and B_k are real. Those of O_k are imaginary, and their imaginary parts are returned.
     """
@@ -182,7 +182,7 @@ def line_response(curve: FreeCurve, distance: jax.Array) -> SampledCurve:
 def transfer(curve: FreeCurve, f: jax.Array) -> tuple[SampledCurve, SampledCurve]:
     """Evaluate the MTF along the normal, with and without glare.
 
-    `f`: frequencies, cycles/px. Noise increases the modulus of a complex number. Therefore the noise power is subtracted.
+    Noise increases the modulus of a complex number. Therefore the noise power is subtracted. `f`: frequencies, cycles/px.
     """
     pilot, columns = transfer_basis(curve.shape, f)
     is_even = (np.arange(EVEN + ODD) < EVEN)[:, None]
@@ -214,7 +214,7 @@ class Ghost(NamedTuple):
 def ghost_of(curve: FreeCurve) -> Ghost:
     """Compute the ghost of a fitted curve or of n curves.
 
-    Its share is 0 if no ghost was found.
+    The share of the ghost is 0 if no ghost was found.
     """
     at = EVEN + GHOSTS
     odd = -np.asarray(curve.coefficients)[..., at]
@@ -228,9 +228,9 @@ def ghost_of(curve: FreeCurve) -> Ghost:
 def half_frequency(value: AnyArray, response: Callable[[jax.Array], SampledCurve]) -> SampledCurve:
     """Find the lowest frequency at which an MTF is one half, cycles/px.
 
-    The result is NaN if the MTF does not fall to one half. `value`: MTF at `FREQUENCIES`. `response`: function that
-    evaluates the MTF and its standard deviation at any frequencies. The interval that contains the crossing is sampled
-    more finely, and interpolated linearly.
+    The interval of `FREQUENCIES` that contains the crossing is sampled more finely, and interpolated linearly. The result
+    is NaN if the MTF does not fall to one half. `value`: MTF at `FREQUENCIES`. `response`: function that evaluates the MTF
+    and its standard deviation at any frequency.
     """
     below = changed(value < 0.5, 0, False)
     i = xp.argmax(below)
@@ -253,7 +253,6 @@ def _bumps(shape: CoreShape) -> tuple[AnyArray, AnyArray]:
 
 
 def _combined(curve: FreeCurve, pilot: jax.Array, columns: jax.Array) -> SampledCurve:
-    """Combine the basis functions with the coefficients of a curve, and compute the standard deviation."""
     return SampledCurve(pilot + curve.coefficients @ columns, _std(curve, columns))
 
 

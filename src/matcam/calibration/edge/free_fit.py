@@ -51,7 +51,7 @@ FOUND = SIGNIFICANT**2
 GHOST_FOUND = 24.0
 """Increase of 2 ln likelihood above which a ghost is accepted. At one position, noise exceeds it with probability 1/2,000."""
 _PRIOR_GHOST = 0.3
-"""Prior standard deviation of the coefficients of a ghost, relative to the step."""
+"""Prior standard deviation of the coefficients of a ghost, relative to the step. Ghosts are weaker than the edge."""
 VEIL = 0.25
 """Radius, relative to the width of a region, beyond which glare resembles uneven light or another edge."""
 _VEIL_COST = 4.0
@@ -102,14 +102,14 @@ class LinearFit(NamedTuple):
         return self.residual - self.strength @ self.columns
 
     def misfit(self, curve: FreeCurve) -> jax.Array:
-        """Compute the residual (n,) of the cells about a curve with the basis functions of this fit."""
+        """Compute the residual (n,) of the cells relative to a curve with the basis functions of this fit."""
         columns = changed(self.columns, _COLUMN, _column(self, xp.log(curve.shape.radius)))[SHIFT:] / self.step
         response = self.pilot + curve.coefficients @ columns
         return self.cells.value - lit_edge(response, curve.levels, self.cells.terms).value
 
     @property
     def chi2(self) -> jax.Array:
-        """Chi-square of the bins for the given noise."""
+        """Chi-square of the bins after the fit, for the given noise."""
         return (self.cells.pixels / self.variance * self.left**2).sum()
 
     @property
@@ -119,11 +119,11 @@ class LinearFit(NamedTuple):
 
     @property
     def noisy(self) -> jax.Array:
-        """Squared weight times the variance of each bin (n,)."""
+        """Squared weight times the variance of the mean of each bin (n,)."""
         return self.weight**2 * self.variance / xp.maximum(self.cells.pixels, 1.0)
 
     def solved(self, columns: jax.Array) -> LinearFit:
-        """Solve the problem with other columns."""
+        """Solve the problem with other columns (p, n)."""
         normal = (columns * self.weight) @ columns.T
         inverse = lifted_inverse(normal + xp.diag(_PRECISIONS))
         strength = inverse @ (columns @ (self.weight * self.residual))
@@ -167,12 +167,12 @@ def linear_fit(
 def ghost_found(fit: LinearFit, glare: tuple[jax.Array, jax.Array], known: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Test for a ghost, and find its most probable distance from the edge, px.
 
-    `glare`: result of `glare_candidate`. The glare is fitted first, so that it is not mistaken for a ghost. `known`: whether
-    the noise is known; otherwise it is estimated from the residual.
+    Glare is fitted first, so that it is not mistaken for a ghost. `glare`: result of `glare_candidate`. `known`: whether the
+    noise is known. Unknown noise is estimated from the residual.
     """
     log_radius, rise = glare
     beside = fit.solved(changed(fit.columns, _COLUMN, xp.where(rise > FOUND, _column(fit, log_radius), 0.0)))
-    # Ghosts are searched for from 2.2 s to 6 s or 8 px, whichever is larger, in at most 0.3 of the width of the region.
+    # The search extends from 2.2 s to the larger of 6 s and 8 px, but not beyond 0.3 of the width of the region.
     first = 2.2 * line_width(fit.shape)
     last = xp.minimum(xp.maximum(6.0 * line_width(fit.shape), 8.0), 0.3 * _width(fit.cells))
     positions = xp.linspace(first, last, 24)
@@ -185,7 +185,7 @@ def ghost_found(fit: LinearFit, glare: tuple[jax.Array, jax.Array], known: jax.A
 
 
 def _ghosts(fit: LinearFit, positions: jax.Array) -> jax.Array:
-    """Compute the even and odd columns of ghosts with coefficient 1 at each distance, (distances, 6, n)."""
+    """Compute the even and odd columns (m, 6, n) of ghosts with coefficient 1. `positions`: distances (m,), px."""
     s = line_width(fit.shape)
     at = (positions[:, None] + GHOST_STEP * s * xp.arange(GHOSTS.size))[..., None]
     right, left = (glare_edge(GHOST_WIDTH * s, fit.cells.distance - sign * at, fit.cells.spread) for sign in (1, -1))
@@ -198,7 +198,7 @@ def _width(cells: EdgeCells) -> jax.Array:
 
 
 def misfit_probability(fit: LinearFit, tested: EdgeModel) -> jax.Array:
-    """Compute the probability of the residuals of another model, from a fit of the free curve to them.
+    """Compute the probability of the residuals of another model, from a fit of the free curve to these residuals.
 
     The test statistic is the quadratic form s' A^-1 s of the scores s. If the tested model is correct, the covariance of
     the scores is the information minus the part that the tested fit has absorbed. The distribution is approximated by a
@@ -220,13 +220,13 @@ def _chosen_light(
 ) -> jax.Array:
     """Select the linear parameters (LINEAR,) that are free.
 
-    The selection is the entry of `LIGHTS` that minimises the Bayesian information criterion (Schwarz 1978). Each entry
-    is tested with and without glare, because uneven light and glare resemble each other. `linear`: parameters with light
-    of all orders. `problem`: function that fits the free curve at given parameters, with a mask of the free ones.
+    The selected entry of `LIGHTS` minimises the Bayesian information criterion (Schwarz 1978). Each entry is
+    tested with and without glare, because uneven light and glare resemble each other. `linear`: parameters with light
+    of all orders. `problem`: function that fits the free curve at given parameters, with a mask of the free parameters.
     """
 
     def tested(linear: jax.Array, used: jax.Array) -> jax.Array:
-        """Compute chi-square, including the priors, and its decrease by glare, (1, 2)."""
+        """Compute chi-square with the priors, and the decrease of chi-square by glare, (1, 2)."""
         fit = problem(linear[0], used[0])
         radii = _radii(fit.shape)
         unlikely = xp.where(xp.exp(radii) > VEIL * _width(cells), _VEIL_COST, 0.0)
@@ -253,7 +253,10 @@ def curve_without_glare(fit: LinearFit) -> FreeCurve:
 
 
 def glare_candidate(fit: LinearFit) -> tuple[jax.Array, jax.Array]:
-    """Find the most probable glare: ln of its radius, px, and the increase of 2 ln likelihood."""
+    """Find the most probable glare.
+
+    The result contains ln of its radius in px, and the increase of 2 ln likelihood.
+    """
     radii = _radii(fit.shape)
     rises = _glare_rises(fit, radii)
     best = xp.argmax(rises)
@@ -261,9 +264,9 @@ def glare_candidate(fit: LinearFit) -> tuple[jax.Array, jax.Array]:
 
 
 def curve_with_glare(fit: LinearFit, log_radius: jax.Array) -> FreeCurve:
-    """Fit the curve with glare, whose radius is a further parameter. `log_radius`: ln of the initial radius in px."""
+    """Fit the curve with glare, whose radius is also fitted. `log_radius`: ln of the initial radius in px."""
     radii = _radii(fit.shape)
-    # Of 17 radii about the best one, three determine a parabola.
+    # 17 radii are tested. A parabola through the best radius and its neighbours determines the maximum.
     step = (radii[1] - radii[0]) / 8
     nearby = log_radius + step * np.arange(-8, 9)
     rises = _glare_rises(fit, nearby)
@@ -274,7 +277,7 @@ def curve_with_glare(fit: LinearFit, log_radius: jax.Array) -> FreeCurve:
     log_radius = xp.clip(xp.take(nearby, best) + step * vertex, radii[0], radii[-1])
     glaring = fit.solved(changed(fit.columns, _COLUMN, _column(fit, log_radius)))
     slope = slope_along(lambda r: _column(fit, r), log_radius, 1.0)
-    # The radius is already optimal: the additional column only provides its covariance.
+    # The radius is already optimal. The additional column only provides its covariance.
     full = xp.concatenate([glaring.columns, glaring.strength[_COLUMN] * slope[None]])
     # Normal prior of ln of the radius with a standard deviation of 1.
     inverse = lifted_inverse((full * fit.weight) @ full.T + xp.diag(xp.append(_PRECISIONS, 1.0)))
@@ -301,7 +304,7 @@ def _per_step(fit: LinearFit, strength: jax.Array, covariance: jax.Array, radius
 
 
 def _glare_rises(fit: LinearFit, log_radii: jax.Array) -> jax.Array:
-    """Compute the increase of 2 ln likelihood by glare of each radius. Negative shares are excluded."""
+    """Compute the increase of 2 ln likelihood by glare of each radius. Glare with a negative share is excluded."""
     return _rises(fit, _column(fit, log_radii[:, None])[:, None], GLARE_STD, 0.0)
 
 
@@ -321,14 +324,14 @@ def _column(fit: LinearFit, log_radius: jax.Array) -> jax.Array:
 
 
 def _radii(shape: CoreShape) -> jax.Array:
-    """Compute ln of the radii that are tested, px."""
+    """Compute ln of the radii in px at which glare is tested."""
     # The narrowest glare has a radius of 4 px or 3 s, whichever is larger.
     narrowest = xp.maximum(4.0, 3.0 * line_width(shape))
     return xp.linspace(xp.log(narrowest), xp.log(110.0), 9)
 
 
 def _lights() -> np.ndarray:
-    """List masks of the free linear parameters of each light model (6, LINEAR), in ascending order of their number.
+    """List masks (6, LINEAR) of the free linear parameters of each light model, in ascending order of complexity.
 
     The polynomial of the multiplicative light has order 1, 2 or 3, and that of the additive light order 0, 1 or 2. The two
     levels and the shift of the edge are always free.
@@ -346,7 +349,7 @@ LIGHTS = _lights()
 
 
 def _precisions() -> np.ndarray:
-    """Compute the precisions of the priors (p,). The precision is 0 for the levels, the light and the position of the edge."""
+    """Compute the precisions of the priors (p,). They are 0 for the levels, the light and the position of the edge."""
     # Lenses deviate most from Gaussians in the core: the standard deviation is 10 % of the step at the edge, and
     # decreases as a Gaussian with a standard deviation of 1.6 s.
     core, ghosts = 0.1 * np.exp(-((CENTRES / 1.6) ** 2) / 2), np.full(GHOSTS.size, _PRIOR_GHOST)

@@ -31,7 +31,7 @@ class Rows(NamedTuple):
 
     Attributes:
         value: (rows, columns) values; NaN for missing samples.
-        y: (rows,) position of each row, px.
+        y: (rows,) y of each row, px.
         start: (rows,) x of the first sample in each row, px.
         step: distance of neighbouring samples of a row, px.
         length: largest |y| of the rows that are not empty, px; unit of length of the curve and of the light.
@@ -59,8 +59,8 @@ class AlignedRows(NamedTuple):
     Attributes:
         value: (rows, columns) values; 0 for missing samples.
         valid: (rows, columns) 1 for samples with data, else 0.
-        x: (rows, columns) positions, px.
-        y: (rows,) positions, px.
+        x: (rows, columns) x of each sample, px.
+        y: (rows,) y of each row, px.
         step: distance of neighbouring samples of a row, px.
         length: unit of length, as in `Rows`.
         powers: Legendre polynomials, as in `Rows`.
@@ -78,8 +78,7 @@ class AlignedRows(NamedTuple):
 
     @property
     def near(self) -> slice:
-        """Columns that are split by phase."""
-        # Columns within 7 px of the edge are split by phase.
+        """Columns within 7 px of the edge. They are split by phase, because the response varies rapidly there."""
         middle, half = self.value.shape[1] // 2, 7 // self.step
         return slice(max(middle - half, 0), middle + half + 1)
 
@@ -127,12 +126,12 @@ class EdgeCells(NamedTuple):
 
 
 def edge_position(curve: AnyArray, powers: AnyArray) -> AnyArray:
-    """Evaluate a curve (k,) at the rows of the Legendre polynomials `powers`, px."""
+    """Compute the positions x0 of a curve (k,) in all rows, px. `powers`: Legendre polynomials of the rows."""
     return curve @ powers[: len(curve)]
 
 
 def edge_slope(curve: AnyArray, powers: AnyArray, length: AnyArray) -> AnyArray:
-    """Evaluate dx0/dy at the rows."""
+    """Compute the slopes dx0/dy of a curve in all rows."""
     return edge_position(curve @ _SLOPES, powers) / length
 
 
@@ -140,7 +139,7 @@ def edge_distance(curve: AnyArray, x: AnyArray, powers: AnyArray, length: AnyArr
     """Compute the distance of samples (rows, columns) from the curve, px, to second order.
 
     The distance is positive on the bright side. For a parabola with second derivative k and local slope t, and a distance
-    e along the row, it is e c - k e^2 t^2 c^5 / 2, where c = 1 / sqrt(1 + t^2). The first term is the distance from a
+    e along the row, the distance is e c - k e^2 t^2 c^5 / 2, where c = 1 / sqrt(1 + t^2). The first term is the distance from a
     straight edge. The second term corrects for curvature.
     """
     slope = edge_slope(curve, powers, length)
@@ -151,7 +150,7 @@ def edge_distance(curve: AnyArray, x: AnyArray, powers: AnyArray, length: AnyArr
 
 
 def legendre(t: AnyArray, terms: int) -> jax.Array:
-    """Evaluate the Legendre polynomials (terms, ...) of t, which lies in [-1, 1], by Bonnet's recursion."""
+    """Evaluate the Legendre polynomials (terms, ...) at t in [-1, 1] by Bonnet's recursion."""
     found = [xp.ones_like(t), t]
     for k in range(2, terms):
         found.append((2 - 1 / k) * t * found[-1] - (1 - 1 / k) * found[-2])
@@ -198,7 +197,7 @@ def edge_cells(phased: PhasedRows) -> EdgeCells:
         quantities.append(quantities[-1] * phased.distance)
 
     def summed(groups: AnyArray, part: slice) -> list[jax.Array]:
-        """Sum each quantity times each function of the row over groups of rows: arrays (functions, groups * columns)."""
+        """Sum products of each quantity and each function of the row over groups of rows (functions, groups * columns)."""
         weights = (of_row[:, None] * groups).reshape(-1, count)
         return [(weights @ quantity[:, part]).reshape(len(of_row), -1) for quantity in quantities]
 
@@ -212,7 +211,7 @@ def edge_cells(phased: PhasedRows) -> EdgeCells:
     ]
     sums = [xp.concatenate(some, 1) for some in zip(*(summed(*part) for part in parts), strict=True)]
     pixels = sums[1][0]
-    # An empty bin has weight 0, and is placed at distance 0, where every model is finite.
+    # An empty bin has weight 0. Its distance is set to 0, where every model is finite.
     value, *moments = (total / xp.where(pixels > 0, pixels, 1.0) for total in sums)
     column = np.concatenate([np.tile(np.arange(columns)[part], len(groups)) for groups, part in parts])
     x, mean = moments[0][3] + aligned.step * column, moments[1][0]
@@ -224,7 +223,7 @@ def edge_cells(phased: PhasedRows) -> EdgeCells:
 def light_terms(x: AnyArray, y: AnyArray, distance: AnyArray, length: AnyArray) -> jax.Array:
     """Compute the polynomial terms of the light in a region, (TERMS, ...).
 
-    They are x and y (px), then products of the distance d from the edge and y, each in units of `length`, up to third
+    The terms are x and y (px), then products of the distance d from the edge and y, each in units of `length`, up to third
     order. Higher orders of y alone have been divided out of the rows, or are negligible.
     """
     d, v = distance / length, y / length

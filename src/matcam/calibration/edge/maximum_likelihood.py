@@ -61,7 +61,7 @@ class Noise(NamedTuple):
     def variance(self, value: AnyArray, dim: AnyArray | float = 1.0) -> jax.Array:
         """Compute the variance of a pixel with the expected value `value`.
 
-        `dim`: factor that was applied to correct for uneven light.
+        `dim`: factor by which the pixel was multiplied to correct uneven light.
         """
         return self.gain * xp.maximum(value, 0.0) * dim + (self.read * dim) ** 2
 
@@ -77,7 +77,7 @@ class State(NamedTuple):
         linear: (LINEAR,) dark level, bright level, m_k (1/px for the terms x and y), a_k, and the shift that is added to
             every distance, px.
         profile: (k,) parameters of the profile.
-        used: (LINEAR,) 1 for free linear parameters, 0 for fixed ones.
+        used: (LINEAR,) 1 for free linear parameters, 0 for fixed linear parameters.
     """
 
     linear: jax.Array
@@ -92,7 +92,7 @@ class EdgeModel(NamedTuple):
         state: parameters.
         value: (n,) model values.
         light: (n,) factor that multiplies the scene.
-        design: (LINEAR + k, n) derivatives with respect to the parameters; 0 for fixed ones.
+        design: (LINEAR + k, n) derivatives with respect to the parameters; 0 for fixed parameters.
     """
 
     state: State
@@ -102,7 +102,7 @@ class EdgeModel(NamedTuple):
 
 
 class LitEdge(NamedTuple):
-    """Values of n points of an edge in uneven light.
+    """Values at n points of an edge in uneven light.
 
     Attributes:
         value: (n,) expected values.
@@ -118,7 +118,7 @@ class LitEdge(NamedTuple):
 
 
 def light_of(linear: jax.Array, terms: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Evaluate the factor of the light, and the light that is added to the scene, (n,) each.
+    """Evaluate the factor of the light and the added light, (n,) each.
 
     `linear`: parameters `State.linear`. `terms`: (TERMS, n) polynomial terms.
     """
@@ -174,7 +174,7 @@ class CurveStep(NamedTuple):
 
 
 _CLEAR = 4.0
-"""Significance above which an edge is reported as rough, in standard deviations."""
+"""Significance above which an edge is reported as rough, in standard deviations. Noise rarely exceeds it."""
 _BOWS = 3
 """Number of coefficients of an edge that is straight or bowed. Higher orders describe an S shape, dirt or a torn border."""
 
@@ -214,7 +214,7 @@ def curve_step(phased: PhasedRows, cells: EdgeCells, at: EdgeModel, noise: Noise
     covariance, change, orders = _of_seen_orders(normal, powers @ score, curve)
     change = xp.clip(change, -1.0, 1.0)
     rms = xp.sqrt((residual**2).sum() / xp.maximum(aligned.valid[:, near].sum(), 1.0))
-    # Position of the edge in each row relative to the new curve.
+    # The shift of a row is the position of its edge relative to the new curve.
     shift = score / xp.where(information > 0, information, 1.0) - powers.T @ change
     count = xp.maximum((information > 0).sum() - orders, 1.0)
     weight = information / xp.maximum(information.sum(), 1e-300) * ((information > 0).sum() / count)
@@ -225,7 +225,7 @@ def curve_step(phased: PhasedRows, cells: EdgeCells, at: EdgeModel, noise: Noise
 
 
 def _of_seen_orders(normal: jax.Array, score: jax.Array, curve: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Compute the covariance and the change of the coefficients of a curve, and the number of free coefficients.
+    """Compute the covariance, the change and the number of the free coefficients of a curve.
 
     The coefficients beyond the bow are set to 0 if noise explains them. `normal`: (CURVE, CURVE) information. `score`:
     (CURVE,) score at the current coefficients `curve`.
@@ -236,7 +236,7 @@ def _of_seen_orders(normal: jax.Array, score: jax.Array, curve: jax.Array) -> tu
     # The inverse covariance of the higher orders is a Schur complement.
     beyond, inverse = (curve + change)[_BOWS:], (normal - normal @ bow @ normal)[_BOWS:, _BOWS:]
     seen = beyond @ inverse @ beyond > chdtri(CURVE - _BOWS, IMPROBABLE)
-    # Change of the coefficients that sets the higher orders to 0.
+    # This change of the coefficients sets the higher orders to 0.
     without = xp.where(np.arange(CURVE) < _BOWS, 0.0, -curve)
     bowed = without + bow @ (score - normal @ without)
     return xp.where(seen, free, bow), xp.where(seen, change, bowed), xp.where(seen, CURVE, _BOWS)

@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from matcam.core.jax import AnyArray, jax
 
 _STEPS = 3
-"""Number of steps of Fisher scoring for the Gaussian lens in each turn."""
+"""Number of steps of Fisher scoring for the Gaussian lens in each turn. The next turn continues the iteration."""
 
 
 class LensFit(NamedTuple):
@@ -73,7 +73,7 @@ class LensFit(NamedTuple):
 
 
 class EdgeFits(NamedTuple):
-    """Model-free and parametric estimate of one edge.
+    """Model-free and parametric estimates of one edge.
 
     Positions are in px from the centre of the region, values in the units of the image.
 
@@ -92,13 +92,13 @@ class EdgeFits(NamedTuple):
         mtf50: MTF50, cycles/px.
         core_mtf: MTF without glare.
         core_mtf50: MTF50 without glare, cycles/px.
-        overshoot: largest excess of the ESF over its levels.
+        overshoot: largest excess of the ESF beyond its levels, in units of the step.
         cells: means of the pixels.
         state: parameters of the Gaussian fit, at which the free curve is linearised.
         excess: factor by which variances were increased, because the scatter of the bins exceeds the noise.
         outliers: number of pixels that were excluded.
         roughness: standard deviation of the position of the edge in single rows beyond the noise, px.
-        misfit: standard deviation of bins about the free curve beyond the noise, in units of the step.
+        misfit: standard deviation of the bins about the free curve beyond the noise, in units of the step.
     """
 
     curve: jax.Array
@@ -137,8 +137,9 @@ def edge_fits(
 ) -> EdgeFits:
     """Compute the model-free and the parametric estimate of the edge in one region.
 
-    `value`, `y`, `start`, `step`: as in `geometry.Rows`. The parametric estimate uses a Gaussian lens. `noise`: its unknown
-    parameters are NaN, and are estimated. `turns`: number of alternating fits of the profile and of the curve.
+    The parametric estimate uses a Gaussian lens. `value`, `y`, `start`, `step`: as in `geometry.Rows`. `noise`: noise of a
+    pixel, whose unknown parameters are NaN and are estimated. `half_width`: half width of the pixel, px. `turns`: number of
+    alternating fits of the profile and of the curve.
     """
     rows, half, lens = Rows.of(value, y, start, step), xp.asarray(half_width), Gaussian()
     first_curve, crossing = find_curve(rows)
@@ -152,7 +153,7 @@ def edge_fits(
     def turn(
         at: tuple[jax.Array, State], used: jax.Array
     ) -> tuple[Any, tuple[jax.Array, EdgeCells, EdgeModel, CurveStep]]:
-        """Fit profile and levels to bins, then the curve to pixels."""
+        """Fit profile and levels to the bins, then the curve to the pixels. `used`: mask of the free linear parameters."""
         curve, state = at
         phased = geometry.phased_rows(aligned, curve)
         cells = geometry.edge_cells(phased)
@@ -176,7 +177,7 @@ def edge_fits(
     shape = CoreShape(xp.exp(at.state.profile[0]), angle, half, radius=one, apart=one)
 
     def fitted(position: jax.Array, ghost: float) -> tuple[free_fit.LinearFit, tuple[jax.Array, jax.Array]]:
-        """Fit the free curve without glare, and find the most probable glare."""
+        """Fit the free curve without glare, and find the most probable glare. `position`: distance of a ghost, px."""
         fit = free_fit.linear_fit(cells, at, noise, shape._replace(apart=position), ghost)
         return fit, free_fit.glare_candidate(fit)
 
@@ -192,8 +193,8 @@ def edge_fits(
     glares = rise > free_fit.FOUND * xp.where(known, 1.0, xp.maximum(left / linear.degrees, 1.0))
     plain = lambda fit, _: free_fit.curve_without_glare(fit)  # noqa: E731
     free = either(glares, free_fit.curve_with_glare, plain, linear, log_radius)
-    # An estimate of the noise from neighbours may be incomplete: a significant scatter about the free curve then scales the
-    # variances.
+    # An estimate of the noise from neighbouring pixels may be too small. Therefore, a significant scatter about the free curve
+    # increases all variances.
     scatter = (linear.chi2 - xp.where(glares, rise, 0.0)) / linear.degrees
     excess = xp.where(scatter < 1 + SIGNIFICANT * xp.sqrt(2 / linear.degrees), 1.0, scatter)
     free = free._replace(covariance=free.covariance * excess)
@@ -232,7 +233,7 @@ def edge_fits(
 
 @checks.trusted()
 def lens_fit(found: EdgeFits, half_width: AnyArray | np.float64, lens: LensModel) -> LensFit:
-    """Compute the parametric estimate for another lens model."""
+    """Compute the parametric estimate with another lens model. `half_width`: half width of the pixel, px."""
     half = xp.asarray(half_width)
     profile, gaussian = (one.profile(found.angle, half) for one in (lens, Gaussian()))
     first = found.state._replace(profile=lens.start(found.state.profile[0]))
@@ -248,8 +249,8 @@ def lens_fit(found: EdgeFits, half_width: AnyArray | np.float64, lens: LensModel
 def fits_program() -> Callable[..., EdgeFits]:
     """Compile `edge_fits` for many regions in parallel.
 
-    Its arguments are those of `edge_fits`, with regions (n, rows, columns), and y and start (n, rows). A command caches the
-    program on disk, because tracing takes seconds.
+    The arguments are those of `edge_fits`, with regions (n, rows, columns), and y and start (n, rows). A command caches the
+    program on disk, because tracing is slow.
     """
     from matcam.core.jax import jit_plainly, program_folder
     from matcam.core.programs import kept_program
@@ -292,7 +293,7 @@ def _lens_fit(
     excess: jax.Array,
     widened: Callable[[SampledCurve, jax.Array], SampledCurve],
 ) -> LensFit:
-    """Compute the result of a fit of a lens model, `at`. `widened`: `with_unexplained` for this edge."""
+    """Collect the results of a fitted lens model. `at`: fitted model. `widened`: `with_unexplained` for this edge."""
     parameters = at.state.profile
     weight = cells.pixels / noise.variance(at.value, cells.dim)
     lens_covariance = excess * lifted_inverse((at.design * weight) @ at.design.T)[LINEAR:, LINEAR:]

@@ -1,4 +1,4 @@
-"""Result classes of the parametric estimate of one edge or of a stack, and the values that all edge results share."""
+"""Results of the parametric estimate of one edge or of a stack, and the values that all edge results share."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ Number = TypeVar("Number", float, np.ndarray)
 
 @dataclass(frozen=True, eq=False)
 class EdgeValues(Generic[Number]):
-    """Values of one edge or of a stack of edges. The docstring of `EdgeMTF` describes them."""
+    """Values of one edge or of a stack of edges, as described in `EdgeMTF` and `EdgeStack`."""
 
     frequency: np.ndarray
     mtf: np.ndarray
@@ -59,7 +59,7 @@ class EdgeValues(Generic[Number]):
 
     @property
     def glare_found(self) -> Any:
-        """Check for glare; a mask (n,) for a stack."""
+        """True if glare was found; for a stack a mask (n,)."""
         return self.glare_fraction != 0
 
 
@@ -84,9 +84,9 @@ class _LensNumbers(Generic[Number]):
 
     @property
     def consistent(self) -> Any:
-        """Check whether the model explains the edge.
+        """True if the model explains the edge (significance level 0.1 %).
 
-        The significance level is 0.1 %. For a stack, the result is a mask (n,).
+        For a stack, the value is a mask (n,).
         """
         return self.misfit_probability > IMPROBABLE
 
@@ -151,10 +151,10 @@ class ParametricEdge(Summarised, _LensNumbers[float]):
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the fit as a JSON object.
+        """Convert the fit to a JSON object.
 
         Returns:
-            Values by name, units in the names.
+            Values by name, with units in the names.
         """
         return plain(
             {
@@ -205,9 +205,9 @@ def parametric_stack(
 ) -> ParametricStack:
     """Convert the fits of a stack of edges to results.
 
-    All arrays are NumPy arrays. `free`: MTF and MTF50 without a model. If the model is rejected, the differences between
-    its results and `free` are added in quadrature to its standard deviations. `bad`: mask (n,) of edges whose values become
-    NaN.
+    All arrays are NumPy arrays. If the lens model is rejected, the differences of its MTF and MTF50 from the model-free values
+    are added in quadrature to its standard deviations. `free`: model-free MTF and MTF50. `bad`: mask (n,) of edges whose
+    values become NaN.
     """
     probability = fit.misfit_probability
     wrong = ~(probability > IMPROBABLE)
@@ -238,7 +238,7 @@ def parametric_stack(
 
 
 def with_nan(values: AnyArray | np.float64, bad: np.ndarray) -> np.ndarray:
-    """Replace the values of the edges in the mask `bad` (n,) by NaN."""
+    """Replace the values of the edges in the mask `bad` (n,) with NaN."""
     if not bad.any():
         return np.asarray(values)
     return np.where(bad.reshape(-1, *[1] * (np.ndim(values) - 1)), np.nan, values)

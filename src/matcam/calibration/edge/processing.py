@@ -1,6 +1,6 @@
 """Traces of processing in an image of an edge, and their effect on an MTF.
 
-A lens cannot be measured in a denoised image, but the processing leaves traces: in the noise of the flat sides
+A lens cannot be measured in a denoised image, but the processing causes traces: in the noise of the flat sides
 (`flat_noise.py`), in values that many pixels share, and in an overshoot. Each trace is reported with its possible effect
 on the MTF. The effect increases the standard deviations, in the form of an unknown relative scale of frequency, which
 leaves the MTF of 1 at frequency 0 unchanged.
@@ -51,17 +51,19 @@ _SIDE = 40.0
 _TRANSFORM = 4096
 """Number of samples of the Fourier transform of a line spread function. The frequencies are 2.4e-3 cycles/px apart."""
 _TONE_PROBABILITIES, _RAISED = (0.02, 0.5), 1.15
-"""Prior probabilities of a tone curve if the noise variance of the dark side is that of photon noise, and if it is larger;
-ratio to photon noise above which the variance is larger."""
+"""Prior probabilities of a tone curve, without and with excess noise of the dark side; ratio of the noise variance to that of
+photon noise above which the noise is in excess. A tone curve increases the noise of dark pixels."""
 _SURE_TONE, _NO_TONE = 0.99, 0.01
 """Probabilities of a tone curve above which it is reported, and below which its effect is not computed."""
 _OVERSHOOT, _SURE = 0.003, 3.5
-"""Thresholds of sharpening: overshoot relative to the step; combined significance of overshoot and noise, in sigma."""
+"""Thresholds of sharpening: overshoot relative to the step; combined significance of overshoot and noise, in standard
+deviations."""
 _CRUSHED, _LEAST_REPORTED, _SURE_GLARE = 0.01, 1e-3, 0.005
-"""Relative errors of MTF50: smallest error by crushed blacks; smallest reported error; smallest reported error by glare."""
+"""Relative errors of MTF50: smallest error due to crushed blacks, smallest reported error, smallest reported error due to
+glare."""
 _MOST_LEVELS, _NEAR_LEVELS = 2000, 4
-"""Number of different values above which codes are not coarse; number of levels on both sides of the level of a flat side that
-are searched for the smallest distance of levels, because an image without noise lacks some levels."""
+"""Number of different values above which codes are not coarse; number of levels on both sides of a flat side at which the
+smallest distance of levels is searched for. Several levels are needed, because an image without noise lacks some levels."""
 _GHOST, _SURE_GHOST = 0.01, 4.0
 """Height relative to the step, and number of standard deviations, above which a ghost is reported."""
 
@@ -72,7 +74,7 @@ class Trace(NamedTuple):
     Attributes:
         share: relative standard deviation of MTF50 that the trace causes.
         remark: description of the trace; None if it is too small to be reported.
-        of: affected estimates: "lens", all; "free", the model-free ones; "glare", those that include glare.
+        of: affected estimates: "lens" for all, "free" for the model-free estimates, "glare" for the estimates with glare.
     """
 
     share: float
@@ -113,7 +115,7 @@ class _EdgeRegion:
 
     @cached_property
     def levels(self) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Different values of each flat side, ascending, and their numbers of pixels."""
+        """Different values of each flat side in ascending order, and the number of pixels with each value."""
         return [np.unique(self.value[side], return_counts=True) for side in self.sides]
 
     @cached_property
@@ -123,7 +125,7 @@ class _EdgeRegion:
 
     @cached_property
     def correlations(self) -> Correlations | None:
-        """Correlations of the noise; None if they are unknown, or for a mosaic, which has not been filtered yet."""
+        """Correlations of the noise; None if they are unknown, and for a mosaic, which is assumed to be unfiltered."""
         if self.mosaic or not np.isfinite(self.noise.neighbour_ratio_std):
             return None
         return correlations(np.where(np.isfinite(self.value), self.value, 0.0), self.sides)
@@ -148,7 +150,7 @@ def with_traces(
     """Add remarks and uncertainties from uneven light and processing to a stack.
 
     If glare and uneven light cannot be distinguished, the MTF is that of the lens without glare. `stack`: results of n
-    edges. `regions`: their rows, corrected for uneven light. `lights`: uneven light of each edge, or None. `clear`:
+    edges. `regions`: rows of these edges, corrected for uneven light. `lights`: uneven light of each edge, or None. `clear`:
     `clearance` of each edge (n,).
     """
     shares = {of: np.zeros(len(stack)) for of in ("lens", "free", "glare")}
@@ -162,7 +164,7 @@ def with_traces(
             given[i] = given[i] + tuple(trace.remark for trace in found if trace.remark)
             for trace in found:
                 shares[trace.of][i] = np.hypot(shares[trace.of][i], trace.share)
-    # A lens model determines the tails, so that its errors are a tenth of those of the model-free estimate.
+    # A lens model determines the tails. Its errors are therefore a tenth of those of the model-free estimate.
     shares["lens"] = np.hypot(shares["lens"], 0.1 * shares["free"])
     stack = with_core_as_total(stack, np.array([light is not None and light.amplitude > 0 for light in lights]))
     ghosts = np.array([0.0 if light is None else light.ghost for light in lights])
@@ -170,15 +172,15 @@ def with_traces(
 
 
 def _narrow(region: _EdgeRegion) -> list[Trace]:
-    """Test whether the blur extends to the border of the region, which makes the model-free estimate uncertain."""
+    """Estimate the error of the model-free MTF50 if the blur extends to the border of the region."""
     # The error is at most 8 % of MTF50, and decreases to 0 over 0.6 blur widths.
     share = 0.08 * float(np.clip((CLEAR - region.clear) / 0.6, 0.0, 1.0))
     if not share:
         return []
     text = (
-        f"the blur ({region.blur:.1f} px) extends to the border of the region, {region.clear:.1f} blur widths away, so "
+        f"the border of the region is only {region.clear:.1f} blur widths of {region.blur:.1f} px from the edge, but "
+        f"{CLEAR:g} are required: the model-free MTF50 may be wrong by {share:.0%}; choose a wider region"
     )
-    text += f"that the levels are uncertain: the model-free MTF50 may be wrong by {share:.0%}; choose a wider region"
     return [Trace(share, Remark("narrow-region", text), "free")]
 
 
@@ -189,19 +191,18 @@ def _veiled(region: _EdgeRegion) -> list[Trace]:
     if light is not None and light.amplitude > 0:
         text = f"uneven light of {light.amplitude:.1%} beyond the terms up to third order was removed"
         if glare > 0:
-            text += f"; {seen} a remainder of it: the MTF excludes the glare"
+            text += f"; {seen} the remainder of this light: the MTF excludes the glare"
         return [Trace(0.0, Remark("uneven-light", text), "glare")]
     width = (2 if region.mosaic else 1) * (region.value.shape[1] - 1)
     possible = 1.0 if edge.glare_radius > VEIL * width else 0.0 if light is None else light.possible
     unsure = max(min(glare, possible), 0.0)
     # Glare decreases MTF50 by 0.72 of its share.
     share = 0.72 * unsure
-    text = f"{seen} uneven light{'' if unsure == glare else ' in part'}: MTF50 with glare may be too low by {share:.0%}"
+    text = f"{seen}{'' if unsure == glare else ' in part'} uneven light: MTF50 with glare may be too low by {share:.0%}"
     return [Trace(share, Remark("wide-glare", text) if share > _SURE_GLARE else None, "glare")]
 
 
 def _ghost(region: _EdgeRegion) -> list[Trace]:
-    """Report a second, weaker edge, which is included in the measured MTF."""
     ghost = ghost_of(region.edge.fits.free)
     if ghost.share < max(_GHOST, _SURE_GHOST * ghost.std):
         return []
@@ -217,20 +218,20 @@ def _smoothed(region: _EdgeRegion) -> list[Trace]:
         return []
     seen = noise.correlation
     if noise.compressed and not noise.denoised:
-        text = (
-            f"{seen}, and there are JPEG block borders every 8 px: the image may have been denoised or sharpened before"
-        )
+        text = f"{seen}, and JPEG block borders occur every 8 px: the image may have been denoised or sharpened"
         # Block borders up to a strength of 3 have no effect. Stronger ones change MTF50 by 0.6 % per strength.
         share = float(np.clip(0.006 * (noise.grid - 3.0), 0.0, 0.05))
         more = f"; MTF50 may be wrong by {share:.1%}" if share else ""
-        return [Trace(share, Remark("compressed", text + more))]
+        return [Trace(share, Remark("compressed", f"{text}{more}: use camera raw"))]
     if not noise.denoised:
-        text = f"{seen}: the image was demosaiced, resampled or smoothed, and its MTF is not that of the lens"
+        text = (
+            f"{seen}: the image was demosaiced, resampled or smoothed; its MTF is not that of the lens: use camera raw"
+        )
         return [Trace(0.0, Remark("demosaiced", text))]
     share = smoothing_uncertainty(region.blur, denoised=True)
     text = (
         f"{seen} over several px: the image was denoised, and its MTF is not that of the lens; "
-        f"MTF50 may be wrong by {share:.0%}"
+        f"MTF50 may be wrong by {share:.0%}: use camera raw"
     )
     return [Trace(share, Remark("denoised", text))]
 
@@ -248,12 +249,12 @@ def _tone_curve(region: _EdgeRegion) -> list[Trace]:
 
 
 def _sharpened(region: _EdgeRegion) -> list[Trace]:
-    """Detect sharpening from overshoot and noise together."""
+    """Detect sharpening from the combined significance of overshoot and noise."""
     noise = region.noise
     over, std = region.edge.overshoot, max(region.edge.overshoot_std, 1e-4)
     apart = 0.0 if noise.smoothed else noise.apart
     sure = over > max(SHARPENED, SIGNIFICANT * std)
-    # JPEG causes ringing next to an edge
+    # JPEG compression causes ringing next to an edge, which resembles an overshoot.
     if not sure and (noise.compressed or over < _OVERSHOOT or (over / std + apart) / np.sqrt(2) < _SURE):
         return []
     # An unsharp mask increases MTF50 by 12 times its overshoot.
@@ -269,7 +270,7 @@ def _sharpened(region: _EdgeRegion) -> list[Trace]:
 def _slightly_sharpened(region: _EdgeRegion) -> list[Trace]:
     """Detect a weak unsharp mask that explains edge and noise together, although the overshoot is not significant."""
     seen = region.correlations
-    # For most images the noise already excludes the mask, and the fits of the edge are skipped.
+    # For most images, the noise excludes the mask, and the slower fits of the edge are skipped.
     if seen is None or region.noise.smoothed or (gain := mask_gain(seen)) < 0:
         return []
     gain += edge_gain(region.edge.bare)
@@ -313,8 +314,8 @@ def _crushed(region: _EdgeRegion) -> list[Trace]:
 def _coarse(region: _EdgeRegion) -> list[Trace]:
     """Estimate the error of MTF50 that rounding to coarse levels causes.
 
-    The mean of rounded values errs by at most (level / pi) exp(-2 pi^2 noise^2 / level^2) (Widrow & Kollar, Quantization
-    Noise, 2008, ch. 9).
+    The error of the mean of rounded values is at most (level / pi) exp(-2 pi^2 noise^2 / level^2) (Widrow & Kollar,
+    Quantization Noise, 2008, ch. 9).
     """
     value, sides, of_sides = region.value, region.sides, [levels for levels, _ in region.levels]
     if not all(0 < levels.size <= _MOST_LEVELS for levels in of_sides):
@@ -334,13 +335,13 @@ def _coarse(region: _EdgeRegion) -> list[Trace]:
     step = region.edge.bright - region.edge.dark
     # The factor is the rms over 12 to 512 levels without noise.
     share = 0.2 * float(np.hypot(*errors)) / step
-    text = f"codes are coarse: only {step / max(gaps.min(), 1e-300):.0f} levels are resolved, and the noise is below one level"
-    remark = Remark("quantised", f"{text}; MTF50 may be wrong by {share:.1%}")
+    text = f"codes are coarse: the step has only {step / max(gaps.min(), 1e-300):.0f} levels, and the noise is below one level"
+    remark = Remark("quantised", f"{text}; MTF50 may be wrong by {share:.1%}: use a file with a larger bit depth")
     return [Trace(share, remark if share > _LEAST_REPORTED else None)]
 
 
 def _asymmetric(region: _EdgeRegion) -> list[Trace]:
-    """Estimate the error of MTF50 if a tone curve, and not the lens, causes an asymmetric edge response.
+    """Estimate the error of MTF50 if a tone curve causes the asymmetry of the edge response.
 
     A tone curve v + q v (1 - v) between the levels adds q E (1 - E) to a response E; a symmetric lens does not. The
     variance of photon noise is proportional to the light. A larger variance of the dark side makes a tone curve more
@@ -351,7 +352,8 @@ def _asymmetric(region: _EdgeRegion) -> list[Trace]:
         return []
     at = bare.distance / np.sqrt(bare.blur**2 + bare.spread)
     response, line = ndtr(at), np.exp(-(at**2) / 2)
-    # Further free terms: levels and light, position and width of the edge, and the deviation of the lens from a Gaussian.
+    # The other free terms describe levels and light, position and width of the edge, and the deviation of the lens from a
+    # Gaussian.
     shape = np.stack([response * (1 - response), response, line, at * line, at**3 * line])
     columns = np.concatenate([shape, bare.light])
     if edge.glare_fraction > 0:
@@ -393,7 +395,7 @@ def _shoulder_undone(response: FloatArray, lowest: float, curvature: float) -> F
 
 
 def _effect_of_tone(edge: EdgeMTF, undone: Callable[[FloatArray], FloatArray]) -> float:
-    """Compute the absolute relative change of MTF50 that a tone curve causes.
+    """Compute the absolute relative change of MTF50 by a tone curve.
 
     `undone`: function that converts an edge response (0 to 1) after the tone curve to light.
     """
@@ -409,7 +411,7 @@ def _effect_of_tone(edge: EdgeMTF, undone: Callable[[FloatArray], FloatArray]) -
 
 
 def _effect_of_crushing(region: _EdgeRegion) -> float:
-    """Compute the relative decrease of the width of a fitted Gaussian edge that crushed blacks cause."""
+    """Compute the relative decrease of the width of a fitted Gaussian edge by crushed blacks."""
     cells, blur = region.edge.samples, region.blur
     used = np.abs(cells.distance) < 6 * blur + 2
     d, value, weight = cells.distance[used], cells.value[used], 1 / np.maximum(cells.std[used], 1e-3)

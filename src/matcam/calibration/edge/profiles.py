@@ -1,4 +1,4 @@
-"""Lens models, and their edge profiles for the fit: edge response E, its slope and its derivatives, averaged over bins.
+"""Lens models, and their edge profiles for the fit: edge response E, slope and derivatives, averaged over bins.
 
 The edge response is that of the camera model. Gaussian lenses have closed forms. For other lenses, the edge response is
 computed by a fast Fourier transform of the total MTF, and interpolated at the bins.
@@ -33,9 +33,9 @@ if TYPE_CHECKING:
 _PERIOD = 512
 """Period of the tabulated edge response, px. The periodic continuation of a 1/d^2 tail then adds 1e-6 of the step."""
 _PER_PX = 16
-"""Number of samples of the tabulated edge response per px."""
+"""Number of samples of the tabulated edge response per px. Cubic interpolation between the samples is then accurate."""
 KURTOSIS = 0.02
-"""Prior standard deviation of the excess kurtosis of the core of `Separable`."""
+"""Prior standard deviation of the excess kurtosis of the core of `Separable`. Cores of lenses are nearly Gaussian."""
 
 
 class LensModel(Module):
@@ -64,7 +64,7 @@ class LensModel(Module):
         """Convert the parameters (k,) to the units of their names."""
 
     def profile(self, angle: jax.Array, half_width: jax.Array) -> Profile:
-        """Return the edge profile of the lens.
+        """Create the edge profile of the lens.
 
         `angle`: angle between the edge normal and the grid, rad. `half_width`: half width of the pixel, px.
         """
@@ -85,7 +85,7 @@ class LensModel(Module):
             return fft.irfft(wave, count) * _PER_PX, line
 
         half = xp.sqrt(cells.spread)
-        # Beyond half a period, the response is constant; the table continues with the next edge.
+        # The period of the table ends at this distance. Beyond it, the response is assumed to be constant.
         distance = xp.clip(cells.distance, -_PERIOD / 2, _PERIOD / 2)
         position = xp.stack([distance - half, distance + half]) * _PER_PX
         left = xp.floor(position).astype(int)
@@ -119,15 +119,15 @@ class Gaussian(LensModel):
     longest: ClassVar[tuple[float, ...]] = (0.7,)
 
     def start(self, log_sigma: jax.Array) -> jax.Array:
-        """Return ln sigma itself."""
+        """Select ln sigma as the initial parameter."""
         return log_sigma[None]
 
     def numbers(self, parameters: jax.Array) -> jax.Array:
-        """Return sigma, px."""
+        """Compute sigma, px."""
         return xp.exp(parameters)
 
     def optics(self, parameters: jax.Array) -> Optics:
-        """Return `GaussianOptics`."""
+        """Create Gaussian optics."""
         return GaussianOptics(xp.exp(parameters[0]))
 
     def response(
@@ -142,7 +142,7 @@ class Gaussian(LensModel):
 
 
 class GaussianWithHalo(LensModel):
-    """Gaussian core and veiling glare.
+    """Gaussian core with veiling glare.
 
     Parameters: ln sigma, fraction, ln radius.
     """
@@ -152,15 +152,15 @@ class GaussianWithHalo(LensModel):
     longest: ClassVar[tuple[float, ...]] = (0.3, 0.03, 0.3)
 
     def start(self, log_sigma: jax.Array) -> jax.Array:
-        """Return initial parameters with little glare, whose radius is much larger than the core."""
+        """Compute initial parameters with little glare, whose radius is much larger than that of the core."""
         return xp.stack([log_sigma - 0.03, xp.asarray(0.03), xp.maximum(log_sigma + 1.5, xp.log(12.0))])
 
     def numbers(self, parameters: jax.Array) -> jax.Array:
-        """Return sigma px, fraction, radius px."""
+        """Compute sigma (px), fraction and radius (px)."""
         return xp.stack([xp.exp(parameters[0]), parameters[1], xp.exp(parameters[2])])
 
     def optics(self, parameters: jax.Array) -> Optics:
-        """Return `HaloOptics` around `GaussianOptics`."""
+        """Create Gaussian optics with veiling glare."""
         sigma, fraction, radius = self.numbers(parameters)
         return HaloOptics(GaussianOptics(sigma), fraction, radius)
 
@@ -185,20 +185,20 @@ class Diffraction(LensModel):
     longest: ClassVar[tuple[float, ...]] = (0.5,)
 
     def start(self, log_sigma: jax.Array) -> jax.Array:
-        """Return ln of the f-number whose Airy pattern has the same core width: sigma = 0.45 wavelength f_number."""
+        """Compute ln of the f-number whose Airy pattern has the same core width: sigma = 0.45 wavelength f_number."""
         return (log_sigma - xp.log(0.45 * self.wavelength / self.pixel_pitch))[None]
 
     def numbers(self, parameters: jax.Array) -> jax.Array:
-        """Return the f-number."""
+        """Compute the f-number."""
         return xp.exp(parameters)
 
     def optics(self, parameters: jax.Array) -> Optics:
-        """Return `DiffractionOptics`."""
+        """Create diffraction-limited optics."""
         return DiffractionOptics(xp.exp(parameters[0]), self.wavelength, self.pixel_pitch)
 
 
 class Defocus(LensModel):
-    """Diffraction and defocus, both fitted. Parameters: ln f_number, blur_diameter."""
+    """Lens with fitted diffraction and defocus. Parameters: ln f_number, blur_diameter (px)."""
 
     wavelength: jax.Array
     pixel_pitch: jax.Array
@@ -208,7 +208,7 @@ class Defocus(LensModel):
     longest: ClassVar[tuple[float, ...]] = (0.3, 0.5)
 
     def start(self, log_sigma: jax.Array) -> jax.Array:
-        """Return initial parameters that assign half of the variance to diffraction and half to defocus.
+        """Compute initial parameters that assign half of the variance to diffraction and half to defocus.
 
         A disc of diameter c has the standard deviation c / 4.
         """
@@ -216,17 +216,17 @@ class Defocus(LensModel):
         return xp.stack([xp.log(sigma) - xp.log(0.45 * self.wavelength / self.pixel_pitch), 4 * sigma])
 
     def numbers(self, parameters: jax.Array) -> jax.Array:
-        """Return the f-number and blur_diameter in px. The sign of the fit parameter has no effect."""
+        """Compute the f-number and the blur diameter (px). The sign of the fitted diameter has no effect."""
         return xp.stack([xp.exp(parameters[0]), xp.abs(parameters[1])])
 
     def optics(self, parameters: jax.Array) -> Optics:
-        """Return `DefocusOptics`."""
+        """Create optics with diffraction and defocus."""
         f_number, blur = self.numbers(parameters)
         return DefocusOptics(f_number, self.wavelength, self.pixel_pitch, blur)
 
 
 class Separable(LensModel):
-    """Diffraction x Gaussian core x square pixel.
+    """Product of diffraction, Gaussian core and square pixel.
 
     Parameters: ln of the combined standard deviation of core and pixel (px), which every edge determines well; half
     width of the pixel (px); excess kurtosis of the core.
@@ -246,16 +246,16 @@ class Separable(LensModel):
     longest: ClassVar[tuple[float, ...]] = (0.3, 0.08, 0.05)
 
     def start(self, log_sigma: jax.Array) -> jax.Array:
-        """Return initial parameters of a Gaussian core and a pixel that is sensitive over nearly its whole area."""
+        """Compute initial parameters of a Gaussian core and a pixel that is sensitive over nearly its whole area."""
         half = xp.full_like(log_sigma, 0.42)
         return xp.stack([xp.log(xp.exp(2 * log_sigma) + half**2 / 3) / 2, half, xp.zeros_like(half)])
 
     def numbers(self, parameters: jax.Array) -> jax.Array:
-        """Return sigma (px), half width (px) and kurtosis."""
+        """Compute sigma (px), half width (px) and kurtosis."""
         return changed(parameters, 0, xp.sqrt(_variance(parameters)))
 
     def optics(self, parameters: jax.Array) -> Optics:
-        """Return the core as a Gaussian, without diffraction."""
+        """Create Gaussian optics of the core, without diffraction."""
         return GaussianOptics(xp.sqrt(_variance(parameters)))
 
     def mtf(self, parameters: jax.Array, f: jax.Array, angle: jax.Array, half_width: jax.Array) -> jax.Array:
@@ -283,7 +283,7 @@ def check_light(wavelength: float | None, pixel_pitch: float | None) -> None:
 
 @lru_cache
 def lens_model(name: str, wavelength: float | None, pixel_pitch: float | None) -> LensModel:
-    """Return the lens model with a name of `PARAMETRIC_LENSES`."""
+    """Create a lens model. `name`: name in `PARAMETRIC_LENSES`. `wavelength`, `pixel_pitch`: m."""
     if name == "gaussian":
         return Gaussian()
     if name == "halo":

@@ -1,7 +1,7 @@
-"""Regions as rows of samples with a nearly vertical edge, and the checks of the measured edges.
+"""Regions as rows of samples across an edge, and checks of the measured edges.
 
 A region is transposed and mirrored so that its edge is nearer to vertical than to horizontal, and its bright side is on
-the right. Nothing is resampled. For a mosaic, the rows contain the sites of one colour.
+the right. The pixels are not resampled. For a mosaic, the rows contain the sites of one colour.
 """
 
 from __future__ import annotations
@@ -30,41 +30,41 @@ if TYPE_CHECKING:
     from matcam.core.jax import AnyArray
 
 _LARGEST = 1 << 22
-"""Largest region, px. The search for structure in a region of a whole photograph would take minutes and gigabytes."""
+"""Largest number of pixels of a region. The search for structure in larger regions requires much time and memory."""
 _FEW_TURNS, _MANY_TURNS = 2, 8
-"""Number of alternating fits of profile and position, if the rows sample the phases often enough, and otherwise."""
+"""Numbers of alternating fits of profile and position: if the rows sample the phases often enough, and in other cases."""
 _ENOUGH_CYCLES = 4.0
-"""Number of times that the rows must sample every phase for `_FEW_TURNS`. Otherwise the fits converge slowly."""
+"""Number of times that the rows must sample every phase for `_FEW_TURNS`. With fewer cycles, the fits converge slowly."""
 _LEAST_ROWS = 10
-"""Smallest number of rows that an edge must cross."""
+"""Smallest number of rows that an edge must cross. Fewer rows do not determine the curve of the edge."""
 _LEAST_CONTRAST = 3.0
-"""Smallest step of an edge, in standard deviations of a pixel."""
+"""Smallest step of an edge, in standard deviations of a pixel. Smaller steps may be noise."""
 _WIDEST_GAP = 0.55
 """Largest gap between the sampled distances from the edge, px. Larger gaps do not determine the MTF50 of a sharp lens."""
 SHARPENED = 0.02
-"""Overshoot, relative to the step, above which an edge is assumed to be sharpened."""
+"""Overshoot, relative to the step, above which an edge is assumed to be sharpened. A lens does not cause an overshoot."""
 MISFIT = 0.002
 """Misfit near the edge, relative to the step, above which a remark is given. A lens does not cause such a misfit."""
 _ANYTHING = "the region may contain a ghost, a second edge, the border of a shadow or dirt"
-"""Possible causes of a misfit, for a message about an edge whose content is unknown."""
+"""Possible causes of a misfit, for the message about a region whose content is unknown."""
 _STEEP, _ABOVE = 0.3, 4.0
-"""Search for steps: smallest slope relative to the steepest slope; smallest slope in standard deviations."""
+"""Smallest slope of a step: relative to the 99.5 % quantile of all slopes, and in standard deviations of the slope."""
 _UNLIKE, _ENDS = 1.5, 0.05
-"""Standard deviation of the number of steps per row above which the rows show text or a pattern; share of rows without an
-edge above which the edge ends at a corner."""
+"""Standard deviation of the number of steps per row above which a region is assumed to contain text or a pattern; share of
+rows without an edge above which the edge is assumed to end at a corner."""
 _REPEATED = 1.5
-"""Ratio of the noise variances of pixels 1 px and 2 px apart in a halftone. Sharpening does not reach it."""
+"""Ratio of the noise variances from pixels 1 px and 2 px apart that indicates a halftone. Sharpening causes smaller ratios."""
 _SECOND = 0.3
 """Height of a second edge, relative to the step, above which it is not a ghost of the lens."""
 _UNEXPLAINED = 0.015
-"""Misfit near the edge, relative to the step, above which an edge is rejected."""
+"""Misfit near the edge, relative to the step, above which an edge is rejected. A lens causes smaller misfits."""
 CLEAR = 4.6
 """Distance of an edge from the borders of the region below which the levels are uncertain, in standard deviations of its
 blur."""
 _VEILED = 0.15
 """Share of glare above which, together with a misfit, the glare is not attributed to the lens."""
 _BLUR = 0.2
-"""Largest standard deviation of the line spread function, relative to the width of the region."""
+"""Largest standard deviation of the line spread function, relative to the region width. A wider blur leaves no flat sides."""
 
 
 class RegionFrame(NamedTuple):
@@ -85,7 +85,7 @@ class RegionFrame(NamedTuple):
     length: np.ndarray | float
 
     def in_picture(self, x: np.ndarray | float, y: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
-        """Transform a vector of the region to the image."""
+        """Transform a vector (x, y) of the region to the image."""
         x = np.where(self.mirrored, -1.0, 1.0) * x
         return np.where(self.transposed, y, x), np.where(self.transposed, x, y)
 
@@ -93,7 +93,7 @@ class RegionFrame(NamedTuple):
 class EdgeRegions(NamedTuple):
     """Rows of samples of n regions.
 
-    The regions are transposed and mirrored so that edges are nearly vertical, with the bright side on the right.
+    The regions are transposed and mirrored so that edges are nearer to vertical, with the bright side on the right.
 
     Attributes:
         value: (n, rows, columns) linear values; NaN for missing samples.
@@ -131,7 +131,7 @@ class EdgeRegions(NamedTuple):
         return np.asarray(edge_distance(curve, x[i], legendre(self.y[i] / length, CURVE), length))
 
     def crossings(self, fits: EdgeFits) -> np.ndarray:
-        """Compute the positions at which the edges of all regions cross the rows (n, rows), px."""
+        """Compute the x (n, rows) at which the edges of all regions cross the rows, px from the centres of the regions."""
         powers = legendre(self.y / fits.length[:, None], CURVE)
         return np.einsum("nk,knr->nr", np.nan_to_num(fits.curve), powers)
 
@@ -151,8 +151,7 @@ def edge_region(
     height, width = region.values.shape
     if height * width > _LARGEST:
         raise RegionError(
-            f"a region of {width} x {height} px is too large for one edge, which needs less than 4 million pixels: "
-            "choose another region"
+            f"a region of {width} x {height} px is too large for one edge: choose a region of at most {_LARGEST} pixels"
         )
     refuse_unnamed_mosaic(region)
     return region, edge_regions(region.values[None], mosaic=region.cfa is not None)
@@ -161,8 +160,8 @@ def edge_region(
 def edge_regions(values: np.ndarray, *, mosaic: bool = False) -> EdgeRegions:
     """Convert regions (n, height, width) to rows.
 
-    Either all edges must be nearer to vertical, or all must be nearer to horizontal. `mosaic`: whether most values are
-    NaN because the colour has no site there; n is then 1.
+    All edges must be nearer to vertical, or all edges must be nearer to horizontal. `mosaic`: whether most values are NaN,
+    because the colour has no site there; n is then 1.
     """
     across, along = (_difference(values, axis) for axis in (2, 1))
     height, width = values.shape[1:]
@@ -192,7 +191,7 @@ def edge_regions(values: np.ndarray, *, mosaic: bool = False) -> EdgeRegions:
 def turns_for(cycles: float) -> int:
     """Select the number of alternating fits of profile and position.
 
-    `cycles`: number of times that the rows sample every phase. If it is small, profile and position converge slowly.
+    `cycles`: number of times that the rows sample every phase. With few cycles, profile and position converge slowly.
     """
     return _FEW_TURNS if cycles >= _ENOUGH_CYCLES else _MANY_TURNS
 
@@ -211,7 +210,7 @@ def program_size(size: int) -> int:
 
 
 def refusals(found: EdgeFits, region: EdgeRegions, clear: np.ndarray, *, accept_sharpened: bool) -> list[Remark | None]:
-    """List the reasons for which edges of a stack are rejected; None for an edge that was measured.
+    """List the reason for the rejection of each edge of a stack, or None for an edge that was measured.
 
     `clear`: `clearance` of the edges.
     """
@@ -232,7 +231,8 @@ def refusals(found: EdgeFits, region: EdgeRegions, clear: np.ndarray, *, accept_
         if lost[i]:
             return Remark("no-edge", "no edge crosses the region from one side to the other: choose another region")
         if contrast[i] < _LEAST_CONTRAST:
-            text = f"no edge was found, because the step is only {contrast[i]:.1f} times the scatter of the pixels"
+            text = f"no edge was found: the step is {contrast[i]:.1f} times the scatter of the pixels, but at least "
+            text += f"{_LEAST_CONTRAST:g} times are required"
             seen = describe_content(region.value[i])
             return Remark(
                 "no-edge", f"{text}; {seen}: choose another region" if seen else f"{text}: choose another region"
@@ -241,13 +241,14 @@ def refusals(found: EdgeFits, region: EdgeRegions, clear: np.ndarray, *, accept_
             return Remark(
                 "phases-missing",
                 f"an edge at {np.degrees(abs(found.angle[i])):.1f} degrees to the pixel grid samples too few "
-                f"distances from the edge (largest gap {gap[i]:.2f} px): rotate the target by a few degrees",
+                f"distances from the edge (the largest gap is {gap[i]:.2f} px, and must be at most {_WIDEST_GAP} px): rotate "
+                "the target by a few degrees",
             )
         if blur[i] > _BLUR * width:
             return Remark(
                 "too-narrow",
                 f"the region of {width:.0f} px is too narrow for an edge whose blur has a standard deviation of "
-                f"{blur[i]:.1f} px: choose a wider region",
+                f"{blur[i]:.1f} px: choose a region of at least {blur[i] / _BLUR:.0f} px across the edge",
             )
         if accept_sharpened:
             return None
@@ -258,8 +259,8 @@ def refusals(found: EdgeFits, region: EdgeRegions, clear: np.ndarray, *, accept_
                 "the raw image, or accept the MTF of lens and sharpening together (accept_sharpened=True)",
             )
         if veiled[i]:
-            text = f"glare of {glare[i]:.0%}, as wide as the region, with a misfit of {found.misfit[i]:.1%} of the step is not "
-            text += "caused by a lens"
+            text = f"a lens does not cause glare of {glare[i]:.0%} that is as wide as the region and has a misfit of "
+            text += f"{found.misfit[i]:.1%} of the step"
             why = describe_content(region.value[i]) or "the region may contain a ghost, a second edge or dirt"
             return Remark("unexplained", f"{text}; {why}: choose another region")
         second = bool(ghost.share[i] > _SECOND)
@@ -279,7 +280,7 @@ def refusals(found: EdgeFits, region: EdgeRegions, clear: np.ndarray, *, accept_
 
 
 def describe_content(value: np.ndarray) -> str:
-    """Describe the content of a region (rows, columns) that does not have a single edge.
+    """Describe the content of a region (rows, columns) without a single edge.
 
     The description is empty if the content is unknown.
     """
@@ -307,7 +308,7 @@ def describe_content(value: np.ndarray) -> str:
 
 
 def clearance(found: EdgeFits, region: EdgeRegions) -> np.ndarray:
-    """Compute the distance of edges from the borders of their regions (n,), in standard deviations of their blur."""
+    """Compute the distances (n,) of edges from the borders of their regions, in standard deviations of their blur."""
     there, position = np.isfinite(region.value), region.crossings(found)
     first, last = there.argmax(2), region.value.shape[2] - 1 - there[:, :, ::-1].argmax(2)
     off = np.stack([position - region.start - region.step * first, region.start + region.step * last - position])
@@ -320,7 +321,7 @@ def clearance(found: EdgeFits, region: EdgeRegions) -> np.ndarray:
 
 
 def _largest_gap(found: EdgeFits, region: EdgeRegions) -> np.ndarray:
-    """Compute the largest gap between the distances of samples from the edge, px (n,)."""
+    """Compute the largest gap (n,) between the distances of the samples from an edge, px."""
     offset = (region.crossings(found) - region.start) / region.step
     nearest = np.clip(np.rint(offset), 0, region.value.shape[2] - 1).astype(int)
     there = np.isfinite(np.take_along_axis(region.value, nearest[..., None], axis=2)[..., 0])

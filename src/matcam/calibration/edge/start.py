@@ -31,9 +31,9 @@ _MARGIN = 3
 It is also the smallest number of samples on each side of a step.
 """
 _WEAK = 0.4
-"""Step of a row, relative to the median step, below which the row is assumed to have no edge."""
+"""Step of a row, relative to the median step, below which the row is assumed to have no edge. Noise causes small steps."""
 _OUTLIER = 3.0
-"""Excess of the distance of a row from the line over the mean distance above which the row is an outlier, px."""
+"""A row is an outlier if its distance from the line exceeds the mean distance by more than this value, px."""
 _FAINTEST = 0.2
 """Smallest light of a row relative to the linear part of the light. The largest relative light is the inverse."""
 
@@ -86,7 +86,7 @@ def side_levels(aligned: AlignedRows) -> tuple[jax.Array, jax.Array]:
 def in_even_rows(aligned: AlignedRows) -> AlignedRows:
     """Divide the rows by the nonlinear part of their light.
 
-    The later fit includes the linear part. The light is modelled as a polynomial in y that is fitted to the means of both
+    The fit of the edge includes the linear part. The light is modelled as a polynomial in y that is fitted to the means of both
     sides. Its order, up to 10, minimises the Bayesian information criterion (Schwarz 1978). If the order is 1, the rows are
     unchanged.
     """
@@ -112,7 +112,7 @@ def in_even_rows(aligned: AlignedRows) -> AlignedRows:
 
 
 def _sides(aligned: AlignedRows) -> tuple[jax.Array, jax.Array]:
-    """Compute the means (2, rows) and the numbers of samples (2, rows) on the dark and on the bright side of the edge."""
+    """Compute the means and the numbers of samples on the dark and on the bright side of the edge, (2, rows) each."""
     middle, half_window = aligned.value.shape[1] // 2, _HALF_WINDOW // aligned.step
     near, outer = half_window // 2, 2 * half_window
     parts = slice(max(middle - outer, 0), middle - near), slice(middle + near + 1, middle + outer + 1)
@@ -122,15 +122,16 @@ def _sides(aligned: AlignedRows) -> tuple[jax.Array, jax.Array]:
 
 
 def _largest_steps(rows: Rows) -> tuple[jax.Array, jax.Array]:
-    """Find the position of the largest upward step of each row (rows,), px, with a weight: 1 if the row has an edge,
-    else 0.
+    """Find the position of the largest upward step in each row (rows,), px.
+
+    The second array is 1 for rows with an edge, else 0.
     """
     width = rows.value.shape[1]
     half_window = max(min(_HALF_WINDOW // rows.step, width // 4), _MARGIN)
     there = xp.isfinite(rows.value)
+
     # The step between columns k - 1 and k is the mean of the window on the right minus the mean of the window on the left.
     # The windows are clipped at the borders.
-
     def windows(a: jax.Array) -> tuple[jax.Array, jax.Array]:
         padded = xp.pad(a, ((0, 0), (half_window, half_window)))
         total = sum(padded[:, k : k + width + half_window + 1] for k in range(half_window))

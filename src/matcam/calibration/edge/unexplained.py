@@ -24,9 +24,9 @@ if TYPE_CHECKING:
     from matcam.core.jax import AnyArray, jax
 
 _FAR = 6.0
-"""Deviation above which a pixel is an outlier, in standard deviations. Noise exceeds it in one of 5e8 pixels."""
+"""Deviation above which a pixel is an outlier, in standard deviations. Noise exceeds it with probability 2e-9."""
 _SAME, _COARSEST = 1e-9, 0.1
-"""Difference of neighbours up to which their codes are assumed equal, and largest distance of codes, relative to the step."""
+"""Relative to the step: difference of neighbours up to which their codes are assumed equal, and largest distance of codes."""
 
 
 def without_outliers(phased: PhasedRows, noise: Noise) -> AlignedRows:
@@ -49,17 +49,17 @@ def without_outliers(phased: PhasedRows, noise: Noise) -> AlignedRows:
         slope = xp.where(ends, (mean[:, 2:] - mean[:, :-2]) / (2 * aligned.step), 0.0)
         slope = xp.concatenate([border, slope, border], 1)
         of = lambda a: a[phased.phase]  # noqa: E731
-        # Of each pixel, from the means of its group: value minus slope times distance.
+        # The deviation of a pixel from the mean of its group is corrected for the difference of their distances.
         off = value - of(mean - slope * apart) - of(slope) * phased.distance
         first, second = (of(member @ (valid * q)) for q in (off, off**2))
         others = of(xp.maximum(count - 1, 1.0))
         middle = (first - off) / others
         scatter = xp.maximum((second - off**2) / others - middle**2, variance)
         far = (off - middle) ** 2 > _FAR**2 * scatter * (1 + 1 / others)
-        # Smaller groups do not determine their scatter.
+        # Groups of three or fewer pixels do not determine their scatter.
         return valid * ~(far & of(count > 3))
 
-    # A large outlier may hide others in its group.
+    # A large outlier may hide other outliers in its group. Therefore the test is repeated.
     valid = again(aligned.valid)
     valid = either((valid < aligned.valid).any(), again, lambda same: same, valid)
     return aligned._replace(valid=valid, value=aligned.value * valid)
@@ -68,7 +68,7 @@ def without_outliers(phased: PhasedRows, noise: Noise) -> AlignedRows:
 def estimated_noise(known: Noise, phased: PhasedRows) -> Noise:
     """Estimate the unknown parameters of the noise.
 
-    The estimate uses second differences of samples on both sides of the edge. The samples are 2 columns apart, so that they
+    The estimate uses second differences of samples on both sides of the edge. The samples are two columns apart, so that they
     have the same colour in a mosaic.
     """
     aligned = phased.rows
@@ -102,10 +102,10 @@ def estimated_noise(known: Noise, phased: PhasedRows) -> Noise:
 
 
 _FEWEST, _TOGETHER = 6, 6.0
-"""Test for a local misfit: smallest number of bins in a window; significance above which a window contributes to the misfit, in
-standard deviations."""
+"""Smallest number of bins in a window of the test for a local misfit; significance above which a window contributes to the
+misfit, in standard deviations."""
 _WINDOWS = np.arange(-10.0, 9.0)
-"""Distances from the edge at which the windows begin, px."""
+"""Distances from the edge at which the windows of the test for a local misfit begin, px."""
 
 
 def with_unexplained(curve: SampledCurve, f: jax.Array, roughness: jax.Array, misfit: jax.Array) -> SampledCurve:
@@ -127,7 +127,7 @@ def misfit_of(fit: LinearFit, curve: FreeCurve, excess: jax.Array) -> jax.Array:
     variances; 1 if the noise explains the total scatter of the bins.
     """
     distance, there, left = fit.cells.distance, fit.cells.pixels > 0, fit.misfit(curve)
-    # The misfit is that of the bins within 7 px of the edge.
+    # Only bins within 7 px of the edge determine the misfit.
     core = there & (xp.abs(distance) < 7.0)
     everywhere = (1 - 1 / excess) * xp.where(core, (left / fit.step) ** 2, 0.0).sum()
     # A ghost affects few bins. A window of 2 px contributes if its chi-square exceeds the expectation by 6 standard
@@ -138,7 +138,6 @@ def misfit_of(fit: LinearFit, curve: FreeCurve, excess: jax.Array) -> jax.Array:
     beyond = (window * left**2 / variance).sum(1) - count
     off = (count >= _FEWEST) & (beyond > _TOGETHER * xp.sqrt(2.0 * count))
     spoilt = (window & off[:, None]).any(0)
-    locally = xp.where(
-        spoilt, (left**2 - variance) / fit.step**2, 0.0
-    ).sum()  # the variance of an empty bin is infinite
+    # The variance of an empty bin is infinite.
+    locally = xp.where(spoilt, (left**2 - variance) / fit.step**2, 0.0).sum()
     return xp.sqrt(xp.maximum(xp.maximum(everywhere, locally), 0.0) / xp.maximum(core.sum(), 1.0))

@@ -12,11 +12,11 @@ from matcam.calibration.edge.edge_result import EdgeStack
 from matcam.numerics.crossing import first_fall
 
 _JUMP = 1.5
-"""Change of MTF50 with a shifted MTF above which the change replaces the standard deviation, in standard deviations."""
+"""Change of MTF50 with a shifted MTF above which it replaces the standard deviation of MTF50, in units of the latter."""
 
 
 def with_core_as_total(stack: EdgeStack, which: np.ndarray) -> EdgeStack:
-    """Replace the MTF of selected edges by their MTF without glare.
+    """Replace the MTF of selected edges with their MTF without glare.
 
     `which`: mask (n,) of the selected edges.
     """
@@ -31,12 +31,12 @@ def with_core_as_total(stack: EdgeStack, which: np.ndarray) -> EdgeStack:
 
 
 def widened(stack: EdgeStack, by_part: Mapping[str, np.ndarray], ghosts: np.ndarray) -> EdgeStack:
-    """Include an uncertain frequency scale and possible ghosts in standard deviations.
+    """Include an uncertain frequency scale and possible ghosts in the standard deviations of a stack.
 
     Args:
         stack: results of n edges.
-        by_part: relative standard deviations (n,) of the frequency scale: "lens" for all estimates, "free" in addition
-            for the model-free estimates, and "glare" in addition for those with glare.
+        by_part: relative standard deviations (n,) of the frequency scale. "lens" applies to all estimates, "free" in
+            addition to the model-free estimates, and "glare" in addition to the model-free MTF with glare.
         ghosts: shares (n,) of distant ghosts that may have been fitted as uneven light.
     """
     lens, shares = stack.parametric, by_part["lens"]

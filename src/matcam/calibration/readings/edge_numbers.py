@@ -1,4 +1,4 @@
-"""Single values of a measured edge: frequency at a given MTF, MTF at a given frequency, and rise distance."""
+"""Scalar metrics of a measured edge: frequency at a given MTF, MTF at a given frequency, and rise distance."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from matcam.core.arrays import FloatArray
 from matcam.numerics.crossing import first_fall
 
 LEVELS = (0.5, 0.3, 0.2, 0.1)
-"""Levels of the MTF whose frequencies are reported."""
+"""Levels of the MTF whose frequencies are reported. MTF50 and MTF10 are the most common metrics of sharpness."""
 
 
 class EdgeNumber(NamedTuple):
     """Value and its standard deviation.
 
     Attributes:
-        value: value, in the unit that the function specifies.
-        std: standard deviation, in the same unit.
+        value: measured value, in the unit that the measuring function documents.
+        std: standard deviation of `value`, in the same unit.
 
     Example:
         >>> matcam.calibration.EdgeNumber(0.31, 0.01).value
@@ -120,8 +120,8 @@ def rise_distance(edge: EdgeMTF) -> EdgeNumber:
 def _passage(position: FloatArray, response: SampledCurve, level: float, side: int) -> EdgeNumber:
     """Find the position at which an edge response crosses a level, by linear interpolation.
 
-    The result is NaN if the response does not cross the level. The search starts at the middle of the edge. `position`:
-    (n,) ascending. `response`: 0 to 1, (n,). `side`: -1 for the dark side, 1 for the bright side.
+    The search starts at the middle of the edge. The result is NaN if the response does not cross the level. `position`:
+    ascending positions (n,). `response`: edge response (n,), 0 to 1. `side`: -1 for the dark side, 1 for the bright side.
     """
     value = response.value
     outwards = np.arange(int(np.argmin(np.abs(value - 0.5))), value.size if side > 0 else -1, side)
@@ -148,7 +148,7 @@ def rise(position: FloatArray, response: SampledCurve) -> EdgeNumber:
 
 
 def readings(edge: EdgeMTF, frequencies: FloatArray | tuple[float, ...] = ()) -> dict[str, Any]:
-    """Compute the common single values of an edge.
+    """Compute the scalar metrics that are usually reported for an edge.
 
     Args:
         edge: result of `edge_mtf`.

@@ -17,7 +17,7 @@ from matcam.files.photographs import Photograph
 Region = tuple[int, int, int, int]
 """Region (x, y, width, height) of an image, px."""
 _COLUMNS = ("x", "y", "width", "height")
-"""Columns that a file of regions must have."""
+"""Columns that a file of regions must have. They specify a region, px."""
 
 
 class SeriesEdge(NamedTuple):
@@ -39,7 +39,7 @@ class SeriesEdge(NamedTuple):
 
 
 def channels_of(photograph: Photograph, channel: str | None, cfa: str | None) -> list[str | None]:
-    """List the channels of a photograph that are measured. `channel`: one channel, "all", or None for the default channel."""
+    """List the channels to be measured in a photograph. `channel`: one channel, "all", or None for the default channel."""
     if channel != "all":
         return [channel]
     if (cfa or photograph.cfa) is not None:
@@ -48,12 +48,12 @@ def channels_of(photograph: Photograph, channel: str | None, cfa: str | None) ->
 
 
 def channel_name(photograph: Photograph, channel: str | None) -> str:
-    """Name a channel in a table. `channel`: a colour, or None for luminance or a grey photograph."""
+    """Select the name of a channel for a table. `channel`: a colour, or None for luminance or a grey photograph."""
     return channel or ("Y" if photograph.values.ndim == 3 else "grey")
 
 
 def region_name(region: Region | None) -> str:
-    """Name a region in a table."""
+    """Format a region for a table. None is the whole photograph."""
     return "whole" if region is None else ",".join(map(str, region))
 
 
@@ -69,7 +69,7 @@ def measure_series(
     Edges that cannot be measured are listed with the reason.
 
     Args:
-        photographs: names, and functions that read the photographs.
+        photographs: name of each photograph, and the function that reads it.
         regions: regions (x, y, width, height) in px by name; None for the whole photograph.
         channel: a colour, "all", or None for luminance or a grey photograph.
         cfa: colours of the first 2 x 2 px of mosaics whose files do not specify them; None for other photographs.
@@ -97,7 +97,7 @@ def measure_series(
 
 
 def series_columns(rows: Sequence[SeriesEdge]) -> dict[str, Sequence[Any]]:
-    """Arrange a series as columns by name. Remarks are joined, and curves are omitted."""
+    """Arrange a series as columns by name. The remarks of an edge are joined, and curves are omitted."""
     names: dict[str, None] = {}
     for row in rows:
         names.update(dict.fromkeys(name for name, value in row.found.items() if not isinstance(value, list | dict)))
@@ -141,7 +141,7 @@ def read_regions(path: Path) -> dict[str, Region | None]:
     """Read regions from a CSV file with the columns x, y, width, height, and optionally name.
 
     Raises:
-        FileFormatError: a column is missing, or a line is not a region.
+        FileFormatError: a column is missing, a line is not a region, a name occurs twice, or the file contains no region.
     """
     lines = list(csv.reader(read_lines(path, "a list of regions")))
     header = [cell.strip().lower() for cell in lines[0]] if lines else []
@@ -157,7 +157,9 @@ def read_regions(path: Path) -> dict[str, Region | None]:
         try:
             x, y, width, height = (int(cells[name]) for name in _COLUMNS)
         except (KeyError, ValueError):
-            raise FileFormatError(f"{path}: line {number} is not a region: four whole numbers are needed") from None
+            raise FileFormatError(
+                f"{path}: line {number} is not a region: x, y, width and height must be whole numbers"
+            ) from None
         name = cells.get("name") or f"{x},{y},{width},{height}"
         if name in regions:
             raise FileFormatError(f"{path}: line {number}: the name {name} occurs twice; give each region its own name")

@@ -1,7 +1,7 @@
 """Edge-based spatial frequency response (e-SFR), computed in the steps of ISO 12233:2023.
 
 In contrast to `edge_mtf`, the method does not provide standard deviations, does not model uneven light, and is biased by its
-bins and windows. Its purpose is the comparison with other programs.
+bins and windows. It is intended for the comparison with other programs.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ from matcam.numerics.crossing import first_fall
 _BINS = 4
 """Number of bins of the edge spread function per sample (ISO 12233:2023)."""
 _FLOOR = 0.05
-"""Smallest weight of the window. It makes the second search for the edge stable."""
+"""Smallest weight of the window. It stabilises the repeated search for the edge."""
 _ORDERS = (1, 5)
-"""Smallest and largest order of the polynomial of the edge."""
+"""Smallest and largest order of the polynomial of the edge (ISO 12233:2023)."""
 _LEAST_TURNS = 1.0
 """Smallest shift of the edge between the first and the last row, in samples, so that all phases are sampled."""
 
@@ -63,7 +63,7 @@ class ISOEdge:
     spacing: float
 
     def readings(self, frequencies: Sequence[float] = ()) -> dict[str, Any]:
-        """Compute the common single values of the response.
+        """Compute the scalar metrics that are usually reported for the response.
 
         Args:
             frequencies: frequencies at which the response is computed, cycles/px. Default: (), no frequencies.
@@ -90,10 +90,10 @@ class ISOEdge:
         return rise(position, SampledCurve(share, np.zeros(share.size))).value
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the result as a JSON object.
+        """Convert the result to a JSON object.
 
         Returns:
-            Values by name, units in the names.
+            Values by name, with units in the names.
         """
         return plain(
             {
@@ -157,7 +157,9 @@ def iso12233_sfr(
     start = rows.start[0, : len(value)] / rows.step
     number = np.arange(len(value), dtype=float)
     if value.shape[1] < 8:
-        raise RegionError("the region has missing pixels, but ISO 12233 requires all of them: choose another region")
+        raise RegionError(
+            "the region has missing pixels, but ISO 12233 requires complete rows: choose a region without missing pixels"
+        )
     place = _edge_positions(value, start, number, order)
     straight = np.polynomial.Polynomial.fit(number, place, 1).convert().coef[1]
     if abs(straight) * len(value) < _LEAST_TURNS:
@@ -178,9 +180,10 @@ def iso12233_sfr(
 
 
 def _edge_positions(value: FloatArray, start: FloatArray, number: FloatArray, order: int) -> FloatArray:
-    """Find the position of the edge in every row, in samples, from a polynomial through centroids of the derivative.
+    """Find the position of the edge in every row, in samples.
 
-    `start`: position of the first sample of each row, in samples. `number`: index of each row.
+    The positions are those of a polynomial that is fitted to the centroids of the windowed derivative. `start`: position of
+    the first sample of each row, in samples. `number`: index of each row.
     """
     columns = value.shape[1]
     # The difference of two neighbours belongs to the point between them.
@@ -203,7 +206,7 @@ def _hann(distance: FloatArray, width: float) -> FloatArray:
 
 
 def _edge_spread(value: FloatArray, distance: FloatArray) -> FloatArray:
-    """Average samples over bins with a width of a quarter of a sample, and interpolate empty bins."""
+    """Average samples over bins of a quarter of a sample, and interpolate empty bins. `distance` is in samples."""
     bins = np.floor(distance * _BINS).astype(int)
     # Only bins within half a row length of the centre are used, because not all rows contribute to the outer bins.
     middle, half = int(np.round((bins[:, 0] + bins[:, -1]).mean() / 2)), _BINS * value.shape[1] // 2
@@ -219,7 +222,7 @@ def _edge_spread(value: FloatArray, distance: FloatArray) -> FloatArray:
 
 
 def _response(esf: FloatArray, spacing: float) -> tuple[FloatArray, FloatArray]:
-    """Compute frequencies, cycles/px, and the response from an edge spread function."""
+    """Compute frequencies, cycles/px, and the response. `esf`: edge spread function. `spacing`: distance of its samples, px."""
     line = np.convolve(esf, (0.5, 0, -0.5), "same")
     line[[0, -1]] = line[[1, -2]]
     # Shift the maximum to the centre.

@@ -16,11 +16,11 @@ from matcam.core import checks
 from matcam.core.errors import ArgumentError, FitError
 
 _FEWEST = 4
-"""Smallest number of positions: one more than the parameters of a parabola, so that the scatter shows."""
+"""Smallest number of positions. It exceeds the number of parameters of a parabola by one, to estimate the scatter."""
 _NEAR = 0.5
-"""Smallest MTF50, as a share of the largest, of a fitted position: farther out defocus is not like a Gaussian blur."""
+"""Smallest MTF50 of a fitted position, relative to the largest. A Gaussian does not approximate a larger defocus."""
 _CURVED = 3.0
-"""Smallest curvature of the parabola, in standard deviations, of a series that shows a best focus."""
+"""Smallest curvature of the parabola, in standard deviations, for which a best focus is reported."""
 
 
 class BestFocus(NamedTuple):
@@ -28,9 +28,9 @@ class BestFocus(NamedTuple):
 
     Attributes:
         position: focus position, in the unit of the positions of the series.
-        position_std: its standard deviation.
+        position_std: standard deviation of `position`, in the same unit.
         mtf50: MTF50 at this position, cycles/px.
-        mtf50_std: its standard deviation, cycles/px.
+        mtf50_std: standard deviation of `mtf50`, cycles/px.
         curvature: increase of MTF50^-2 per squared distance from the best focus, (px/cycle)^2 per squared unit of position.
 
     Example:
@@ -65,8 +65,8 @@ class BestFocus(NamedTuple):
 def best_focus(position: ArrayLike, mtf50: ArrayLike, mtf50_std: ArrayLike) -> BestFocus:
     """Find the best focus of a series.
 
-    Positions where MTF50 is less than half the largest are not used. If the values scatter more than their standard deviations,
-    the uncertainties are increased by the same factor.
+    Positions where MTF50 is less than half its largest value are not used. If the scatter of the values exceeds their standard
+    deviations, the standard deviations of the result are increased by the same factor.
 
     Args:
         position: focus positions, (n,), any unit.
@@ -74,10 +74,10 @@ def best_focus(position: ArrayLike, mtf50: ArrayLike, mtf50_std: ArrayLike) -> B
         mtf50_std: standard deviations of `mtf50`, (n,), cycles/px.
 
     Returns:
-        The best focus and MTF50 there, with standard deviations.
+        The position of the best focus and its MTF50, with standard deviations.
 
     Raises:
-        ArgumentError: the arguments differ in length, or a value is not positive.
+        ArgumentError: the arguments differ in length, or an element of `mtf50` or `mtf50_std` is not positive.
         FitError: fewer than four different positions are near the focus, or MTF50 has no maximum between the positions.
 
     Example:
@@ -97,8 +97,8 @@ def best_focus(position: ArrayLike, mtf50: ArrayLike, mtf50_std: ArrayLike) -> B
     near = m >= _NEAR * np.max(m, initial=0.0)
     if np.unique(z[near]).size < _FEWEST:
         raise FitError(
-            f"the best focus needs {_FEWEST} positions where MTF50 is at least half its largest value, but there are "
-            f"{np.unique(z[near]).size}: add positions"
+            f"the best focus requires at least {_FEWEST} positions where MTF50 is at least half its largest value, but the "
+            f"number of such positions is {np.unique(z[near]).size}: add positions near the best focus"
         )
     low, high = float(z[near].min()), float(z[near].max())
     middle, half = (low + high) / 2, (high - low) / 2

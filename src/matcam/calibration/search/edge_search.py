@@ -3,7 +3,8 @@
 Without a chart, edges are found at any scale and rotation, under uneven light and mild distortion. Adjacent pixels with
 gradients in similar directions form an edge. Its position and direction are the means over its pixels, weighted by the
 gradient. An edge ends at a corner, where the direction of the gradient changes; the shape need not be a square. An edge is
-kept if the areas on both sides are even, and wide enough to be measured. The image is reduced to a few megapixels.
+kept if the areas on both sides are even, and wide enough to be measured. The search starts in an image of at most 2
+megapixels, and continues at finer scales if it finds fewer than four edges.
 
 Gratings, stars, dots and printed tables have hundreds of edges. Therefore, in a chart, the search is limited to the sides
 of squares, at their registered positions. Sides that are partly covered are excluded.
@@ -23,13 +24,13 @@ from matcam.calibration.photograph.linear_image import smoothed
 from matcam.core.arrays import FloatArray
 
 _SECTORS = 16
-"""Number of sectors of gradient directions. Each is searched together with its two neighbours."""
+"""Number of sectors of gradient directions. Each is searched together with its two neighbouring sectors."""
 _NOISE, _WEAK = 6.0, 0.06
-"""Smallest gradient of an edge, relative to the median and to the strongest gradient of the image."""
+"""Smallest gradient of an edge, relative to the median and to the 99.5 % quantile of the gradients of the image."""
 _SHORTEST = 12.0
 """Smallest length of an edge, px of the reduced image."""
 _SLENDER = 3.0
-"""Smallest ratio of length and width of a connected set of edge pixels."""
+"""Smallest ratio of length and width of a connected set of edge pixels. Compact sets are spots, not edges."""
 _CORNER = 2.5
 """Length that is removed from both ends of an edge, px of the reduced image. It excludes the blurred corners."""
 _PROFILE = 40
@@ -39,7 +40,7 @@ _UNEVEN, _SLOPE = 0.06, 0.002
 _SPOT = 0.4
 """Largest variation along an edge at one distance from it, relative to the step."""
 _FEWEST = 5
-"""Smallest number of positions along a side at which the side must be found."""
+"""Smallest number of positions at which a side must be found. It excludes sides that are mostly covered."""
 _STRAIGHT = 0.7
 """Largest standard deviation of the positions found along a side from a straight line, px."""
 
@@ -71,12 +72,12 @@ def find_edges(picture: np.ndarray, *, mosaic: bool = False) -> EdgePositions:
     the image is a colour mosaic, which is reduced in cells of 2 x 2 px.
     """
     least = 2 if mosaic else 1
-    # The number of pixels of the reduced image limits the time of the search.
+    # A reduced image of at most 2 megapixels limits the time of the search.
     factor = max(int(np.ceil(np.sqrt(picture.shape[0] * picture.shape[1] / 2_000_000) / least)) * least, least)
     while True:
         found = _at_scale(picture, factor)
         finer = factor // 2 // least * least
-        # Four edges make a search at a finer scale unnecessary.
+        # With four edges, a search at a finer scale is unnecessary.
         if found.x.size >= 4 or finer < least:
             return found
         factor = finer
@@ -113,7 +114,7 @@ def _at_scale(picture: np.ndarray, factor: int) -> EdgePositions:
 
 
 def _reduced(picture: np.ndarray, factor: int) -> np.ndarray:
-    """Sum over squares of `factor` x `factor` px and over colours. The scale is arbitrary, because only ratios are used."""
+    """Sum an image over squares of `factor` x `factor` px and over its colours. Only ratios of the sums are used."""
     height, width = (size // factor * factor for size in picture.shape[:2])
     total = np.zeros((height // factor, width), np.float32)
     for row in range(factor):
@@ -123,7 +124,10 @@ def _reduced(picture: np.ndarray, factor: int) -> np.ndarray:
 
 
 def _ribbons(small: np.ndarray) -> np.ndarray:
-    """Find sets of connected pixels with similar gradient directions: x, y, angle of the normal and length, (n, 4)."""
+    """Find n sets of connected pixels with similar gradient directions.
+
+    The columns of the result (n, 4) are x, y, angle of the normal and length.
+    """
     gx, gy = (ndimage.gaussian_filter(small, 1.0, order=order, mode="nearest") for order in ((0, 1), (1, 0)))
     size = np.hypot(gx, gy)
     floor = max(_NOISE * float(np.median(size)), _WEAK * float(np.quantile(size[::3, ::3], 0.995)), 1e-30)
@@ -152,7 +156,8 @@ def _moments(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Compute the moments of components, and their mean gradient directions.
 
-    The moments (count, 5) are x, y, angle of the normal, length and width. `one`: index of the component of each pixel.
+    The columns of the moments (count, 5) are x, y, angle of the normal, length and width. `one`: index of the component of
+    each pixel. `gx`, `gy`: gradient of each pixel. `size`: weight of each pixel.
     """
     total = lambda values: np.bincount(one, values, count)  # noqa: E731
     weight = np.maximum(total(size), 1e-30)

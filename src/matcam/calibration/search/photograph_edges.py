@@ -1,12 +1,12 @@
 """Measurement of the slanted edges of a photograph in strips along the edges, and remarks on the image.
 
 The rows of a strip follow the edge, so that an edge may have any angle. A row of a strip is part of a row of the image, or
-of a column if columns cross the edge at a larger angle. Nothing is resampled. All strips of an image have the same shape,
-so that one compiled program measures them; missing pixels of shorter or narrower strips are NaN.
+of a column if columns cross the edge at a larger angle. The pixels are not resampled. All strips of an image have the same
+shape, so that one compiled program measures them. Missing pixels of shorter or narrower strips are NaN.
 
 The fit of an edge includes light that changes linearly. The nonlinear part of the vignetting in a strip is divided out. This
-part is estimated from the bright sides of the edges in the image, because most of them show the same paper. An error of the
-level or of the slope of the estimated light has no effect.
+part is estimated from the bright sides of the edges in the image, because most of these sides are the same paper. An error
+of the level or of the slope of the estimated light has no effect.
 """
 
 from __future__ import annotations
@@ -34,15 +34,15 @@ _ROWS = (48, 64, 96, 128, 192)
 _COLUMNS = (32, 48)
 """Possible lengths of the rows of a strip, px."""
 _LEAST_ROWS = 20
-"""Smallest number of rows of a strip, px."""
+"""Smallest number of rows of a strip. Fewer rows do not sample enough phases of the edge."""
 _RANGE = 20.0
-"""Ratio of brightest and darkest light above which the estimate of the light is discarded as implausible."""
+"""Largest ratio of brightest and darkest light. An estimate of the light with a larger ratio is discarded as implausible."""
 _CONTRAST = 0.2
-"""Contrast (bright - dark) / (bright + dark) below which a remark is given."""
+"""Contrast (bright - dark) / (bright + dark) below which a remark is given. A printed chart has a higher contrast."""
 _DIRECTIONAL = 0.15
-"""Smallest directional blur that is reported: amplitude relative to the mean variance of the blur."""
+"""Smallest directional blur that is reported, as the amplitude relative to the mean variance of the blur."""
 _FEW = 6
-"""Smallest number of edges for the test of directional blur."""
+"""Smallest number of edges for the test of directional blur, which fits three parameters."""
 
 
 class Strips(NamedTuple):
@@ -84,7 +84,7 @@ def plane_edge_stack(
     strips = strips_along(edges, plane.shape)
     if not strips.u.size:
         raise FitError(
-            f"no slanted edge was found ({edges.x.size} edges without free space around them): "
+            f"no slanted edge was found (edges without enough free space around them: {edges.x.size}): "
             "photograph a chart of slanted squares (matcam chart)"
         )
     regions, saturated = zip(*strip_regions(strips, plane, AT_ONCE), strict=True)
@@ -103,7 +103,9 @@ def plane_edge_stack(
     if len(problems) == len(result):
         code, count = Counter(problem.code for problem in problems).most_common(1)[0]
         example = next(problem for problem in problems if problem.code == code)
-        raise FitError(f"none of its {len(result)} edges can be measured; the reason for {count} of them: {example}")
+        raise FitError(
+            f"none of the edges can be measured; the most frequent reason ({count} of {len(result)}): {example}"
+        )
     return result
 
 
@@ -121,17 +123,19 @@ def edge_remarks(result: EdgeStack, channel: str) -> list[Remark]:
     good = result.good
     codes = Counter(problem.code for problem in result.problems if problem)
     remarks = []
-    for code, text in (
-        ("saturated", "are saturated and were excluded: expose less"),
-        ("sharpened", "overshoot, as after sharpening, and were excluded: use camera raw"),
-        ("crushed", "have crushed blacks and were excluded: expose more, or use camera raw"),
+    for code, kind, remedy in (
+        ("saturated", "saturated edges", "expose less"),
+        ("sharpened", "edges with an overshoot, as after sharpening,", "use camera raw"),
+        ("crushed", "edges with crushed blacks", "expose more, or use camera raw"),
     ):
         if codes[code]:
-            remarks.append(Remark(f"{code}-edges", f"{channel}: {codes[code]} of {len(result)} edges {text}"))
+            text = f"{kind} were excluded ({codes[code]} of {len(result)}): {remedy}"
+            remarks.append(Remark(f"{code}-edges", f"{channel}: {text}"))
     dark, bright = result.dark[good], result.bright[good]
     contrast = float(np.median((bright - dark) / (np.abs(bright) + np.abs(dark))))
     if contrast < _CONTRAST:
-        text = f"the contrast is only {contrast:.0%}: standard deviations are large; use a darker print or less stray light"
+        text = f"the contrast is only {contrast:.0%} ({_CONTRAST:.0%} or more is recommended), which increases the standard "
+        text += "deviations: use a print with darker blacks, or reduce stray light"
         remarks.append(Remark("low-contrast", f"{channel}: {text}"))
     if text := _directional_blur(result):
         remarks.append(Remark("directional-blur", f"{channel}: {text}"))
@@ -249,7 +253,7 @@ def _region(
 
 
 def _inside(strips: Strips, shape: tuple[int, int]) -> np.ndarray:
-    """Find the strips that are inside the image, with a margin of 2 px."""
+    """Mark the strips that are inside the image, with a margin of 2 px."""
     margin = strips.width / 2 + np.abs(strips.tilt) * strips.rows / 2 + 2
     across, along = (np.where(strips.transposed, *pair) for pair in (shape[:2], shape[1::-1]))
     long = strips.rows / 2 + 2
@@ -257,7 +261,7 @@ def _inside(strips: Strips, shape: tuple[int, int]) -> np.ndarray:
 
 
 def _bright(value: np.ndarray) -> np.ndarray:
-    """Compute the mean of the bright side of every strip (n,)."""
+    """Compute the mean value (n,) of the bright side of each strip."""
     there = np.isfinite(value)
     width = there.any(1).sum(1)
     # The last quarter of a row is its bright side.
@@ -273,10 +277,10 @@ def _directional_blur(result: EdgeStack) -> str:
         return ""
     sigma, angle = result.parametric.values[good, 0], result.angle[good]
     std = 2 * sigma * np.sqrt(result.parametric.covariance[good, 0, 0])
-    # The variance of the blur has a second harmonic in the direction. Squares have two directions only, which leave one
-    # combination of the harmonics undetermined; it is set to 0.
+    # The variance of the blur has a second harmonic in the direction. The edges of squares have only two directions, which
+    # leave one combination of the harmonics undetermined. It is set to 0.
     design = np.stack([np.ones_like(angle), np.cos(2 * angle), np.sin(2 * angle)], 1)
-    # A combination with a singular value below 0.03 of the largest one is not determined.
+    # A combination is undetermined if its singular value is below 0.03 of the largest singular value.
     fit = robust_fit(design, sigma**2, std, resolved=0.03)
     found = fit.parameters
     size = float(np.hypot(found[1], found[2]))
@@ -286,4 +290,4 @@ def _directional_blur(result: EdgeStack) -> str:
     most, least = np.sqrt(found[0] + size), np.sqrt(max(found[0] - size, 0.0))
     along = np.degrees(np.arctan2(found[2], found[1]) / 2) % 180
     blur = f"the blur is {most:.2f} px along {along:.0f} degrees and {least:.2f} px perpendicular to this direction"
-    return f"{blur}: the camera moved, or the lens is astigmatic"
+    return f"{blur}: the camera moved, or the lens is astigmatic; repeat the photograph with a fixed camera"

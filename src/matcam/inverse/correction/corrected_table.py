@@ -27,7 +27,7 @@ TABLE_ATTRIBUTES = {
         "long_name": "standard deviation of true / recorded value, from the camera",
     },
     "noise_std": {"units": "1/sr", "long_name": "standard deviation of brdf from pixel noise"},
-    "supported": {"units": "1", "long_name": "whether the standard deviation of the correction is below 5 %"},
+    "supported": {"units": "1", "long_name": "True if the standard deviation of the correction is below 5 % of brdf"},
     "response": {"units": "1", "long_name": "recorded / true lobe"},
 }
 """Attributes of the variables of a corrected table."""
@@ -81,9 +81,7 @@ def corrected_table(
         body_variance = body_std**2 + (noise.picture_gain * body) ** 2 / found.theta_d.size
         added = (
             VariancePart("glare", "B", (scattered.of(rows) ** 2 + (glare * data[rows]) ** 2) * factor**2),
-            VariancePart(
-                "light from below the lobe", "A", body_variance * (factor - 1) ** 2, degrees=max(found.freedom, 1)
-            ),
+            VariancePart("body under the lobe", "A", body_variance * (factor - 1) ** 2, degrees=max(found.freedom, 1)),
         )
         for part in added:
             variance += part.variance
@@ -145,7 +143,7 @@ def corrected_table(
 
 
 def _angles(sampling: Sampling) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return theta_h, theta_d and phi_d of all entries, rad, in shapes that broadcast to (90, 90, 180)."""
+    """Compute theta_h, theta_d and phi_d of all entries, rad, in shapes that broadcast to (90, 90, 180)."""
     grid = merl_grid(sampling)
     return grid.theta_h[:, None, None], grid.theta_d[:, None], grid.phi_d
 
@@ -153,7 +151,9 @@ def _angles(sampling: Sampling) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def _noise_floor(found: MaterialFit, noise: PixelNoise, peak: np.ndarray, sampling: Sampling) -> np.ndarray:
     """Compute the noise floor of a pixel divided by the peak of the recorded lobe of each slice, (90,).
 
-    The channel with the largest quotient is used. peak: largest value of each slice, 1/sr, (90, channels).
+    The channel with the largest quotient is used.
+
+    peak: largest value of each slice, 1/sr, (90, channels).
     """
     body, _ = found.body(np.zeros(1), merl_grid(sampling).theta_d, np.full(1, np.pi / 2))
     lobe = np.maximum(peak - body, _LEAST_CONTRAST * peak)

@@ -108,7 +108,7 @@ class Correction(Summarised):
         force_correction: bool = False,
         workspace: Workspace | None = None,
     ) -> Correction:
-        """Correct a table, and return it together with the fits.
+        """Correct a table, and keep the fits of the correction.
 
         The arguments are those of `correct`.
 
@@ -184,14 +184,14 @@ class Correction(Summarised):
         )
 
     def uncertainty_budget(self, theta_d: float, channel: int | None = None) -> UncertaintyBudget:
-        """Return the uncertainty budget of the corrected peak at an angle (GUM).
+        """Compute the uncertainty budget of the corrected peak at an angle (GUM).
 
         The combined uncertainty is `brdf_std` of the entry at theta_h = 0, phi_d = 90 degrees. The sources are the readings of
         the pixels, the specified camera, the other explanations of the table, glare, the body, and the noise of the entry.
 
         Args:
             theta_d: difference angle, rad. The slice that contains it is used.
-            channel: index of the channel, no unit. Default: None, the middle one.
+            channel: index of the channel, no unit. Default: None, the middle channel.
 
         Raises:
             ArgumentError: the table has no standard deviation there.
@@ -214,7 +214,7 @@ class Correction(Summarised):
         return parts_budget(f"peak at {degrees:.1f} deg, {label}, 1/sr", value, self.peak_parts, (int(at[1]), channel))
 
     def uncertainty_budgets(self) -> list[UncertaintyBudget]:
-        """Return the uncertainty budgets of the peaks at three angles (GUM).
+        """Compute the uncertainty budgets of the peaks at three angles (GUM).
 
         Returns:
             Budgets at theta_d = 5, 45 and 75 degrees for each channel, without peaks that have no standard deviation.
@@ -249,7 +249,7 @@ class Correction(Summarised):
 
     @property
     def supported_share(self) -> float:
-        """Compute the share of supported entries (no unit).
+        """Share of supported entries (no unit).
 
         Entries without a standard deviation are excluded.
         """
@@ -257,7 +257,7 @@ class Correction(Summarised):
 
     @property
     def determination(self) -> str:
-        """Classify the determination of the lobe by the data.
+        """Class of the determination of the lobe by the data.
 
         The value is "determined", "not determined", "family fails: spline-modified", or "withheld" if rig and data contradict
         each other.
@@ -270,12 +270,11 @@ class Correction(Summarised):
 
     @property
     def _determined(self) -> bool:
-        """Check whether the lobe explains the data and its roughness is determined."""
         return self.fit.determined and UNEXPLAINED not in (remark.code for remark in self.remarks)
 
     @property
     def verdict(self) -> str:
-        """Summarise the result in two or three sentences."""
+        """Summary of the result in two or three sentences."""
         if self.withheld:
             return (
                 "Rig and data contradict each other, so the table is not corrected. The remarks name the contradiction. "
@@ -293,9 +292,9 @@ class Correction(Summarised):
             else "none of the peaks, which are missing,"
         )
         return (
-            f"The camera took {', '.join(lost)} of the highlight's peak. The roughness of the surface is {known}. After "
-            f"correction {peaks} up to {_ANGLES[-1]}° are supported (the correction is known to 5 %), and "
-            f"{self.supported_share:.0%} of the entries that can be judged."
+            f"The camera reduced the peak of the highlight by {', '.join(lost)}. The roughness of the surface is {known}. "
+            f"After correction {peaks} up to {_ANGLES[-1]}° are supported (the correction is known to 5 %), and "
+            f"{self.supported_share:.0%} of the entries with known uncertainty."
         )
 
     def _summary(self) -> Summary:
@@ -348,7 +347,6 @@ class Correction(Summarised):
         return np.mean(response, axis=-1)
 
     def _peak(self, theta_d: ArrayLike) -> tuple[Any, ...]:
-        """Return the index of the peak, the entry at theta_h = 0 and phi_d = 90 degrees."""
         return self._grid.index(theta_h=0.0, theta_d=theta_d, phi_d=np.pi / 2)
 
     @property
@@ -367,7 +365,7 @@ def correct(
     force_correction: bool = False,
     workspace: Workspace | None = None,
 ) -> xr.Dataset:
-    """Correct a whole table for the camera that recorded it.
+    """Correct a table for the camera that recorded it.
 
     Lobes are fitted to the table through the camera, with F free in every slice and a diffuse part, and averaged according
     to their evidence. The part of each entry above the body is multiplied by the ratio of true to recorded lobe, so the details
@@ -375,7 +373,7 @@ def correct(
 
     Args:
         brdf: table of the form that `read_merl` returns, 1/sr.
-        rig: rig that recorded the table. Its sample is a sphere; camera and lamp are distant or near.
+        rig: rig that recorded the table, with a sphere or a cylinder; camera and lamp are distant or near.
         ndf: family of the lobe. Default: "auto", the mean of several explanations, weighted by their evidence. They are
             "ggx" and "epd", and if their residuals exceed pixel noise also Student's t, two lobes, a lobe over a rough base,
             and a spline-modified lobe.
@@ -428,5 +426,4 @@ def correct(
 
 
 def _matters(ratio: LobeRatio) -> bool:
-    """Check whether a correction would change a peak by more than `_MATTERS`."""
     return bool(np.abs(ratio.log[0, : _ANGLES[-1]]).max() > _MATTERS)

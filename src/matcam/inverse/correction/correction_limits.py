@@ -54,8 +54,10 @@ class LobeRatio(NamedTuple):
     def parts_with(self, name: str, added: np.ndarray, factor: np.ndarray | float = 1.0) -> tuple[VariancePart, ...]:
         """Add a source of variance, and scale the variances of the other sources.
 
-        name: name of the added source. added: variance of the added source, (90, 90, 180). factor: factor of the variances of
-            the other sources.
+        Args:
+            name: name of the added source.
+            added: variance of the added source, (90, 90, 180).
+            factor: factor of the variances of the other sources, (90, 90, 180) or a number. Default: 1.
         """
         if not self.parts:
             return ()
@@ -69,14 +71,16 @@ def withheld(ratio: LobeRatio) -> LobeRatio:
     return ratio._replace(
         log=np.zeros_like(ratio.log),
         std=np.hypot(change, factor * ratio.std),
-        parts=ratio.parts_with("correction that is withheld", change**2, factor**2),
+        parts=ratio.parts_with("withheld correction", change**2, factor**2),
     )
 
 
 def shrunk(ratio: LobeRatio, no_camera: float) -> LobeRatio:
     """Average the ratio with a ratio of 1, and shrink the mean towards 1.
 
-    The logarithms of the ratios are averaged. no_camera: probability that no correction is required, the weight of the ratio 1.
+    The logarithms of the ratios are averaged.
+
+    no_camera: probability that no correction is required, which is the weight of the ratio 1.
     """
     mean = (1 - no_camera) * ratio.log
     variance = (1 - no_camera) * ratio.std**2 + no_camera * (1 - no_camera) * ratio.log**2
@@ -84,7 +88,7 @@ def shrunk(ratio: LobeRatio, no_camera: float) -> LobeRatio:
     share = 1 - np.divide(variance, mean**2, out=np.ones_like(mean), where=known)
     lost = np.expm1(mean * (1 - share))
     parts = ratio.parts_with(NO_CAMERA, no_camera * (1 - no_camera) * ratio.log**2, 1 - no_camera)
-    parts = ratio._replace(parts=parts).parts_with("correction that its error does not support", lost**2)
+    parts = ratio._replace(parts=parts).parts_with("reduction of an uncertain correction", lost**2)
     return ratio._replace(log=mean * share, std=np.sqrt(variance + lost**2), parts=parts)
 
 
@@ -101,7 +105,7 @@ def above_noise(ratio: LobeRatio, floor: np.ndarray) -> LobeRatio:
     share = ratio.recorded**2 / (ratio.recorded**2 + floor[:, None] ** 2)
     log = share * ratio.log
     lost = np.expm1(ratio.log - log)
-    parts = ratio.parts_with("correction of what is below the noise", lost**2)
+    parts = ratio.parts_with("omitted correction below the noise", lost**2)
     return ratio._replace(log=log, std=np.hypot(ratio.std, np.abs(lost)), parts=parts)
 
 
@@ -124,12 +128,12 @@ class EnergyLimit(NamedTuple):
 
     @property
     def acts(self) -> bool:
-        """Check whether any entry is reduced."""
+        """True if any entry is reduced."""
         return bool((self.steps > 0).any())
 
     @property
     def remark(self) -> Remark:
-        """Build the remark on the size and the extent of the reduction."""
+        """Remark on the size and the extent of the reduction."""
         limited = int((self.steps > 0).any(axis=1).sum())
         text = (
             f"the corrected table would reflect more light than it receives in {limited} of {len(self.steps)} directions: "
@@ -145,7 +149,11 @@ class EnergyLimit(NamedTuple):
     def of(self, rows: slice, recorded: np.ndarray, corrected: np.ndarray, std: np.ndarray) -> np.ndarray:
         """Reduce the entries in some rows of a corrected table, but not below the recorded values.
 
-        recorded, corrected: values in these rows, 1/sr, (rows, 90, 180, channels). std: standard deviation of the correction.
+        Args:
+            rows: rows of the table.
+            recorded: recorded values in these rows, 1/sr, (rows, 90, 180, channels).
+            corrected: corrected values in these rows, 1/sr, (rows, 90, 180, channels).
+            std: standard deviation of the correction, 1/sr, (rows, 90, 180, channels).
         """
         steps = np.maximum(self.steps[self.light[rows]], self.steps[self.view[rows]])
         return np.where(corrected > recorded, np.maximum(corrected - steps * std, recorded), corrected)
@@ -155,12 +163,15 @@ def energy_limit(recorded: np.ndarray, corrected: np.ndarray, std: np.ndarray, s
     """Compute the reduction that limits the albedo of a corrected table.
 
     The limit of each direction and channel is 1, or the albedo of the recorded table if that is larger. The errors of a
-    correction are correlated over a direction, because they result from one fit. The projection on the limit therefore
+    correction are correlated within a direction, because they result from one fit. The projection on the limit therefore
     reduces every entry of the direction by the same number of its own standard deviations, at most `_MOST_STEPS`, and well
     determined entries hardly change. Negative values must not be clipped beforehand, because clipping increases the albedo.
 
-    recorded, corrected: tables, 1/sr, (90, 90, 180, channels); missing entries are treated as 0. std: standard deviation of
-        the correction, 1/sr; NaN for entries that are not corrected, which are treated as 0.
+    Args:
+        recorded: table before the correction, 1/sr, (90, 90, 180, channels); missing entries are treated as 0.
+        corrected: corrected table, 1/sr, (90, 90, 180, channels); missing entries are treated as 0.
+        std: standard deviation of the correction, 1/sr; NaN for entries that are not corrected, which are treated as 0.
+        sampling: sampling of the tables.
     """
     cells, weight = _albedo_rule()
     before, after, error = (table.reshape(-1, table.shape[-1])[cells] for table in (recorded, corrected, std))

@@ -12,7 +12,8 @@ is tempered (Gruenwald 2012). The exponent kappa = min(1, 1 / chi^2) is the shar
 explanation, where chi^2 is the mean squared residual of this explanation relative to the variance of pixel noise.
 
 V0 is estimated without a model of the lobe, from cells at mirrored positions, or from the differences between channels. If
-neither determines it, kappa is the share of independent cells, which the correlation of residuals of neighbouring cells gives.
+neither determines V0, kappa is the share of independent cells, computed from the correlation of the residuals of neighbouring
+cells.
 """
 
 from __future__ import annotations
@@ -71,12 +72,15 @@ def noise_without_model(setup: FitSetup, found: MaterialFit) -> PixelNoise | Non
     """Estimate the noise of a pixel without a model of the lobe.
 
     Two estimates are upper bounds of the noise. Mirrored cells also differ because of lens aberrations, and channels also
-    differ because of structure that only one channel has. The estimate with the smaller variance is returned.
+    differ because of structure that only one channel has. The result is the estimate with the smaller variance.
 
-    setup: setup of a fit; its noise is returned if it is specified. Otherwise its cells are compared with mirrored cells.
-    found: fit whose residuals are compared between channels.
+    Args:
+        setup: setup of a fit. If its noise is specified, the result is this noise. Otherwise its cells are compared with
+            mirrored cells.
+        found: fit whose residuals are compared between channels.
 
-    Returns: noise of a pixel; None if the data do not determine the noise.
+    Returns:
+        Noise of a pixel; None if the data do not determine the noise.
     """
     if setup.noise is not None:
         return setup.noise
@@ -138,7 +142,7 @@ def _channel_noise(found: MaterialFit) -> PixelNoise | None:
 def _of_pairs(data: FitData, difference: np.ndarray, value: np.ndarray) -> PixelNoise:
     """Estimate noise from pairs of cells whose true values are equal.
 
-    difference: difference of the two values, 1/sr, (u, s, n). value: estimate of the true value, 1/sr, (u, s, n).
+    `difference` is the difference of the two values, and `value` an estimate of the true value, 1/sr, (u, s, n) each.
     """
     noise = _TYPICAL
     for _ in range(2):  # the estimate of the image gain depends on the noise
@@ -217,9 +221,9 @@ def independent_share(found: MaterialFit) -> float:
 def _correlation(u: np.ndarray, used: np.ndarray, same: Sequence[np.ndarray], along: np.ndarray) -> float:
     """Compute the correlation of standardised residuals of neighbouring cells; negative values are set to zero.
 
-    Neighbours are equal in all of `same` and consecutive in `along`; a cell has at most one neighbour on each side.
-
-    u: standardised residuals, (u, s, n). used: True for the cells to compare, (u, s, n). same, along: indices, (s, n).
+    Neighbours are equal in all indices `same`, (s, n) each, and consecutive in the index `along`, (s, n). A cell has at most
+    one neighbour on each side. `u` contains the standardised residuals, and `used` is True for the cells to compare,
+    (u, s, n) each.
     """
     order = np.lexsort([along.ravel(), *(one.ravel() for one in same)])
     sorted_u, there = (a.reshape(len(u), -1)[:, order] for a in (u, used))
@@ -294,7 +298,7 @@ class Weighing(NamedTuple):
 
     @property
     def unexplained(self) -> bool:
-        """Check whether misfit is most of the residual variance of the best fit."""
+        """True if misfit is most of the residual variance of the best fit."""
         return self.chi2 > _MOSTLY_MISFIT
 
     def complete(self, fit: MaterialFit) -> bool:
@@ -324,7 +328,6 @@ def _robust(u: np.ndarray) -> np.ndarray:
 
 
 def _priors(layout: Layout) -> tuple[np.ndarray, np.ndarray]:
-    """Return the prior mean and standard deviation of every coordinate of a fit, (coordinates,) each."""
     kind = layout.kind
     if kind.family == TWO_LOBES:
         own = ["width", "width", "share", "tail", "tail"]

@@ -108,20 +108,20 @@ class Explanation(NamedTuple):
 
     @property
     def without_camera(self) -> MaterialFit:
-        """Return the best fit of the table without a camera."""
+        """Best fit of the table without a camera."""
         return self.shadowed or self.blind
 
     @property
     def no_blur(self) -> bool:
-        """Check whether the data show no blur by the camera."""
+        """True if the data show no blur by the camera."""
         return self.no_camera > PROBABLE
 
     @property
     def contradicts(self) -> bool:
-        """Check whether rig and data contradict each other.
+        """True if rig and data contradict each other.
 
-        The data show no blur, or another lens than specified, or equal values of cells that no pixel grid explains; or no
-        lobe explains the data, because the estimated noise has its largest value.
+        This is the case if the data show no blur, another lens than specified, or equal values of cells that no pixel grid
+        explains. It is also the case if no lobe explains the data, so that the estimated noise has its largest value.
         """
         return (
             self.located.unexplained
@@ -132,7 +132,7 @@ class Explanation(NamedTuple):
 
     @property
     def undecided(self) -> bool:
-        """Check whether the blur is unknown, because the lens is a guess and the data do not determine the blur."""
+        """True if the blur is unknown, because the lens is a guess and the data do not determine the blur."""
         camera = self.located.rig.camera
         lens = known_lens(camera).uncertainty
         if lens is None or LENS not in lens.names or self.no_camera <= _UNLIKELY:
@@ -148,13 +148,13 @@ class Explanation(NamedTuple):
 
     @property
     def no_blur_remark(self) -> Remark:
-        """Build the remark that the data show no blur."""
+        """Remark that the data show no blur."""
         noise = [
             f"{'at least ' if at_largest_noise(fit.noise) else ''}{fit.noise.relative:.1%}"
             for fit in (self.blind, self.fit, self.without_camera)
         ]
         text = (
-            f"the data show no blur by this camera: the noise of a pixel would be {noise[0]} without the camera, {noise[1]} "
+            f"the data show no blur by this camera: the noise of a pixel would be {noise[0]} without the camera and {noise[1]} "
             "with the camera"
         )
         if self.shadowed is not None:
@@ -163,7 +163,7 @@ class Explanation(NamedTuple):
 
     @property
     def remarks(self) -> tuple[Remark, ...]:
-        """List the remarks on the explanations."""
+        """Remarks on the explanations."""
         remarks = [*self.fit.remarks, *self.located.remarks]
         if self.fit.has_spline:
             remarks.append(self.shape.remark(self.fit.family))
@@ -285,14 +285,13 @@ def _weighing(members: list[Member], noise: PixelNoise | None) -> Weighing:
 def _probability_of_none(by_camera: list[float], by_none: list[float]) -> float:
     """Compute the probability of the explanations without a camera.
 
-    by_camera, by_none: logarithms of the evidence of the explanations with and without a camera.
+    The arguments are the logarithms of the evidence of the explanations with and without a camera.
     """
     difference = np.logaddexp.reduce(by_camera) - np.logaddexp.reduce(by_none)
     return float(1 / (1 + np.exp(np.clip(difference, -500, 500))))
 
 
 def _closest(members: list[Member], noise: PixelNoise | None) -> Member:
-    """Select the explanation with the smallest chi2."""
     return min(members, key=lambda one: _weighing([one], noise).chi2)
 
 
@@ -301,10 +300,7 @@ def _solved(setup: FitSetup) -> Member:
 
 
 def _with_spline(core: Member) -> Member:
-    """Fit a spline-modified lobe. The residuals of the fit of its family determine the prior of the spline.
-
-    core: fit of the family.
-    """
+    """Fit a spline-modified lobe. The residuals of `core`, the fit of its family, determine the prior of the spline."""
     spline = min(shape_uncertainty(core.fit, core.setup.noise).scale, _WIDEST_SPLINE)
     stiff = _STIFF * core.fit.hwhm if np.isfinite(core.fit.hwhm) else 0.0
     setup = core.setup.with_(spline=spline, stiff_below=stiff)
@@ -326,7 +322,7 @@ def _without_camera(best: Member, rig: Rig) -> Member:
 
 
 def with_free_masking(core: Member, rig: Rig) -> Member:
-    """Fit a spline-modified lobe with free masking to each channel, without a camera. core: fit whose family is used."""
+    """Fit a spline-modified lobe of the family of `core`, with free masking, to each channel without a camera."""
     blind = _without_camera(core._replace(setup=core.setup.with_(spline=_WIDEST_SPLINE)), rig)
     setup = blind.setup.with_(masking="smith-separable", per_channel=True, free_masking=True)
     return Member(setup, setup.solve(start=blind.fit, weights="start"))

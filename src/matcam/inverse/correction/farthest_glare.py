@@ -44,14 +44,17 @@ def farthest_glare(
 ) -> FarthestGlare:
     """Compute the largest contribution of glare from the highlight to each entry of a table.
 
-    glare: share of the light that the lens scatters (no unit). sampling: sampling of the table. rig: rig that recorded the
-        table. found: fit of the table, which determines F and the width of the highlight. workspace: store of results that
-        depend only on the rig.
+    Args:
+        glare: share of the light that the lens scatters (no unit).
+        sampling: sampling of the table.
+        rig: rig that recorded the table.
+        found: fit of the table, which determines F and the width of the highlight.
+        workspace: store of results that depend only on the rig.
     """
     strength = found.curves["fresnel"].values
     there = np.isfinite(strength).all(axis=1)
     if not there.any():
-        raise FitError("no slice of theta_d shows a highlight: check that the table is complete")
+        raise FitError("no slice of theta_d has a highlight in every channel: check that the table is complete")
     theta_d, seen = merl_grid(sampling).theta_d, found.theta_d[there]
     f = np.stack([np.interp(theta_d, seen, column[there]) for column in strength.T], axis=-1)
     view = sample_view(rig)

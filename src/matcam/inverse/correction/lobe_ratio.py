@@ -61,7 +61,7 @@ class CorrectionFits(NamedTuple):
 
     @property
     def alternatives(self) -> list[tuple[str, FitCoordinates, FitCoordinates, float]]:
-        """List the alternative fits whose difference from a reference fit is uncertainty.
+        """Alternative fits whose difference from a reference fit is part of the uncertainty.
 
         Each item contains: name, coordinates of the reference, coordinates of the alternative, factor of the difference.
         """
@@ -80,7 +80,7 @@ class CorrectionFits(NamedTuple):
 
     @property
     def axes(self) -> tuple[Axis, ...]:
-        """Collect the parameters of the rig that any of the fits has or may have."""
+        """Parameters of the rig that any of the fits has or may have."""
         fitted = (
             self.fit.coordinates,
             *(there for _, _, there, _ in self.alternatives),
@@ -213,7 +213,7 @@ def _lobes_and_shares(
 def _columns(where: ResponseLattice, at: FitCoordinates, axes: tuple[Axis, ...], shifts: np.ndarray) -> np.ndarray:
     """Compute the derivatives of the log ratio with respect to lobe, rig and shape, (coordinates, slices, cells).
 
-    axes: axes of the lattice. shifts: coordinates along these axes.
+    `shifts` are coordinates along the axes `axes` of the lattice.
     """
     (_, by_recorded), (_, by_true) = _lobes_and_shares(where, at, shifts)
     slopes = _log_slopes(where, at, shifts)
@@ -224,7 +224,6 @@ def _columns(where: ResponseLattice, at: FitCoordinates, axes: tuple[Axis, ...],
 
 
 def _variance(columns: np.ndarray, shape: ShapeUncertainty) -> np.ndarray:
-    """Compute the variance of the log ratio from the covariance of lobe, rig and shape, (slices, cells)."""
     return np.einsum("psn,pq,qsn->sn", columns, shape.covariance, columns)
 
 
@@ -235,7 +234,7 @@ def _peak_parts(
 
     The shares of the sources in the variance are computed on the lattice and interpolated linearly, so their sum is 1.
 
-    columns: result of `_columns`. variance: variance of the log ratio at the peak of each slice, (90,).
+    `columns` is the result of `_columns`, and `variance` is the variance of the log ratio at the peak of each slice, (90,).
     """
     rings, slices, azimuths = where.spacing
     position = int(np.argmin(np.abs(np.array(rings)))) * len(azimuths) + int(np.argmin(np.abs(np.array(azimuths) - 90)))

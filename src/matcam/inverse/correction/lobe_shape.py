@@ -49,7 +49,7 @@ class ShapeUncertainty(NamedTuple):
 
     @property
     def family_fails(self) -> bool:
-        """Check whether the family of the lobe fails to explain the data."""
+        """True if the family of the lobe does not explain the data."""
         return self.scale > FAMILY_FAILS
 
     def remark(self, family: str) -> Remark:
@@ -64,8 +64,10 @@ class ShapeUncertainty(NamedTuple):
 def shape_uncertainty(found: MaterialFit, noise: PixelNoise | None, kappa: float = 1.0) -> ShapeUncertainty:
     """Estimate the uncertainty of the shape of a fit with free strengths and one lobe.
 
-    noise: noise of a pixel; None: it is estimated together with the shape. kappa: exponent of the likelihood (`evidence`).
-        Default: 1.
+    Args:
+        found: fit with free strengths and one lobe.
+        noise: noise of a pixel; None: it is estimated together with the shape.
+        kappa: exponent of the likelihood (`evidence`). Default: 1.
     """
     linear = found.linearised()
     solution, at = linear.solution, linear.coordinates
@@ -100,7 +102,7 @@ def shape_uncertainty(found: MaterialFit, noise: PixelNoise | None, kappa: float
 
 
 def known_shape(found: MaterialFit, scale: float) -> ShapeUncertainty:
-    """Build the uncertainty from the covariance of a fit. The coefficients b have no variance.
+    """Build the uncertainty from the covariance of a fit, without a variance of the coefficients b.
 
     scale: scale of the shape correction that was estimated for the family of the lobe.
     """
@@ -127,8 +129,11 @@ def linear_evidence(information: np.ndarray, right: np.ndarray, shapes: slice, r
 
     All parameters except the b_k are marginalised.
 
-    information, right: matrix and right-hand side of the normal equations of all parameters, without the prior of the b_k.
-    shapes: indices of the b_k. rows: linear combinations of the b_k that have prior mean 0 and unit variance for this scale.
+    Args:
+        information: matrix of the normal equations of all parameters, without the prior of the b_k.
+        right: right-hand side of these equations.
+        shapes: indices of the b_k.
+        rows: linear combinations of the b_k that have prior mean 0 and unit variance for this scale.
     """
     others = np.r_[0 : shapes.start, shapes.stop : len(right)]
     cross = information[shapes, others]

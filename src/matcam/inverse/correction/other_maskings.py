@@ -36,7 +36,11 @@ class OtherMasking(NamedTuple):
 def other_maskings(found: MaterialFit, kappa: float) -> tuple[OtherMasking, ...]:
     """Predict the fit with each other masking.
 
-    found: fit of one lobe with free strengths. kappa: exponent of the likelihood (`evidence`).
+    The result is empty if the fit has a free masking, or several lobes.
+
+    Args:
+        found: fit with free strengths.
+        kappa: exponent of the likelihood (`evidence`).
     """
     linear = found.linearised()
     solution, at = linear.solution, linear.coordinates

@@ -43,12 +43,16 @@ class Lattices(NamedTuple):
 def pixel_log_ratio(
     lattices: Lattices, at: FitCoordinates, pixels: PixelGrid, radius: float, std: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Compute ln(record at the position of a cell / record of its pixels), and its variance.
+    """Compute ln(record at the position of a cell / record of its pixels), and its variance, (90, 90, 180) each.
 
-    The variance is due to the phase of the pixel grid. Returns: logarithm and variance, (90, 90, 180) each.
+    The variance is due to the phase of the pixel grid.
 
-    at: coordinates of the fit. pixels: pixel grid. radius: radius of the sphere, px. std: standard deviation of the phase of
-        the pixel grid, px.
+    Args:
+        lattices: lattices of the ratio.
+        at: coordinates of the fit.
+        pixels: pixel grid.
+        radius: radius of the sphere, px.
+        std: standard deviation of the phase of the pixel grid, px.
     """
     fine, coarse, fitted = lattices
     splines = [_splines(fine, np.log(np.maximum(_record(fine, at, np.zeros(0)), VANISHED)))]
@@ -108,8 +112,9 @@ def _log_behind(record: _SliceRecord, radius: float, theta_d: float, pixels: Pix
 def _record(where: ResponseLattice, at: FitCoordinates, shifts: np.ndarray) -> np.ndarray:
     """Compute the record on a lattice, 1/sr, (slices, rings, azimuths of `_around`).
 
-    Invalid cells of the first slice are NaN; in other slices the value of the slice before is used. shifts: coordinates along
-    the axes of the lattice.
+    Invalid cells of the first slice are NaN. Those of another slice have the value of the preceding slice.
+
+    shifts: coordinates along the axes of the lattice.
     """
     rings, slices, azimuths = where.spacing
     both = where.recorded.directions(at.kind.ndf(placed(at.lobe)), at.kind.masking, shifts)
@@ -147,7 +152,7 @@ def _splines(where: ResponseLattice, logs: np.ndarray) -> list[RectBivariateSpli
 
 
 def _around(spacing: Spacing) -> list[int]:
-    """Return the azimuths of normals on a lattice, degrees.
+    """List the azimuths of normals on a lattice, degrees.
 
     They cover 180 degrees if the plane of camera and lamp is a plane of symmetry, otherwise 360 degrees and an overlap.
     """

@@ -67,7 +67,7 @@ class Spacing(NamedTuple):
 
     @property
     def mirrored(self) -> bool:
-        """Check whether the azimuths cover only 90 degrees, because the plane of light and view is a plane of symmetry."""
+        """True if the azimuths cover only 90 degrees, because the plane of light and view is a plane of symmetry."""
         return self.azimuths[-1] == 90
 
     def all_round(self) -> Spacing:
@@ -126,7 +126,12 @@ def response_lattice(
 ) -> ResponseLattice:
     """Build the lattice of a rig.
 
-    axes: parameters of the rig that may change. workspace: store of the lattice for other materials.
+    Args:
+        rig: the rig.
+        sampling: sampling of the table.
+        spacing: positions of the cells for a symmetric rig with a sphere.
+        axes: parameters of the rig that may change.
+        workspace: store of the lattice for other materials.
     """
     view = sample_view(rig)
     if view.azimuth or not rig.camera.optics.isotropic:
@@ -146,7 +151,6 @@ def response_lattice(
 
 
 def _lattice_cells(view: SampleView, sampling: Sampling, spacing: Spacing, far_cosine: float) -> ChosenCells:
-    """Build the cells of a lattice. far_cosine: see `ResponseLattice`."""
     grid = merl_grid(sampling)
     ring, azimuth = (a.ravel() for a in np.meshgrid(spacing.rings, np.radians(spacing.azimuths), indexing="ij"))
     slices = np.array(spacing.slices)

@@ -59,12 +59,12 @@ class RigRefit(NamedTuple):
 
     @property
     def counted(self) -> float:
-        """Compute the factor of the change in the uncertainty, which is larger for a contradiction."""
+        """Factor of the change in the uncertainty, which is larger for a contradiction."""
         return self.weight * (CONTRADICTION_WEIGHT if self.contradicts else 1.0)
 
     @property
     def remark(self) -> Remark:
-        """Build the remark that the fitted value contradicts the rig."""
+        """Remark that the fitted value contradicts the rig."""
         scale, unit = (1.0, "px") if self.axis.name == LENS else (float(np.degrees(1.0)), "degrees")
         value, std, base = (scale * one for one in (self.value, self.std, self.axis.base))
         if self.axis.low < self.coordinate < self.axis.high:
@@ -76,7 +76,7 @@ class RigRefit(NamedTuple):
         return Remark(
             f"{code}-contradicts-data",
             f"a fit with free {what} gives {gives} {unit} instead of {base:.{decimals}f} {unit}: the camera, the radius of the "
-            "sample, the lamp or the family contradicts the data; the uncertainty includes "
+            "sample, the lamp or the family of the lobe contradicts the data; the uncertainty includes "
             f"{CONTRADICTION_WEIGHT:g} times the difference",
         )
 
@@ -90,7 +90,11 @@ def rig_refits(setup: FitSetup, rig: Rig, found: MaterialFit, names: Sequence[st
 
     A parameter with a prior is already fitted, and no refit is required.
 
-    setup: setup of `found`. found: fit with the specified rig. names: names of the parameters. Default: REFITTED.
+    Args:
+        setup: setup of `found`.
+        rig: rig that recorded the table.
+        found: fit with the specified rig.
+        names: names of the parameters. Default: REFITTED.
     """
     refits = []
     for name in names:
@@ -114,7 +118,7 @@ def _followed_refit(free: FitSetup, found: MaterialFit, name: str) -> RigRefit:
 
 
 def _free_refit(fit: MaterialFit, name: str) -> RigRefit:
-    """Build the result of a refit with a free parameter that was specified as exact. fit: the refit."""
+    """Build the result of a refit with a free parameter that was specified as exact."""
     at = fit.coordinates
     position = [axis.name for axis in at.axes].index(name)
     own = len(at.lobe) + position
@@ -124,7 +128,7 @@ def _free_refit(fit: MaterialFit, name: str) -> RigRefit:
 
 
 def _fitted_refit(fit: MaterialFit, name: str, rig: Rig) -> RigRefit:
-    """Compare the prior of a parameter with its estimate from the data alone. fit: fit that includes the parameter."""
+    """Compare the prior of a fitted parameter with its estimate from the data alone."""
     at = fit.coordinates
     position = [axis.name for axis in at.axes].index(name)
     own = len(at.lobe) + position

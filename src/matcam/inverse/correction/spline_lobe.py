@@ -23,7 +23,13 @@ TRIED_SPLINES = 16
 def in_all_slices(few: MaterialFit, setup: FitSetup, slice_step: int) -> tuple[MaterialFit, FitSetup]:
     """Fit a spline-modified lobe in every `slice_step`-th slice.
 
-    few: fit with `setup`, which has fewer slices. Returns: fit in the slices, and its setup.
+    Args:
+        few: fit with `setup`.
+        setup: setup with fewer slices.
+        slice_step: spacing of the slices of theta_d.
+
+    Returns:
+        Fit in the slices, and its setup.
     """
     whole = setup.with_(slice_step=slice_step, learned_spline=learned_spline(few, setup.spline))
     return whole.solve(start=few), whole
@@ -32,8 +38,11 @@ def in_all_slices(few: MaterialFit, setup: FitSetup, slice_step: int) -> tuple[M
 def learned_spline(found: MaterialFit, most: float) -> float:
     """Estimate the scale of a spline modification at the angles that the camera resolves.
 
-    The scale is the prior standard deviation of the second differences of the coefficients. found: fit of the spline-modified
-    lobe. most: largest scale (no unit).
+    The scale is the prior standard deviation of the second differences of the coefficients.
+
+    Args:
+        found: fit of the spline-modified lobe.
+        most: largest scale (no unit).
     """
     linear = found.linearised()
     solution = linear.solution

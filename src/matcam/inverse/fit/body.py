@@ -95,15 +95,18 @@ def base_and_slope(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Compute the BRDF of a base and its derivative.
 
-    The base has a reflectance of 1. The derivative is with respect to ln roughness. Both have the shape of the angles, which
-    are in rad, and the unit 1/sr.
+    The base has a reflectance of 1. The derivative is with respect to ln roughness. Both have the unit 1/sr and the shape to
+    which the angles, rad, broadcast.
     """
     value, slope = _with_slope(*(placed(np.asarray(a, dtype=float)) for a in (log_roughness, theta_h, theta_d, phi_d)))
     return np.asarray(value), np.asarray(slope)
 
 
 def transmittance(theta_h: AnyArray, theta_d: AnyArray, phi_d: AnyArray) -> AnyArray:
-    """Compute the transmittance of the coat, into it and out of it, in the shape of the angles, rad."""
+    """Compute the product of the transmittances into and out of the coat.
+
+    It has the shape to which the angles, rad, broadcast.
+    """
     angles = (xp.arccos(xp.clip(cosine, 0.0, _ALONG)) for cosine in cosines(theta_h, theta_d, phi_d))
     into, out = (1 - fresnel_conductor(theta, _INDEX, 0.0) for theta in angles)
     return into * out
@@ -121,6 +124,8 @@ def loss_in_coat(theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) ->
 def diffuse_and_slope(coated: float, lost: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Compute the BRDF of a diffuse part of albedo 1, and its derivative with respect to the coated share, 1/sr.
 
-    coated: coated share (no unit). lost: result of `loss_in_coat`.
+    Args:
+        coated: coated share (no unit).
+        lost: result of `loss_in_coat`.
     """
     return (1 - coated * lost) / np.pi, -lost / np.pi

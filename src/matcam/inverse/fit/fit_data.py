@@ -77,11 +77,11 @@ class FitData(NamedTuple):
 
     @property
     def tables(self) -> int:
-        """Count the tables."""
+        """Number of tables."""
         return max(self.table_of) + 1
 
     def units_of(self, table: int) -> list[int]:
-        """Return the indices of the units of a table."""
+        """Find the indices of the units of a table."""
         return [unit for unit, owner in enumerate(self.table_of) if owner == table]
 
 
@@ -99,7 +99,12 @@ def fit_data(tables: tuple[xr.DataArray, ...], cells: ChosenCells) -> FitData:
 def check_values(tables: tuple[xr.DataArray, ...], rig: Rig | None, slice_step: int = SEARCH_STEP) -> None:
     """Raise FitError if checked tables do not suffice for a fit.
 
-    This takes much less time than the operator of the fit. rig: rig of the tables; None: a distant camera and lamp.
+    This takes much less time than the operator of the fit.
+
+    Args:
+        tables: tables of one rig.
+        rig: rig of the tables; None: a distant camera and lamp.
+        slice_step: spacing of the slices of theta_d.
     """
     pixels = None if rig is None else grid_of(rig)
     fit_data(tables, chosen_cells(sample_view(rig), sampling_of(tables[0]), slice_step, pixels))
@@ -114,9 +119,11 @@ def _table_data(brdf: xr.DataArray, cells: ChosenCells, index: int) -> FitData:
     labels = tuple(str(c) for c in (brdf["channel"].values if "channel" in brdf.coords else range(brdf.shape[3])))
     for label, whole, there, bright in zip(labels, np.moveaxis(brdf.values, 3, 0), used, peak, strict=True):
         if not np.isfinite(whole).any():
-            raise FitError(f"channel {label}: every value is missing: give a table with values in this channel")
+            raise FitError(f"channel {label}: every value is missing; give a table with values in this channel")
         if not (whole > 0).any():
-            raise FitError(f"channel {label}: no value is above 0, so there is no highlight to fit: check the table")
+            raise FitError(
+                f"channel {label}: no value is above 0, so there is no highlight to fit; give a table with positive values"
+            )
         share, seen = there.sum() / cells.valid.sum(), int(there.any(-1).sum())
         if share < _FEWEST or seen < _FEWEST_SLICES:
             raise FitError(
@@ -159,9 +166,12 @@ class Whitening(NamedTuple):
 
 
 def cell_variance(data: FitData, model: np.ndarray, noise: PixelNoise) -> np.ndarray:
-    """Compute the variance of each cell without the image gain.
+    """Compute the variance of each cell without the image gain, 1/sr^2, (u, s, n); it is 1 for unused cells.
 
-    model: modelled values, 1/sr, (u, s, n). Returns: variances, 1/sr^2, (u, s, n); 1 for unused cells.
+    Args:
+        data: values of the cells.
+        model: modelled values, 1/sr, (u, s, n).
+        noise: noise of a pixel.
     """
     variance = data.share * ((noise.relative * model) ** 2 + (noise.floor * data.peak[..., None]) ** 2)
     return np.where(data.used, variance, 1.0)
@@ -170,7 +180,10 @@ def cell_variance(data: FitData, model: np.ndarray, noise: PixelNoise) -> np.nda
 def whitening(data: FitData, weight: np.ndarray, along: np.ndarray, gain: float) -> Whitening:
     """Build the whitening of residuals from robust weights.
 
-    weight: robust weights 1 / V, sr^2, (u, s, n). along: modelled values that the image gain multiplies, 1/sr, (u, s, n).
+    Args:
+        data: values of the cells.
+        weight: robust weights 1 / V, sr^2, (u, s, n).
+        along: modelled values that the image gain multiplies, 1/sr, (u, s, n).
         gain: standard deviation of the image gain (no unit); infinite for free strengths.
     """
     root = np.sqrt(np.where(data.used, weight, 0.0))
@@ -185,8 +198,14 @@ def standardised_residual(
 ) -> np.ndarray:
     """Compute residuals in standard deviations of the noise, (u, s, n).
 
-    The most probable image gain of each slice is removed. residual, model: 1/sr, (u, s, n). gain: standard deviation of the
-        image gain (no unit); infinite for free strengths.
+    The effect of the most probable image gain of each slice is subtracted.
+
+    Args:
+        data: values of the cells.
+        residual: data - model, 1/sr, (u, s, n).
+        model: modelled values, 1/sr, (u, s, n).
+        noise: noise of a pixel.
+        gain: standard deviation of the image gain (no unit); infinite for free strengths.
     """
     root = np.sqrt(np.where(data.used, 1 / cell_variance(data, model, noise), 0.0))
     u, a = residual * root, model * root
@@ -196,7 +215,7 @@ def standardised_residual(
 
 
 def huber_weights(u: np.ndarray) -> np.ndarray:
-    """Compute Huber's weights of standardised residuals."""
+    """Compute Huber's weights from standardised residuals."""
     return np.minimum(1.0, _HUBER / np.maximum(np.abs(u), 1e-300))
 
 
@@ -208,7 +227,12 @@ def estimate_noise(
     The relative noise and the noise floor maximise the likelihood. The variance of the image gain is estimated from the moments
     of the gains of the slices.
 
-    residual, model: 1/sr, (u, s, n). fitted: number of fitted parameters. start: first estimate of the noise.
+    Args:
+        data: values of the cells.
+        residual: data - model, 1/sr, (u, s, n).
+        model: modelled values, 1/sr, (u, s, n).
+        fitted: number of fitted parameters.
+        start: first estimate of the noise.
     """
     used = data.used
     slices = model / np.sqrt(cell_variance(data, model, start)) * used

@@ -102,7 +102,7 @@ class LobeKind(NamedTuple):
 
     @property
     def size(self) -> int:
-        """Count the coordinates of the lobe."""
+        """Number of coordinates of the lobe."""
         return len(self.family_names) + self.spline_size + self.shadows
 
     def ndf(self, q: jax.Array) -> NDF:
@@ -129,7 +129,7 @@ class LobeKind(NamedTuple):
         return AnisotropicGGX(jnp.exp(q[0]), jnp.exp(q[1])) if self.stretched else self.ndf(q)
 
     def bounds(self, radius: float) -> list[tuple[float, float]]:
-        """Compute the lower and upper bound of each coordinate. radius: radius of the sphere, px."""
+        """Compute the lower and the upper bound of each coordinate. radius: radius of the sphere, px."""
         largest = 1.0 if self.family in _UNNAMED else FAMILIES[self.family].largest
         bounds = [(float(np.log(NARROWEST_PX / radius)), float(np.log(0.999 * largest)))]
         bounds *= 1 + (self.stretched or self.family == TWO_LOBES)
@@ -174,17 +174,17 @@ class Layout(NamedTuple):
 
     @property
     def lobes(self) -> int:
-        """Count the different lobes."""
+        """Number of different lobes."""
         return max(self.lobe_of) + 1
 
     @property
     def units(self) -> int:
-        """Count the units."""
+        """Number of units."""
         return len(self.lobe_of)
 
     @property
     def fresnel_size(self) -> int:
-        """Count the parameters of the Fresnel term of one unit (a channel of a table)."""
+        """Number of parameters of the Fresnel term of one unit (a channel of a table)."""
         return len(_FRESNEL_NAMES[self.fresnel])
 
     @property
@@ -195,50 +195,50 @@ class Layout(NamedTuple):
 
     @property
     def size(self) -> int:
-        """Count all coordinates of the fit."""
+        """Number of coordinates of the fit."""
         return self.base_width.stop + self.units * len(self.unit_names)
 
     def lobe(self, index: int) -> slice:
-        """Return the slice of the vector that contains the coordinates of a lobe."""
+        """Compute the slice of the vector that contains the coordinates of a lobe."""
         return slice(index * self.kind.size, (index + 1) * self.kind.size)
 
     @property
     def rig(self) -> slice:
-        """Return the slice of the vector that contains the coordinates of the rig."""
+        """Slice of the vector that contains the coordinates of the rig."""
         first = self.lobes * self.kind.size
         return slice(first, first + self.axes)
 
     @property
     def coat(self) -> slice:
-        """Return the slice of the vector that contains the coated share - 1/2; it is empty if the share is not fitted."""
+        """Slice of the vector that contains the coated share - 1/2; it is empty if the share is not fitted."""
         return slice(self.rig.stop, self.rig.stop + self.coated)
 
     def coated_share(self, p: np.ndarray) -> float:
-        """Return the coated share of the diffuse part, 0 without a coat. p: coordinates of the fit."""
+        """Compute the coated share of the diffuse part, which is 0 without a coat. p: coordinates of the fit."""
         return readable_value(COATED, float(p[self.coat.start]))[0] if self.coated else 0.0
 
     @property
     def base_width(self) -> slice:
-        """Return the slice of the vector that contains ln(roughness of the base); it is empty without a base."""
+        """Slice of the vector that contains ln(roughness of the base); it is empty without a base."""
         return slice(self.coat.stop, self.coat.stop + self.base)
 
     def unit(self, index: int) -> slice:
-        """Return the slice of the vector that contains the coordinates of a unit."""
+        """Compute the slice of the vector that contains the coordinates of a unit."""
         size = len(self.unit_names)
         first = self.base_width.stop + index * size
         return slice(first, first + size)
 
     def of_units(self, name: str) -> list[int]:
-        """Return the indices in the vector of one parameter of all units.
+        """Find the indices of one parameter of all units in the vector.
 
-        name: one of `unit_names`; for other names the list is empty.
+        name: one of `unit_names`; the result is empty for other names.
         """
         if name not in self.unit_names:
             return []
         return [self.unit(u).start + self.unit_names.index(name) for u in range(self.units)]
 
     def unit_bounds(self) -> list[tuple[float, float]]:
-        """Compute the lower and upper bound of each coordinate of one unit."""
+        """Compute the lower and the upper bound of each coordinate of one unit."""
         bounds = [_FRESNEL_BOUNDS[name] for name in _FRESNEL_NAMES[self.fresnel]]
         return bounds + [(0.0, 1.0)] * (self.diffuse + self.base)
 
@@ -256,9 +256,9 @@ def reflectance_at(model: FresnelModel, coordinates: jax.Array) -> Reflectance:
 
 
 def readable_value(name: str, coordinate: float) -> tuple[float, float]:
-    """Convert a coordinate to the reported parameter.
+    """Convert a coordinate to the value of the reported parameter, and its derivative with respect to the coordinate.
 
-    Returns: value of the parameter, and its derivative with respect to the coordinate.
+    name: name of the parameter, such as "alpha", "eta" or COATED.
     """
     if name in ("f0", "diffuse", "base"):
         return coordinate, 1.0
@@ -273,7 +273,11 @@ def fresnel_start(model: FresnelModel, theta: np.ndarray, f: np.ndarray, weight:
 
     The coordinates are those of `FRESNEL_LATTICE` with the smallest weighted sum of squared differences.
 
-    theta: angles, rad, (slices,). f: F at the angles, (slices,). weight: weights of the squared differences, (slices,).
+    Args:
+        model: model of F, a key of `FRESNEL_LATTICE`.
+        theta: angles, rad, (slices,).
+        f: F at the angles, (slices,).
+        weight: weights of the squared differences, (slices,).
     """
     points = FRESNEL_LATTICE[model]
     curves = [np.asarray(reflectance_at(model, jnp.asarray(p)).at(jnp.asarray(theta))) for p in points]

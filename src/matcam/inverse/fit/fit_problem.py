@@ -146,7 +146,7 @@ class FitModel(NamedTuple):
 def _reflectance(
     model: FresnelModel, coordinates: jax.Array, theta: jax.Array, rise: bool
 ) -> tuple[jax.Array, jax.Array]:
-    """Compute F at angles theta, and the derivatives of F with respect to the coordinates, for each row of coordinates.
+    """Compute F at angles, and the derivatives of F with respect to the coordinates, for each row of coordinates.
 
     rise: True to compute dF/dtheta instead of F.
     """
@@ -185,12 +185,12 @@ class FitProblem:
         self._last: dict[int, tuple[bytes, list[RecordAndSlopes]]] = {}
 
     def with_layout(self, layout: Layout) -> FitProblem:
-        """Return the same problem with another layout of the coordinates."""
+        """Copy the problem with another layout of the coordinates."""
         return FitProblem(self.data, self.cells, self.operator, layout, self.prior, self.radius)
 
     @property
     def theta_d(self) -> np.ndarray:
-        """Return theta_d of the slices, rad, (slices,)."""
+        """Difference angles of the slices, rad, (slices,)."""
         return self.cells.theta_d
 
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
@@ -207,16 +207,19 @@ class FitProblem:
         return np.where(self.data.used, self.data.values - model.value, 0.0)
 
     def of_units(self, name: str, p: np.ndarray) -> np.ndarray:
-        """Return the coordinate of one kind for every unit, (units,).
+        """Select one parameter of the body of every unit, (units,).
 
-        name: "diffuse", albedo of the diffuse part, or "base", reflectance of the base. The values are 0 if the fit does not
-            have this part.
+        The values are 0 if the fit does not have this part of the body.
+
+        Args:
+            name: "diffuse" for the albedo of the diffuse part, or "base" for the reflectance of the base.
+            p: coordinates of the fit.
         """
         indices = self.layout.of_units(name)
         return p[indices] if indices else np.zeros(self.layout.units)
 
     def body(self, p: np.ndarray) -> Body:
-        """Evaluate the BRDF of the body in the chosen cells. p: coordinates of the fit."""
+        """Evaluate the BRDF of the body in the chosen cells at coordinates of the fit."""
         layout, cells = self.layout, self.cells
         albedo = self.of_units("diffuse", p)[:, None, None]
         derivative = np.zeros((layout.size, layout.units, *cells.theta_h.shape))
@@ -239,7 +242,9 @@ class FitProblem:
     def model(self, p: np.ndarray, weight: np.ndarray) -> FitModel:
         """Evaluate the model.
 
-        p: coordinates of the fit. weight: weights 1 / V for the solution of free strengths, sr^2, (u, s, n).
+        Args:
+            p: coordinates of the fit.
+            weight: weights 1 / V for the solution of free strengths, sr^2, (u, s, n).
         """
         layout = self.layout
         orders = [self._records_and_slopes(index, p) for index in range(layout.lobes)]
@@ -262,7 +267,9 @@ class FitProblem:
         The model has no derivatives. F is constant within a cell, also in a near rig. The error of this approximation is
         smaller than the differences between the lobes from which a search starts.
 
-        record: record of the common lobe of all units at F = 1, 1/sr, (s, n). weight: weights 1 / V, sr^2, (u, s, n).
+        Args:
+            record: record of the common lobe of all units at F = 1, 1/sr, (s, n).
+            weight: weights 1 / V, sr^2, (u, s, n).
         """
         p = np.zeros(self.layout.size)
         records = [np.broadcast_to(record, (self.layout.units, *record.shape))]
@@ -273,8 +280,8 @@ class FitProblem:
     ) -> tuple[FitModel, np.ndarray]:
         """Evaluate the model, and its derivatives with respect to the coordinates of F, (u, coordinates, s, n).
 
-        records: record of the lobe of each unit at F = 1, (u, s, n), and in a near rig the moment of this record. body: BRDF
-            of the body, 1/sr; it broadcasts to (u, s, n).
+        `records` are the record of the lobe of each unit at F = 1, 1/sr, (u, s, n), and in a near rig the moment of this
+        record. `body` is the BRDF of the body, 1/sr, which broadcasts to (u, s, n).
         """
         layout, (units, slices, cells) = self.layout, records[0].shape
         log_slope = np.zeros((units, slices))
@@ -302,9 +309,9 @@ class FitProblem:
         return FitModel(value, np.zeros((0, *value.shape)), lobe, strength, std, log_slope), by_fresnel
 
     def _free_strengths(self, weight: np.ndarray, lobe: np.ndarray, body: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Solve for the strength of every unit and slice.
+        """Solve for the strength of every unit and slice, and its standard deviation, (u, s) each.
 
-        Returns: strengths, and their standard deviations if all other parameters are exact, (u, s) each.
+        The standard deviation is that for exact other parameters.
         """
         data = self.data
         wa = np.where(data.used, weight, 0.0) * lobe
@@ -322,7 +329,9 @@ class FitProblem:
 
         The variation of F within a cell of a near rig is included.
 
-        model: model with the slope of ln F of each unit. of: function of an operator that returns values (..., s, n).
+        Args:
+            model: model with the slope of ln F of each unit.
+            of: linear function of an operator, with values of shape (..., s, n).
         """
         parts = [of(operator) for operator in self.operator.orders]
         return np.stack([_combined(parts, slope) for slope in model.log_slope])
@@ -338,21 +347,18 @@ class FitProblem:
 
     @cached_property
     def _transmittance(self) -> np.ndarray:
-        """Return the transmittance of a coat in the chosen cells, (s, n)."""
         return np.asarray(transmittance(*self._angles))
 
     @cached_property
     def _loss_in_coat(self) -> np.ndarray:
-        """Return the share of diffuse light that a coat removes from the chosen cells, (s, n)."""
         return loss_in_coat(*self._angles)
 
     @property
     def _angles(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return theta_h, theta_d and phi_d of the chosen cells, rad."""
         return self.cells.theta_h, self.cells.theta_d[:, None], self.cells.phi_d
 
     def _records_and_slopes(self, index: int, p: np.ndarray) -> list[RecordAndSlopes]:
-        """Compute the record of a lobe, and in a near rig the moment of the record.
+        """Compute the record of a lobe, and in a near rig also its moment.
 
         The last results are cached, because weights are updated without a change of the lobe.
         """
@@ -363,7 +369,7 @@ class FitProblem:
         return self._last[index][1]
 
     def gain(self, noise: PixelNoise) -> float:
-        """Return the standard deviation of the gain of a slice (no unit); infinite for free strengths."""
+        """Select the standard deviation of the gain of a slice (no unit), which is infinite for free strengths."""
         return np.inf if self.layout.fresnel == "free" else noise.picture_gain
 
     def whitening(self, model: FitModel, weight: np.ndarray, gain: float) -> Whitening:
@@ -372,7 +378,10 @@ class FitProblem:
         If strengths are free, the component of the residuals along the lobe is removed. Otherwise the component along the model
         is reduced according to the image gain.
 
-        weight: robust weights 1 / V, sr^2, (u, s, n). gain: standard deviation of the image gain (no unit).
+        Args:
+            model: model at the coordinates of the fit.
+            weight: robust weights 1 / V, sr^2, (u, s, n).
+            gain: standard deviation of the image gain (no unit).
         """
         if self.layout.fresnel == "free":
             return whitening(self.data, weight, model.lobe, np.inf)
@@ -382,7 +391,7 @@ class FitProblem:
 def _combined(orders: list[np.ndarray], log_slope: np.ndarray) -> np.ndarray:
     """Add the moment of a record, multiplied by the slope of ln F, to the record, (..., s, n).
 
-    orders: record, and in a near rig its moment. log_slope: slope of ln F, 1/rad, (..., s).
+    `orders` are the record and, in a near rig, its moment. The slope has unit 1/rad and shape (..., s).
     """
     if len(orders) == 1:
         return orders[0]

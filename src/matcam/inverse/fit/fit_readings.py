@@ -21,7 +21,7 @@ from matcam.material.microfacet import Microfacet
 from matcam.material.reflectance import Conductor, Dielectric, Reflectance, Sampled, Schlick
 
 DETERMINED = 0.05
-"""Relative standard deviation below which a roughness is called determined."""
+"""Relative standard deviation below which a roughness is considered determined."""
 LINEAR = 0.15
 """Largest relative standard deviation of a power at which the linearised errors are valid. For larger ones the relation of
 width and power is not linear, and the computed standard deviation of the width is too small.
@@ -30,7 +30,9 @@ width and power is not linear, and the computed standard deviation of the width 
 _BOUND = 0.05
 """Value of ln(width / smallest allowed width) up to which the width of a fit is considered to be at its lower bound."""
 _UNSEEN = 2.0
-"""Number of standard deviations of the square of a width; a width whose square is smaller is compatible with 0."""
+"""Largest square of a width that is compatible with 0, in standard deviations of the square. It is the limit of a two-sided
+95 % confidence interval.
+"""
 
 
 class FitCoordinates(NamedTuple):
@@ -155,8 +157,13 @@ def strength_curves(solution: Solution) -> tuple[np.ndarray, np.ndarray]:
 def fresnel_slope(solution: Solution, unit: int, theta: np.ndarray | float) -> tuple[np.ndarray, slice]:
     """Compute the derivatives of F of a unit with respect to its coordinates.
 
-    theta: angles at which F is evaluated, rad, (...). Returns: derivatives, (..., coordinates), and the slice of the vector of
-        the fit that contains these coordinates.
+    Args:
+        solution: solution of a fit whose model of F has parameters.
+        unit: index of the unit.
+        theta: angles at which F is evaluated, rad, (...).
+
+    Returns:
+        Derivatives, (..., coordinates), and the slice of the vector of the fit that contains these coordinates.
     """
     layout = solution.problem.layout
     first = layout.unit(unit).start
@@ -250,7 +257,14 @@ def lobe_verdict(solution: Solution) -> LobeVerdict:
 def fit_remarks(
     solution: Solution, camera: Camera | None, verdict: LobeVerdict, noise_given: bool
 ) -> tuple[Remark, ...]:
-    """List the remarks on a fit. camera: camera of the rig; None: no rig. noise_given: True if the noise is specified."""
+    """List the remarks on a fit.
+
+    Args:
+        solution: solution of the fit.
+        camera: camera of the rig; None without a rig.
+        verdict: result of `lobe_verdict`.
+        noise_given: True if the noise is specified.
+    """
     remarks = []
     prior, position, noise = solution.problem.prior, solution.problem.layout.rig, solution.noise
     if camera is None:
@@ -274,7 +288,7 @@ def fit_remarks(
             Remark(
                 "lobe-too-narrow",
                 "the lobe is narrower than this camera can resolve or record: the fitted width is an upper bound; "
-                "check that rig and data belong together",
+                "check that the rig is the one that recorded the data",
             )
         )
     elif not verdict.determined:
@@ -286,7 +300,7 @@ def fit_remarks(
     if not noise_given and max(noise.relative, 20 * noise.floor) > 0.05:
         text = (
             f"the residuals are {noise.relative:.0%} of the value of a pixel and {noise.floor:.1%} of the peak of the image, "
-            "which exceeds the noise of any camera: check the camera, the radius of the sample and the family of the lobe"
+            "which exceeds the noise of any camera; check the camera, the radius of the sample and the family of the lobe"
         )
         remarks.append(Remark("misfit", text))
     return tuple(remarks)
@@ -377,7 +391,7 @@ def _material(solution: Solution, units: list[int], strength: np.ndarray) -> Mic
 
 
 def fitted_camera(solution: Solution, camera: Camera) -> Camera:
-    """Build a camera with the fitted parameters of the lens and their uncertainty. camera: camera of the rig."""
+    """Replace the parameters of the lens and their uncertainty by the fitted ones. camera: camera of the rig."""
     problem: FitProblem = solution.problem
     axes, position = problem.prior.axes, problem.layout.rig
     lens = [n for n, axis in enumerate(axes) if axis.name not in (*WIDTHS, *CHANGES)]

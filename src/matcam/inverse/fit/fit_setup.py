@@ -111,7 +111,7 @@ class FitSetup:
         >>> matcam.inverse.FitSetup((), None)
         Traceback (most recent call last):
         ...
-        matcam.core.errors.ArgumentError: brdf must be a table or a list of at least one, got none
+        matcam.core.errors.ArgumentError: brdf must be a table or a list of at least one table, got none
     """
 
     tables: tuple[xr.DataArray, ...]
@@ -142,7 +142,7 @@ class FitSetup:
     def __post_init__(self) -> None:
         tables = tuple(checked_table(table) for table in self.tables)
         if not tables:
-            raise ArgumentError("brdf must be a table or a list of at least one, got none")
+            raise ArgumentError("brdf must be a table or a list of at least one table, got none")
         if len({sampling_of(table) for table in tables}) > 1:
             raise ArgumentError("tables that are fitted together must have the same attrs['sampling']")
         checks.choice("ndf", self.ndf, (*FAMILIES, STUDENT, TWO_LOBES))
@@ -162,7 +162,7 @@ class FitSetup:
                 rig_behind(table, self.rig)
 
     def with_(self, **changes: Any) -> FitSetup:
-        """Return a copy of the setup with changed fields.
+        """Copy the setup with changed fields.
 
         Args:
             changes: new values of fields, by name.
@@ -220,7 +220,7 @@ class FitSetup:
         return Search(self.problem, self.noise, self.workspace or default_workspace())
 
     def _in_few_slices(self) -> Solution | None:
-        """Search in a few of the slices, which is fast. None if the setup has only these, or if they have no values."""
+        """Search in a few slices, which is fast. The result is None if the setup has no others, or if they have no values."""
         if self.slice_step >= _LOOK_STEP:
             return None
         few = self.with_(slice_step=_LOOK_STEP)
@@ -267,7 +267,7 @@ class FitSetup:
 
     @cached_property
     def problem(self) -> FitProblem:
-        """Return the least-squares problem."""
+        """Least-squares problem of the fit."""
         layout = self.layout  # computed first, because it checks the arguments
         cells, operator = self.rule()
         radius = (self.view if self.rig is None else sample_view(self.rig)).radius
@@ -275,19 +275,19 @@ class FitSetup:
 
     @property
     def axes_with_refits(self) -> tuple[Axis, ...]:
-        """Return the rig parameters that are free in this or later fits."""
+        """Rig parameters that are free in this fit or in later fits."""
         return self.with_(also=self.refitted, nearby=True).prior.axes
 
     @property
     def _whole(self) -> WholeRule:
-        """Select the slices and axes for which the rule is computed, including those of later fits."""
+        """Slices and axes for which the rule is computed, including those of later fits."""
         slice_step, axes = SEARCH_STEP if self.slice_step == _LOOK_STEP else self.slice_step, self.prior.axes
         refitted = self.axes_with_refits if slice_step >= SEARCH_STEP else axes
         return WholeRule(slice_step, refitted if set(axes) <= set(refitted) else axes)
 
     @cached_property
     def layout(self) -> Layout:
-        """Return the order of the coordinates of the fit."""
+        """Order of the coordinates of the fit."""
         channels = [table.sizes["channel"] for table in self.tables]
         lobes = range(sum(channels)) if self.per_channel else np.repeat(np.arange(len(channels)), channels)
         kind = LobeKind(self.ndf, self.masking, KNOTS if self.spline else 0, SHADOWS if self.free_masking else 0)
@@ -296,7 +296,7 @@ class FitSetup:
 
     @cached_property
     def prior(self) -> Prior:
-        """Return the prior of the coordinates of the fit."""
+        """Prior of the coordinates of the fit."""
         camera_parameters = self.camera_parameters
         if self.rig is None:
             if camera_parameters not in (None, "fixed"):
@@ -373,7 +373,8 @@ def fit(
 
     Args:
         brdf: table of the form that `read_merl` returns, 1/sr, or several tables of one rig, one per material.
-        rig: rig that recorded the tables. Its sample is a sphere; camera and lamp are distant or near. None: a perfect camera.
+        rig: rig that recorded the tables, with a sphere or a cylinder; camera and lamp are distant or near. None: a perfect
+            camera.
         ndf: family of the lobe: "ggx", "epd", "sgd", "beckmann" or "gaussian". Default: "ggx". Unlike in `fresnel` and
             `correct` it is not "auto", because the family determines the parameters of the result.
         fresnel: model of F in each channel: "conductor" (n and k), "schlick" or "dielectric", or "free", one value for each
@@ -390,7 +391,7 @@ def fit(
         spline: prior standard deviation of the second differences of the spline that modifies ln D (no unit). Its knots
             are spaced by 0.5 in ln(slope). Default: 0, no modification. With 1, the family hardly constrains the lobe.
         noise: noise of a pixel and of the image gain. Default: None, estimated from the residuals, which include misfit.
-        slice_step: spacing of the slices of theta_d that are used (no unit). Default: 1, all slices. A larger one is faster.
+        slice_step: spacing of the slices of theta_d that are used (no unit). Default: 1, all slices. A larger value is faster.
         workspace: store of results that depend only on the rig. Default: None, that of the process.
 
     Returns:
@@ -410,7 +411,7 @@ def fit(
         >>> matcam.fit([], matcam.rigs.merl())
         Traceback (most recent call last):
         ...
-        matcam.core.errors.ArgumentError: brdf must be a table or a list of at least one, got none
+        matcam.core.errors.ArgumentError: brdf must be a table or a list of at least one table, got none
     """
     setup = FitSetup(
         tables=(brdf,) if isinstance(brdf, xr.DataArray) else tuple(brdf), rig=rig, ndf=ndf, fresnel=fresnel,

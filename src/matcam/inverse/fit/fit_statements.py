@@ -43,9 +43,11 @@ def rig_statements(axes: Sequence[Axis], information: np.ndarray, first: int, si
 def _slope(axis: Axis, information: float) -> float:
     """Compute the derivative of the value of a parameter with respect to its coordinate.
 
-    It is the slope of a secant, so that the standard uncertainty of the value is the specified one. The secant of a
+    It is the slope of a secant, so that the standard uncertainty of the value is the specified uncertainty. The secant of a
     width extends from the specified value to one standard deviation above it (`Axis.std`). For other parameters it extends
-    from one standard deviation below the value to one above it. information: prior information on the coordinate.
+    from one standard deviation below the value to one above it.
+
+    information: prior information on the coordinate.
     """
     std = 1 / math.sqrt(max(information, _LEAST))
     if axis.softening:

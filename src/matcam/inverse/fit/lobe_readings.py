@@ -53,7 +53,7 @@ class LobeReadings(NamedTuple):
 
 
 def lobe_readings(kind: LobeKind, q: np.ndarray) -> LobeReadings:
-    """Compute the reported parameters of a lobe from its coordinates. q: coordinates, (lobe coordinates,)."""
+    """Compute the reported parameters of a lobe from its coordinates, (lobe coordinates,)."""
     if kind.of_family:
         pairs = np.array([readable_value(name, one) for name, one in zip(kind.names, q, strict=True)])
         return LobeReadings(kind.names, pairs[:, 0], np.diag(pairs[:, 1]))
@@ -78,7 +78,10 @@ def lobe_readings(kind: LobeKind, q: np.ndarray) -> LobeReadings:
 def half_maximum_angle(kind: LobeKind, q: np.ndarray, covariance: np.ndarray) -> tuple[float, float]:
     """Compute the half width at half maximum of D, rad, and its standard deviation.
 
-    q: coordinates of the lobe. covariance: covariance of the coordinates.
+    Args:
+        kind: parametrisation of the lobe.
+        q: coordinates of the lobe, (lobe coordinates,).
+        covariance: covariance of the coordinates, (lobe coordinates, lobe coordinates).
     """
     angle, by_q = half_maximum(kind, q)
     return angle, float(np.sqrt(by_q @ covariance @ by_q))
@@ -101,8 +104,11 @@ def half_maximum(kind: LobeKind, q: np.ndarray) -> tuple[float, np.ndarray]:
 def _half_maximum(kind: LobeKind, q: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
     """Solve for the angle at which D is half of its maximum.
 
-    The function f = ln(2 D / D(0)) is 0 at this angle. Returns: f at the widest angle, ln(angle), and at this angle the
-        derivatives of f with respect to ln(angle) and with respect to the coordinates.
+    The function f = ln(2 D / D(0)) is 0 at this angle.
+
+    Returns:
+        f at the widest angle, ln(angle), and at this angle the derivatives of f with respect to ln(angle) and with respect to
+        the coordinates.
     """
 
     def excess(log_angle: jax.Array, q: jax.Array) -> jax.Array:

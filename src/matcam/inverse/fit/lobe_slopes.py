@@ -83,7 +83,6 @@ class _Lobe(NamedTuple):
 
     @classmethod
     def of(cls, kind: LobeKind, q: np.ndarray) -> _Lobe:
-        """Compute the common quantities from the coordinates of a lobe."""
         by_norm = np.asarray(_by_norm(kind, q)) if kind.spline_size else None
         if kind.masking is None:
             return cls(kind, q, by_norm, None, None)
@@ -130,10 +129,8 @@ def _lifted(
 ) -> tuple[jax.Array, list[jax.Array]]:
     """Compute a quantity proportional to D, and its derivatives with respect to the coordinates of the family.
 
-    The derivatives do not include that of the norm of a spline modification.
-
-    slope2: squared slopes. light_of: function that computes the quantity of a lobe at these slopes; it is called with the lobe
-        without modification.
+    The derivatives do not include that of the norm of a spline modification. `light_of` computes the quantity of a lobe at the
+    squared slopes `slope2`. It is called with the lobe without its modification.
     """
     plain, own = kind._replace(spline_size=0, shadows=0), len(kind.family_names)
     pairs = [jax.jvp(lambda own: light_of(plain.ndf(own)), (q[:own],), (unit,)) for unit in np.eye(own)]

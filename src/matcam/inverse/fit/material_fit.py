@@ -106,31 +106,31 @@ class MaterialFit(Summarised):
 
     @property
     def material(self) -> Microfacet:
-        """Return the material of the first table."""
+        """Material of the first table."""
         return self.materials[0]
 
     @property
     def ndf(self) -> NDF:
-        """Return the lobe of the first table."""
+        """Fitted lobe of the first table."""
         coordinates = self.coordinates
         return coordinates.kind.ndf(placed(coordinates.lobe))
 
     @property
     def theta_d(self) -> np.ndarray:
-        """Return theta_d of the fitted slices, rad, (slices,)."""
+        """Difference angles of the fitted slices, rad, (slices,)."""
         return self._solution.problem.theta_d
 
     @property
     def diffuse(self) -> np.ndarray:
-        """Return the albedo of the diffuse part of each channel.
+        """Albedo of the diffuse part of each channel, no unit, (channels,).
 
-        The shape is (channels,), without unit. The values are 0 if the fit has no diffuse part.
+        The values are 0 if the fit has no diffuse part.
         """
         return self._solution.problem.of_units("diffuse", self._solution.p)
 
     @property
     def diffuse_part(self) -> DiffusePart:
-        """Diffuse part of the body, with albedo 0 without one."""
+        """Diffuse part of the body, with albedo 0 if there is none."""
         coated = self._solution.problem.layout.coated_share(self._solution.p)
         return DiffusePart(tuple(np.maximum(self.diffuse, 0.0).tolist()), coated)
 
@@ -145,7 +145,7 @@ class MaterialFit(Summarised):
         return Base(float(np.exp(solution.p[layout.base_width][0])), tuple(np.maximum(reflectance, 0.0).tolist()))
 
     def body(self, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Compute the BRDF of the body, and its standard deviation.
+        """Compute the BRDF of the body and its standard deviation.
 
         The body is the diffuse part, and the rough base under the lobe if the fit has one.
 
@@ -161,7 +161,7 @@ class MaterialFit(Summarised):
 
     @property
     def has_spline(self) -> bool:
-        """Check whether the lobe is spline-modified."""
+        """True if the lobe is spline-modified."""
         return bool(self.coordinates.kind.spline_size)
 
     @property
@@ -171,14 +171,14 @@ class MaterialFit(Summarised):
 
     @property
     def coordinates(self) -> FitCoordinates:
-        """Return the coordinates of the first lobe and the rig.
+        """Coordinates of the first lobe and the rig, with their covariance.
 
-        The model is approximately linear in these coordinates. The result includes their covariance.
+        The model is approximately linear in these coordinates.
         """
         return fit_coordinates(self._solution)
 
     def correlation(self, first: str, second: str) -> float:
-        """Return the correlation of two parameters.
+        """Compute the correlation of two parameters.
 
         Args:
             first: name of a parameter, as in `params`.
@@ -201,7 +201,7 @@ class MaterialFit(Summarised):
         return float(self.covariance[i, j] / np.sqrt(self.covariance[i, i] * self.covariance[j, j]))
 
     def uncertainty_budget(self, name: str) -> UncertaintyBudget:
-        """Return the uncertainty budget of a parameter (GUM).
+        """Compute the uncertainty budget of a parameter (GUM).
 
         The combined uncertainty is the standard deviation of the parameter. The sources are the readings of the pixels, and
         the specified values of the camera and the rig.
@@ -218,7 +218,7 @@ class MaterialFit(Summarised):
         return self.uncertainty_budgets(name)[0]
 
     def uncertainty_budgets(self, *names: str) -> list[UncertaintyBudget]:
-        """Return the uncertainty budgets of parameters.
+        """Compute the uncertainty budgets of several parameters.
 
         Args:
             *names: names of parameters, as in `uncertainty_budget`. Default: all names in `params`, and "hwhm_rad".
@@ -285,10 +285,10 @@ class MaterialFit(Summarised):
         Records in near rigs depend on this derivative.
 
         Args:
-            theta_d: difference angles, rad (n,).
+            theta_d: difference angles, rad, (n,).
 
         Returns:
-            Mean of all channels, 1/rad (n,), interpolated between the slices of the fit; 0 for a distant rig.
+            Mean of all channels, 1/rad, (n,), interpolated between the slices of the fit; 0 for a distant rig.
         """
         return np.interp(theta_d, self.theta_d, self._solution.model.log_slope.mean(axis=0))
 
@@ -320,7 +320,7 @@ class MaterialFit(Summarised):
         return at.axes[position].square(float(at.rig[position]), float(np.sqrt(at.covariance[own, own])))
 
     def linearised(self) -> LinearisedFit:
-        """Return the fit as a linear least-squares problem.
+        """Linearise the least-squares problem at the solution.
 
         The uncertainty of a correction is computed from this problem.
 
@@ -377,7 +377,13 @@ class MaterialFit(Summarised):
 
 
 def material_fit(solution: Solution, camera: Camera | None, *, noise_given: bool) -> MaterialFit:
-    """Build the result of a solved fit. camera: camera of the rig; None: no rig. noise_given: True if noise is specified."""
+    """Build the result of a solved fit.
+
+    Args:
+        solution: solution of the fit.
+        camera: camera of the rig; None without a rig.
+        noise_given: True if the noise is specified.
+    """
     problem, data = solution.problem, solution.problem.data
     readings = named_parameters(solution)
     std = np.sqrt(np.diag(readings.covariance))

@@ -64,10 +64,6 @@ def _lattice(family: str) -> np.ndarray:
 
 
 def _covariance(information: np.ndarray, prior_rows: np.ndarray) -> np.ndarray:
-    """Compute the posterior covariance of the coordinates.
-
-    information: information matrix of the data. prior_rows: result of `Prior.rows`.
-    """
     return scaled_inverse(information + prior_rows.T @ prior_rows, undetermined=1e12)
 
 
@@ -95,7 +91,7 @@ class Solution(NamedTuple):
     weight: np.ndarray
 
     def tempered(self, kappa: float) -> Solution:
-        """Return the solution with the covariance of the tempered likelihood (`correction/evidence.py`).
+        """Replace the covariance by that of the tempered likelihood (`correction/evidence.py`).
 
         kappa: exponent of the likelihood, 0 to 1.
         """
@@ -108,8 +104,10 @@ class Solution(NamedTuple):
 class Search:
     """Search for the best fit of a problem.
 
-    problem: problem to solve. noise: noise of a pixel; None: it is estimated from the residuals. workspace: store of the
-        records of the starting points.
+    Args:
+        problem: problem to solve.
+        noise: noise of a pixel; None: it is estimated from the residuals.
+        workspace: store of the records of the starting points.
     """
 
     def __init__(self, problem: FitProblem, noise: PixelNoise | None, workspace: Workspace):
@@ -135,8 +133,10 @@ class Search:
     def resume(self, start: np.ndarray, weight: np.ndarray | None, noise: PixelNoise) -> Solution:
         """Continue from the solution of another model.
 
-        start: coordinates in the layout of this problem. weight: robust weights; None: weights from the variance of each value.
-        noise: noise of a pixel, used as the first estimate if it is not specified.
+        Args:
+            start: coordinates in the layout of this problem.
+            weight: robust weights; None: weights from the variance of each value.
+            noise: first estimate of the noise of a pixel. It is not used if the noise is specified.
         """
         return self._refine(self._inside(start), self._weight(weight, noise), self.given_noise or noise, rounds=_ROUNDS)
 
@@ -150,7 +150,10 @@ class Search:
         return self._refine(start, self._robust_weight(model, noise), noise, rounds=_ROUNDS)
 
     def adjust(self, start: np.ndarray, weight: np.ndarray | None, noise: PixelNoise) -> Solution:
-        """Continue from a solution of the same model, for example in fewer slices. A few linear steps suffice."""
+        """Continue from a solution of the same model, for example in fewer slices, by a few linear steps.
+
+        The arguments are those of `resume`.
+        """
         return self._refine(start, self._weight(weight, noise), self.given_noise or noise, rounds=2, steps=(2, 2))
 
     def _weight(self, weight: np.ndarray | None, noise: PixelNoise) -> np.ndarray:
@@ -158,10 +161,7 @@ class Search:
         return 1 / cell_variance(data, np.abs(data.values), noise) if weight is None else weight
 
     def _weighed(self, p: np.ndarray, weight: np.ndarray, noise: PixelNoise) -> tuple[FitModel, np.ndarray, PixelNoise]:
-        """Evaluate the model, and update weights and noise.
-
-        p: coordinates of the fit. weight: weights for the solution of free strengths.
-        """
+        """Evaluate the model, and update weights and noise. weight: weights for the solution of free strengths."""
         model = self.problem.model(p, weight)
         if self.given_noise is None:
             noise = estimate_noise(self.problem.data, self.problem.residual(model), model.value, p.size, noise)
@@ -196,10 +196,9 @@ class Search:
         return [self._vector(lobes[index], models[best[0]]) for index in best]
 
     def _vector(self, lobe: np.ndarray, free: FitModel) -> np.ndarray:
-        """Build the starting point of a fit.
+        """Build the starting point of a fit from the coordinates of a lobe.
 
-        lobe: coordinates of the lobe. free: fitted model with F free in every slice; the Fresnel terms are fitted to
-            these values.
+        The Fresnel terms are fitted to the strengths of `free`, a fitted model with F free in every slice.
         """
         layout, theta_d = self.problem.layout, self.problem.theta_d
         p = np.zeros(layout.size)
@@ -223,10 +222,8 @@ class Search:
         """Alternate least squares with fixed weights and updates of the weights until convergence.
 
         Convergence is linear. If two consecutive changes are nearly parallel, the next round starts from the extrapolated
-        limit.
-
-        rounds: largest number of rounds. steps: largest number of least-squares steps in the first round, and in each later
-            round.
+        limit. There are at most `rounds` rounds. The first round has at most `steps[0]` least-squares steps, and each later
+        round at most `steps[1]`.
         """
         problem, data = self.problem, self.problem.data
         last = np.zeros_like(p)
@@ -261,7 +258,7 @@ class Search:
     def _least_squares(
         self, p: np.ndarray, weight: np.ndarray, noise: PixelNoise, steps: int
     ) -> tuple[np.ndarray, float]:
-        """Minimise the sum of squares. Returns: coordinates, and half of the sum of squares."""
+        """Minimise the sum of squares, and compute the coordinates at the minimum and half of the sum there."""
         problem, prior = self.problem, self.prior_rows
         start = problem.model(p, weight)
         fixed = None if problem.layout.fresnel == "free" else problem.whitening(start, weight, noise.picture_gain)

@@ -30,8 +30,11 @@ class StartRecords:
     def of(self, kind: LobeKind, starts: np.ndarray) -> np.ndarray:
         """Compute the records of lobes at F = 1, 1/sr, (starts, slices, cells).
 
-        The parameters of the rig have their specified values. kind: parametrisation of the lobes. starts: coordinates of the
-            lobes, (starts, coordinates).
+        The parameters of the rig have their specified values.
+
+        Args:
+            kind: parametrisation of the lobes.
+            starts: coordinates of the lobes, (starts, coordinates).
         """
         key = f"records of starts\n{self._name}\n{kind}\n{starts.tobytes().hex()}"
 
@@ -47,7 +50,7 @@ class StartRecords:
 
     @cached_property
     def _name(self) -> str:
-        """Compute a hash of the values of the operator, which identifies the operator in the cache."""
+        """Hash of the values of the operator, which identifies the operator in the cache."""
         numbers = hashlib.sha256()
         for leaf in jax.tree.leaves(self.operator.blocks):
             numbers.update(np.ascontiguousarray(leaf).tobytes())

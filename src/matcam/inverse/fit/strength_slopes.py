@@ -32,8 +32,11 @@ class StrengthSlopes:
     def log_slopes(self, strength: np.ndarray, std: np.ndarray) -> np.ndarray:
         """Compute the slope of ln F at the slices, 1/rad, (units, slices).
 
-        It is 0 for units without positive strengths. strength: strengths, (units, slices). std: standard deviations of the
-            strengths; infinite for slices without values.
+        It is 0 for units without positive strengths.
+
+        Args:
+            strength: strengths, (units, slices).
+            std: standard deviations of the strengths, (units, slices); infinite for slices without values.
         """
         return np.stack([self._of_unit(*unit) for unit in zip(strength, std, strict=True)])
 

@@ -42,7 +42,7 @@ from matcam.rigs import Rig
 class _Found(NamedTuple):
     """Nodes of pixels, their weights for each blur, and the arrays of the masking samples by name.
 
-    moments: for a near rig, moments in the shape of the weights; empty for a distant rig.
+    The moments have the shape of the weights; they are empty for a distant rig.
     """
 
     theta: np.ndarray
@@ -112,7 +112,7 @@ def rule_arrays(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[st
 
 
 def _by_window(through: PixelBlurs, numbers: Sequence[int]) -> list[list[int]]:
-    """Group blurs with the same windows and the same program. numbers: indices of the blurs."""
+    """Group the indices `numbers` of blurs with the same windows and the same program."""
     groups: dict[tuple, list[int]] = {}
     for n in numbers:
         groups.setdefault((through.reaches[n].tobytes(), jax.tree.structure(through.blurs[n])), []).append(n)
@@ -124,7 +124,7 @@ def _in_pieces(
 ) -> list[_Found]:
     """Compute the rules of pixels in pieces on all cores: one rule on a sphere, or one for each arm of a cylinder.
 
-    pixels: see `_rules`. count: number of all blurs; blurs that are not in `widths` have weights of 0.
+    There are `count` blurs in total. Those that are not in `widths` have weights of 0.
     """
     step = PIECE if view.line else PIECES * PIECE
     pieces = [slice(first, first + step) for first in range(0, pixels[0].size, step)]
@@ -151,7 +151,6 @@ def _in_columns(arrays: Sequence[np.ndarray], columns: list[int], count: int) ->
 
 
 def _joined(parts: tuple[_Found, ...]) -> _Found:
-    """Concatenate the quadrature rules of several groups of pixels."""
     return _Found(
         np.concatenate([part.theta for part in parts]),
         [np.concatenate(weights) for weights in zip(*(part.weights for part in parts), strict=True)],
@@ -161,10 +160,9 @@ def _joined(parts: tuple[_Found, ...]) -> _Found:
 
 
 def _rules(view: SampleView, pixels: tuple[np.ndarray, ...], widths: list[PixelBlurs], scale: Scale) -> list[_Found]:
-    """Compute the quadrature rules of pixels.
+    """Compute the quadrature rules of pixels for one group of terms, or on a sphere for several groups with common nodes.
 
-    pixels: x, y, theta_d, lamp angle, and factor of the record. widths: one group of terms, or on a sphere several groups
-    with common nodes.
+    pixels: x and y, px, theta_d and lamp angle, rad, and factor of the record of each pixel.
     """
     x, y, theta_d, lamp_angle, factor = pixels
     if not view.line:
@@ -190,7 +188,7 @@ def _on_the_same_nodes(widths: list[PixelBlurs]) -> list[list[PixelBlurs]]:
 def _sphere_rules(
     view: SampleView, windows: Windows, theta_d: np.ndarray, factor: np.ndarray, widths: list[PixelBlurs], scale: Scale
 ) -> _Found:
-    """Compute the rules of groups of terms on common nodes. windows: those of the widest group."""
+    """Compute the rules of groups of terms on common nodes. `windows` are those of the widest group."""
     sphere = view.on_sphere
     own = scale if np.min(widths[0].reaches[0]) > _SURROUNDINGS[0] else scale._replace(largest=np.inf)
     widest, onto = (one.scaled(scale) for one in sphere_range(sphere, windows))
@@ -247,7 +245,6 @@ def _sphere_rules(
 
 
 def _summed(rules: list[SphereRule]) -> tuple[np.ndarray, ...]:
-    """Sum the weights of rules, and in a near rig their moments."""
     arrays = zip(*((one.weight, one.moment) for one in rules), strict=True)
     return tuple(np.sum(one, axis=0) for one in arrays if one[0] is not None)
 
@@ -318,7 +315,6 @@ def _cylinder_rules(
 
 
 def _found(rules: list[CylinderRule]) -> _Found:
-    """Combine the rules of all blurs on the same nodes."""
     theta = np.asarray(rules[0].theta)
     circles = CircleSums(*(np.asarray(a) for a in rules[0].circles))
     samples = dict(zip(_MASKED, masking_samples(circles, theta, np.arange(NODES[0].size)), strict=True))
@@ -344,4 +340,6 @@ _SURROUNDINGS = np.array([9.0, 45.0])
 _RESOLVED = 10
 """Ratio of the support radius of a blur to the smallest standard deviation that the azimuths of a rule resolve."""
 _PIXEL_NODES = ((1.7, 5), (5.0, 10), (np.inf, 20))
-"""Pairs (largest ratio of pixel half width to lens standard deviation, nodes). Each number of nodes requires a program."""
+"""Pairs (largest ratio of pixel half width to lens standard deviation, nodes). There are three, because each number of nodes
+requires a compiled program.
+"""

@@ -93,14 +93,14 @@ class ChosenCells(NamedTuple):
 
     @property
     def weight(self) -> np.ndarray:
-        """Return the share of each pixel in its cell, (s, n, pixels)."""
+        """Share of each pixel in its cell, (s, n, pixels)."""
         return np.full(self.x.shape, 0.5) if self.real is None else self.real.weight
 
     @property
     def noise_share(self) -> np.ndarray:
-        """Return the ratio of the variances of each cell and a pixel.
+        """Ratio of the variance of each cell to that of a pixel, (s, n).
 
-        It has shape (s, n). Without real pixels it is one half, or 1 if both directions share a pixel.
+        Without real pixels it is one half, or 1 if both directions share a pixel.
         """
         return np.where(self.one_pixel, 1.0, 0.5) if self.real is None else self.real.noise_share
 
@@ -144,7 +144,7 @@ def peak_cells(view: SampleView, theta_d: np.ndarray) -> ChosenCells:
 
 
 def noise_shares(rig: Rig, sampling: Sampling) -> np.ndarray:
-    """Compute the ratio of the variances of each cell and a pixel.
+    """Compute the ratio of the variance of each cell to that of a pixel.
 
     It has shape (90, 90, 180). It is one half if the two positions of a cell, on opposite sides of the highlight, certainly
     lie in two pixels, and otherwise 1. For a mean of n pixels it is at most 1 / n. For interpolation between pixels it is
@@ -182,7 +182,6 @@ def positions_in(view: SampleView, theta_h: np.ndarray, theta_d: np.ndarray, phi
 
 
 def _azimuth(view: SampleView, pixels: PixelGrid | None) -> float:
-    """Return the azimuth of the lamp relative to the rows of pixels, rad."""
     return view.azimuth if pixels is None else pixels.azimuth
 
 
@@ -243,10 +242,7 @@ def _slice_cells(view: SampleView, sampling: Sampling, slice_: int, pixels: Pixe
 
 
 def _ring_azimuths(ring: int, radius: float, theta_d: float, count: int) -> np.ndarray:
-    """Choose the indices of phi_d that are considered in a ring.
-
-    radius: radius of the ring in the image, px. count: number of phi_d of a table.
-    """
+    """Choose the indices of phi_d that are considered in a ring of a radius in px. A table has `count` values of phi_d."""
     # half the circumference of the ring, px, foreshortened in one direction
     length = np.pi * radius * np.sqrt((1 + np.cos(theta_d) ** 2) / 2)
     positions = int(np.clip(np.ceil(2 * length), 1, 24)) if ring < NEAR_RINGS else _MOST_IN_RING

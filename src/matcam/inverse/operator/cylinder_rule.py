@@ -98,10 +98,14 @@ def lamp_of(pixels: LinePixels, nearness: float) -> PlacedLamps:
 def line_window(
     cylinder: Cylinder, nearness: float, pixels: LinePixels, reach: np.ndarray, disc: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Compute the range of theta_h in the window of each pixel, rad.
+    """Compute the smallest and the largest theta_h in the window of each pixel, rad, (pixels,) each.
 
-    The result is the smallest and the largest angle, (pixels,) each. nearness: inverse distance of the lamps, 1/radii; 0:
-    distant. reach: support radius of the kernel, (pixels,), px. disc: angular radius of the source disc, rad.
+    Args:
+        cylinder: the cylinder.
+        nearness: inverse distance of the lamps, 1/radii; 0: distant.
+        pixels: the pixels.
+        reach: support radius of the kernel, px, (pixels,).
+        disc: angular radius of the source disc, rad.
     """
     turns = np.linspace(-1, 1, 9)
     light, bound = lamp_of(pixels, nearness), jnp.asarray(reach)[:, None]
@@ -229,8 +233,8 @@ def _samples(
 ) -> _Samples:
     """Build the samples of each pixel.
 
-    flat: angle from the half vector below which samples have a constant density, rad, (pixels, 1). disc: angular radius
-    of the source disc, rad; None: a point source.
+    `flat` is the angle from the half vector below which samples have a constant density, rad, (pixels, 1). `disc` is the
+    angular radius of the source disc, rad, or None for a point source.
     """
     ends = ends_of_light(cylinder, light)
     half, zero = blur.pixel.half_width, jnp.zeros_like(reach)
@@ -280,7 +284,7 @@ def _miss(cylinder: Cylinder, light: PlacedLamps, row: jax.Array, ends: tuple[ja
 def _meeting(first: jax.Array, middle: jax.Array, last: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Estimate the position in [-1, 1] at which an angle is closest to 0, and the magnitude of the slope of the angle.
 
-    first, middle, last: angles at -1, 0 and 1, rad.
+    The arguments are the angles at -1, 0 and 1, rad.
     """
     slope = (last - first) / 2
     safe = jnp.where(jnp.abs(slope) > LEAST_ARM, slope, LEAST_ARM)
@@ -301,8 +305,8 @@ def _crowded(middle: jax.Array, borders: tuple[jax.Array, ...], scale: jax.Array
 def _moved(light: PlacedLamps, disc: ArrayLike, position: jax.Array, along: jax.Array) -> tuple[PlacedLamps, jax.Array]:
     """Move the lamp to a point of its disc, and compute the irradiance relative to that from the middle of the disc.
 
-    position, along: coordinates of the point in radii of the disc, in the directions in which the half vector rotates
-    towards the axis of the cylinder (`position`) and about this axis (`along`). disc: angular radius, rad.
+    `disc` is the angular radius of the disc, rad. `position` and `along` are the coordinates of the point in radii of the disc.
+    The half vector rotates towards the axis of the cylinder with `position`, and about this axis with `along`.
     """
     x, y, z = light.towards
     across = jnp.maximum(jnp.hypot(x, z), 1e-12)
@@ -322,7 +326,6 @@ def _moved(light: PlacedLamps, disc: ArrayLike, position: jax.Array, along: jax.
 
 
 def _angles(element, lamp) -> Directions:  # type: ignore[no-untyped-def]
-    """Compute cosines and angles at surface elements."""
     half, apart = ([a + side * b for a, b in zip(lamp, element.view, strict=True)] for side in (1, -1))
     normal, tangent = element.normal, element.tangent
     cos_i, cos_o = (normal[0] * one[0] + normal[2] * one[2] for one in (lamp, element.view))
@@ -335,8 +338,8 @@ def _angles(element, lamp) -> Directions:  # type: ignore[no-untyped-def]
 def _kernel(cylinder, blur: Blur, terms, variance, at, shift, rows: bool):  # type: ignore[no-untyped-def]
     """Evaluate the kernel at nodes, 1/px, or 1/px^2 if `rows` is True.
 
-    at: column of the pixel, px; angle, rad, and row, px, of the nodes. shift: shifts of the normal at the two ends of a
-    chord, over which the kernel is averaged, rad; None: a point source.
+    `at` contains the column of the pixel, px, and the angle, rad, and row, px, of the nodes. `shift` contains the shifts, rad,
+    of the normal at the two ends of a chord, over which the kernel is averaged. It is None for a point source.
     """
     x, u, row = at
     spread = Spread(variance, variance, jnp.abs(blur.defocus(cylinder.radius, jnp.cos(u))))

@@ -262,10 +262,9 @@ def _image(view: SphereView, lamp_angle: np.ndarray) -> tuple[np.ndarray, np.nda
 def _highlights(view: SphereView, u: Any, v: Any, radius: Any, lamp_angle: Any) -> tuple[tuple, Any]:
     """Compute the normals at the highlights of points of the disc, and a factor proportional to the record of each point.
 
-    For NumPy arrays of lamp angles the computation uses NumPy, because JAX would compile each operation separately.
-
-    u, v: positions of the points along the plane of camera and lamp and across it, in radii of the disc. radius: angular
-        radius of the disc, rad. lamp_angle: lamp angle of the centre of the disc, rad.
+    For NumPy arrays of lamp angles the computation uses NumPy, because JAX would compile each operation separately. `u` and `v`
+    are the positions of the points along the plane of camera and lamp and across it, in radii of the disc. `radius` is the
+    angular radius of the disc, and `lamp_angle` is the lamp angle of its centre, rad.
     """
     xp: Any = np if isinstance(lamp_angle, np.ndarray) else jnp
     square = u**2 + v**2

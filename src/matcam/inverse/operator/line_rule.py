@@ -33,7 +33,9 @@ second.
 
 
 class ImagePositions(NamedTuple):
-    """Image positions on a sphere, as far from the optical axis as pixels from the axis of a cylinder. Arrays of one shape.
+    """Image positions on a sphere, whose distances from the optical axis are those of pixels from the axis of a cylinder.
+
+    All arrays have one shape.
 
     Attributes:
         x: distance from the optical axis towards the lamp, px.
@@ -103,10 +105,7 @@ def line_rule(
         lit = jnp.maximum(-jnp.pi / 2, middle - jnp.pi / 2), jnp.minimum(jnp.pi / 2, middle + jnp.pi / 2)
 
         def turns(at: jax.Array) -> jax.Array:
-            """Compute the angle from the minimum to normals along the arm, rad.
-
-            at: columns of the normals, px.
-            """
+            """Compute the angle, rad, from the minimum to the normals at some columns, px, of the arm."""
             u = jnp.clip(jnp.arcsin(jnp.clip(at / radius, -1, 1)), *lit)
             return jnp.maximum(arm * (u - closest), 0.0)
 
@@ -135,8 +134,12 @@ def line_rule(
 def arm_nodes(turns: Sequence[jax.Array], scale: jax.Array, order: int) -> tuple[jax.Array, jax.Array]:
     """Compute asinh(angle / scale) of the nodes of an arm, and their weights, rad, (..., nodes).
 
-    turns: angles of the ends of the arm and of the borders of the pixel between them, rad. The arm is cut at the borders and in
-        the middle. order: number of nodes between two cuts.
+    The arm is cut at the borders of the pixel and in the middle.
+
+    Args:
+        turns: angles of the ends of the arm and of the borders of the pixel between them, rad.
+        scale: scale of the nodes, rad.
+        order: number of nodes between two cuts.
     """
     cuts = jnp.stack([jnp.arcsinh(turn / scale) for turn in turns], axis=-1)
     middle = (cuts[..., :1] + cuts[..., -1:]) / 2

@@ -78,23 +78,25 @@ class LobeOperator:
 
     @property
     def orders(self) -> tuple[LobeOperator, ...]:
-        """Return the operator and, if it has one, that of the moment."""
+        """Operator of the record, followed by that of the moment if there is one."""
         return (self,) if self.moment is None else (self, self.moment)
 
     @property
     def axes(self) -> tuple[Axis, ...]:
-        """Return the parameters of the rig that may change."""
+        """Parameters of the rig that may change."""
         return self.blocks[0].axes
 
     @property
     def at(self) -> NodeArrays:
-        """Return the quantities at the nodes of all cells."""
+        """Quantities at the nodes of all cells."""
         return joined([block.at for block in self.blocks], int(np.prod(self.shape)))
 
     def with_weights(self, weight: np.ndarray, along: Sequence[np.ndarray]) -> LobeOperator:
         """Build an operator with the same nodes and other weights, without a moment.
 
-        weight: see `NodeArrays`. along: differences of the weights along each axis, see `NodeArrays`.
+        Args:
+            weight: weights, see `NodeArrays`.
+            along: differences of the weights along each axis, see `NodeArrays`.
         """
         parts = zip(self.blocks, in_blocks((weight, tuple(along))), strict=True)
         return LobeOperator(tuple(block.with_weights(*part) for block, part in parts), self.shape)
@@ -115,7 +117,9 @@ class LobeOperator:
     def leaning(self, lean: np.ndarray) -> LobeOperator:
         """Include the variation of F within a slice in the weights.
 
-        F is 1 at theta_d of the cells. lean: derivative of ln F with respect to theta_d, 1/rad, (slices,).
+        F is 1 at theta_d of the cells.
+
+        lean: derivative of ln F with respect to theta_d, 1/rad, (slices,).
         """
         if self.moment is None:
             return self
@@ -129,7 +133,11 @@ class LobeOperator:
         """Compute the record of D G divided by cos_i, 1/sr.
 
         F is 1. The result has shape (slices, cells) and is the mean of both directions, or of the real pixels of a cell.
-        shifts: coordinates along the axes, (axes,).
+
+        Args:
+            ndf: the lobe.
+            masking: masking G of the lobe.
+            shifts: coordinates along the axes, (axes,).
         """
         return self.directions(ndf, masking, shifts).sum(axis=-1) / 2
 
@@ -142,7 +150,8 @@ class LobeOperator:
     def by_shape(self, ndf: NDF, masking: Masking, shifts: npt.ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """Compute the record, and its derivative with respect to each coefficient of a smooth factor of D.
 
-        Returns: record, 1/sr, (slices, cells), and derivatives, 1/sr, (coefficients, slices, cells).
+        Returns:
+            Record, 1/sr, (slices, cells), and derivatives, 1/sr, (coefficients, slices, cells).
         """
         table = lambda_table(ndf, masking)
 
@@ -156,7 +165,7 @@ class LobeOperator:
     def by_blocks(self, function: Callable[[OperatorNodes], np.ndarray]) -> np.ndarray:
         """Apply a function to each block, on all cores. The result has shape (..., slices, cells).
 
-        function: function of the nodes of a block that returns (..., cells of the block).
+        function: function of the nodes of a block, with values of shape (..., cells of the block).
         """
         parts = in_order(function, self.blocks, available_cores())
         whole = np.concatenate(list(parts), axis=-1)[..., : np.prod(self.shape)]
@@ -181,7 +190,6 @@ class _Rules(NamedTuple):
     moment_along: tuple[np.ndarray, ...] = ()
 
     def operator(self, cells: ChosenCells, through: np.ndarray, axes: tuple[Axis, ...]) -> LobeOperator:
-        """Build the operator, with the angles that masking requires."""
         theta = self.sample_theta[..., None]
         theta_d = np.repeat(cells.theta_d, cells.valid.shape[1]).reshape(-1, *[1] * (theta.ndim - 1))
         if self.sample_theta_d is not None:
@@ -230,8 +238,13 @@ def lobe_operator(
 ) -> tuple[ChosenCells, LobeOperator]:
     """Choose cells in every `slice_step`-th slice, and build their operator.
 
-    rig: the rig; None: a camera without blur. workspace: store of the operator for further calls with the same rig. whole:
-    slices and axes of a larger rule from which the operator is selected. Default: None, a separate rule is computed.
+    Args:
+        rig: the rig; None: a camera without blur.
+        sampling: sampling of the table.
+        slice_step: spacing of the slices of theta_d. Default: 1.
+        axes: parameters of the rig that may change. Default: none.
+        workspace: store of the operator for further calls with the same rig. Default: None, that of the process.
+        whole: slices and axes of a larger rule from which the operator is selected. Default: None, a separate rule is computed.
     """
     if rig is None:
         return perfect_operator(sampling, slice_step, FAR_AWAY, workspace)
@@ -278,16 +291,14 @@ def check_rig(rig: Rig) -> None:
     if not isinstance(rig, Rig):
         raise ArgumentError(f"rig must be a Rig such as rigs.merl(), or None, got {type(rig).__name__}")
     if not isinstance(rig.sample, Sphere | Cylinder):
-        raise ArgumentError(
-            f"a fit needs a table recorded from a Sphere or Cylinder, but this rig has a {type(rig.sample).__name__}"
-        )
+        raise ArgumentError(f"the sample must be a Sphere or a Cylinder for a fit, got a {type(rig.sample).__name__}")
     if isinstance(rig.sample, Cylinder):
         check_cylinder(rig)
         checked_isotropic(rig.camera.optics, "a fit of a cylinder")
     if rig.cell_value in (*ON_REAL_PIXELS, "mean") and not sample_view(rig).distant:
         raise ArgumentError(
-            f"cell_value '{rig.cell_value}' requires a distant camera and lamp, because with near ones each cell has its own "
-            "image: specify 'centre' or 'edge'"
+            f"cell_value '{rig.cell_value}' requires a distant camera and lamp, because each cell has its own image if one of "
+            "them is near; specify 'centre' or 'edge'"
         )
 
 

@@ -1,7 +1,7 @@
 """Quadrature nodes of some cells, at which an operator evaluates a lobe.
 
 Only D and its derivatives depend on the family of the lobe, so a small program is compiled for each family. Lambda is
-interpolated in a table for every lobe, and the sums are those of NumPy. One compiled program for all of this takes ten times
+interpolated in a table for every lobe, and the sums are computed by NumPy. A single program for these steps takes ten times
 as long to compile, and more time to run. All programs take the same number of cells.
 """
 
@@ -51,7 +51,7 @@ class NodeArrays(NamedTuple):
 
 
 class OperatorNodes(NamedTuple):
-    """Nodes of cells, and what all cells have in common.
+    """Nodes of cells, and quantities that are common to all cells.
 
     Attributes:
         at: quantities at the nodes.
@@ -102,7 +102,7 @@ class OperatorNodes(NamedTuple):
         return slopes.T @ own
 
     def masked(self, masking: Masking, table: np.ndarray | None) -> JointMasking | None:
-        """Evaluate G at the nodes; None without masking. table: table of Lambda."""
+        """Evaluate G at the nodes from a table of Lambda. The result is None without masking."""
         if masking is None or table is None:
             return None
         return JointMasking(self, masking, self.at.light_and_view.one_plus_lambda(table))
@@ -139,8 +139,9 @@ class JointMasking(NamedTuple):
     def by_tables(self, by_value: np.ndarray, tables: np.ndarray) -> np.ndarray:
         """Differentiate the sum of each cell along changes of the table of Lambda, (changes, cells).
 
-        by_value: derivatives of the sum with respect to G at the nodes, (cells, directions, nodes). tables: changes of the
-            table, (changes, entries).
+        Args:
+            by_value: derivatives of the sum with respect to G at the nodes, (cells, directions, nodes).
+            tables: changes of the table, (changes, entries).
         """
         at, through = self.nodes.at, self.nodes.through_samples
         by_samples = by_value.reshape(*at.azimuth.shape[:3], len(through)) @ through
@@ -150,7 +151,6 @@ class JointMasking(NamedTuple):
 
 
 def _along_points(differences: np.ndarray, basis: np.ndarray) -> np.ndarray:
-    """Sum over the points of an axis, (cells, directions, nodes)."""
     cells, points, *nodes = differences.shape
     return (basis @ differences.reshape(cells, points, -1)).reshape(cells, *nodes)
 
@@ -185,7 +185,7 @@ def in_blocks(cells: T) -> list[T]:
 
 
 def joined(blocks: Sequence[T], count: int) -> T:
-    """Join blocks. count: number of cells without the padding."""
+    """Join blocks, and remove the padding after `count` cells."""
     return jax.tree.map(lambda *parts: np.concatenate(parts)[:count], *blocks)
 
 

@@ -39,7 +39,7 @@ class PixelBlurs(NamedTuple):
 
     @property
     def terms(self) -> tuple[int, ...]:
-        """Return the indices of the terms of the blurs."""
+        """Indices of the terms of the blurs."""
         return self.blurs[0].terms
 
     def of(self, piece: slice) -> PixelBlurs:
@@ -60,8 +60,13 @@ def gaussian_blurs(
 ) -> PixelBlurs:
     """Build the Gaussians of a group of terms. A source disc much smaller than the blur is approximated by a Gaussian.
 
-    pixels: x, y and lamp angle. lenses: standard deviation of the whole lens of each blur, px. Single Gaussians may be
-    narrower and of either sign, but their sum is not sharper.
+    Args:
+        view: geometry of sample, camera and lamp.
+        rig: the rig.
+        moved: blurs at the points of the axes.
+        pixels: x and y, px, and lamp angle, rad, of each pixel.
+        lenses: standard deviation of a Gaussian that is as sharp as the lens of each blur, px. A single Gaussian of a lens may
+            be narrower and of either sign, but the sum of all is not sharper.
     """
     x, y, lamp_angle = pixels
     blurs, rough, stretch = ([getattr(one, name) for one in moved] for name in MovedBlur._fields)
@@ -98,7 +103,9 @@ def residual_blurs(
     """Build the residuals of the lenses beyond their Gaussians.
 
     The residuals are small. Source disc and defocus are approximated by Gaussians, and the changes along an axis are
-    neglected. pixels: x, y and lamp angle.
+    neglected.
+
+    pixels: x and y, px, and lamp angle, rad, of each pixel.
     """
     variances, reaches, blurs = [], [], [one.blur for one in moved]
     for blur in blurs:

@@ -42,7 +42,7 @@ class Repeats(NamedTuple):
 
     @property
     def share(self) -> float:
-        """Return the share of neighbouring cells with equal values.
+        """Share of neighbouring cells with equal values.
 
         It is 0 if values repeat along the rings only, as they do for smooth lobes.
         """
@@ -78,10 +78,7 @@ class Borders:
         self.count = int((shown.outwards == 0).sum() + (shown.around == 0).sum())
 
     def wrong(self, x: float, y: float) -> int:
-        """Count the pairs of cells for which a grid contradicts the table.
-
-        x, y: phase of the grid, px.
-        """
+        """Count the pairs of cells for which a grid with phase (x, y), px, contradicts the table."""
         values = self._values(x, y)
         total = 0
         for axis, one in ((1, self.shown.outwards), (2, self.shown.around)):
@@ -96,8 +93,12 @@ class Borders:
     def width(self, best: tuple[float, float], fewest: int, step: float) -> float:
         """Estimate the standard deviation of the phase, px.
 
-        It is the smallest tested change of the phase that results in clearly more contradictions. best: phase with the
-        fewest contradictions, px. fewest: their number. step: smallest change, px.
+        It is the smallest tested change of the phase that results in clearly more contradictions.
+
+        Args:
+            best: phase with the fewest contradictions, px.
+            fewest: number of contradictions for this phase.
+            step: smallest tested change, px.
         """
         limit = fewest + 3 + np.sqrt(fewest)
         for size in step * 2.0 ** np.arange(10):
@@ -146,8 +147,15 @@ def shown_positions(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Compute the image positions of cells along the pixel axes.
 
-    x and y, px, have shape (slices, rings, azimuths, 2), with two positions of each cell. every: step in azimuths.
-    azimuth: azimuth of the lamp relative to the rows of pixels, rad.
+    x and y, px, have shape (slices, rings, azimuths, 2), with two positions of each cell.
+
+    Args:
+        radius: radius of the sphere, px.
+        sampling: sampling of the table.
+        slices: indices of theta_d.
+        rings: indices of theta_h.
+        every: step in azimuths.
+        azimuth: azimuth of the lamp relative to the rows of pixels, rad. Default: 0.
     """
     grid = merl_grid(sampling)
     theta_h, phi_d = np.meshgrid(grid.theta_h[rings], grid.phi_d[::every], indexing="ij")

@@ -1,9 +1,8 @@
 """Phase of the pixel grid from which a table was read, estimated from the table (docs/correct.md, *Cells on real pixels*).
 
-Cells that were read from the nearest pixel have exactly the value of this pixel, so a border between
-values is a border of a pixel.
-Near the highlight, neighbouring cells are a twentieth of a pixel apart. The borders in a few slices therefore determine the
-phase of the grid to a few thousandths of a pixel, for any material and noise.
+Cells that were read from the nearest pixel have exactly the value of this pixel, so a border between values is a border of a
+pixel. Near the highlight, neighbouring cells are a twentieth of a pixel apart. The borders in a few slices therefore determine
+the phase of the grid to a few thousandths of a pixel, for any material and noise.
 
 Cells that are means of the pixels inside are mostly too small to contain a pixel, and then have the value of the nearest
 pixel. A cell that contains one pixel has the value of this pixel, although this pixel may not be the nearest. The borders
@@ -77,7 +76,7 @@ _LARGEST_RESIDUAL = 1e-6
 READ_FROM: dict[CellValue, str] = {
     "nearest": "read from the nearest pixel",
     "bilinear": "interpolated between pixels",
-    "mean": "the means of the pixels inside, or read from the nearest pixel if there are none",
+    "mean": "means of the pixels inside them, or read from the nearest pixel if they contain none",
 }
 """Description of each rule by which cells are read from pixels, for messages."""
 
@@ -104,7 +103,7 @@ class FoundPhase(NamedTuple):
 
     @property
     def words(self) -> str:
-        """Describe the position of the pixels' centres."""
+        """Description of the position of the pixels' centres."""
         phases = np.atleast_2d(self.phase)
         if len(phases) == 1:
             return (
@@ -223,7 +222,6 @@ def mean_phase(table: xr.DataArray, radius: float) -> FoundPhase:
 
 
 def _common_phase(rule: CellValue, table: xr.DataArray, radius: float, shown: Repeats) -> FoundPhase:
-    """Find the phase that fits all images best."""
     azimuth = azimuth_of(table) or 0.0
     found = _best_phase(_BORDERS[rule](radius, sampling_of(table), SLICES, shown, azimuth))
     return _upright(found, _near_cells(table, radius, SLICES[::3], _SIGN_RINGS, _SIGN_AZIMUTHS), azimuth)
@@ -278,9 +276,9 @@ class _NearCells(NamedTuple):
 
 
 def _near_cells(table: xr.DataArray, radius: float, slices: np.ndarray, rings: int, every: int) -> list[_NearCells]:
-    """Select the cells near the highlight in the brightest channel.
+    """Select the cells in the first `rings` rings about the highlight in the brightest channel, at every `every`-th azimuth.
 
-    Slices are omitted if half of these cells or more have no value. rings: number of rings. every: step in azimuths.
+    Slices are omitted if half of these cells or more have no value.
     """
     positions = shown_positions(radius, sampling_of(table), slices, np.arange(rings), every, azimuth_of(table) or 0.0)
     values = table.values[:rings][:, slices, ::every].transpose(1, 0, 2, 3)
@@ -294,7 +292,7 @@ def _near_cells(table: xr.DataArray, radius: float, slices: np.ndarray, rings: i
 
 
 def _residual(rule: CellValue, phase: tuple[float, float], cells: list[_NearCells]) -> float:
-    """Compute the share of the variance of a slice that a grid does not explain, mean over slices; 1 without cells."""
+    """Compute the mean over slices of the share of their variance that a grid does not explain; it is 1 without cells."""
     return float(np.mean([_interpolation_residual(rule, one, phase) for one in cells])) if cells else 1.0
 
 
@@ -327,7 +325,6 @@ def bilinear_phase(table: xr.DataArray, radius: float) -> FoundPhase:
 
 
 def _interpolation_residual(rule: CellValue, cells: _NearCells, phase: tuple[float, float]) -> float:
-    """Compute the share of the variance of a slice that a grid does not explain."""
     values = cells.values
     found = looked_up(rule, np.asarray(phase), cells.x, cells.y)
     column, row = (np.rint(at - start).astype(int) for at, start in ((found.x, phase[0]), (found.y, phase[1])))
@@ -345,7 +342,6 @@ def _interpolation_residual(rule: CellValue, cells: _NearCells, phase: tuple[flo
 
 
 def _wrapped(phase: tuple[float, float]) -> tuple[float, float]:
-    """Wrap the phase of a grid to [-0.5, 0.5] px."""
     x, y = (float(np.round(p - np.rint(p), 6)) for p in phase)
     return x, y
 
@@ -394,7 +390,7 @@ _PHASES: dict[CellValue, Callable[[xr.DataArray, float], FoundPhase]] = {
 
 
 def _distinct(table: xr.DataArray) -> float:
-    """Compute the number of distinct values near the highlight, mean over the slices with values."""
+    """Compute the mean number of distinct values near the highlight in the slices with values."""
     values = table.values[:RINGS][:, SLICES, :, 0].transpose(1, 0, 2).reshape(SLICES.size, -1)
     counts = [np.unique(np.round(np.log(row[row > 0]), 9)).size for row in values]
     return float(np.mean([count for count in counts if count] or [0]))

@@ -67,9 +67,11 @@ def cell_positions(radius: float, theta_h: np.ndarray, theta_d: np.ndarray, phi_
 
 
 def pixel_counts(radius: float, theta_d: np.ndarray) -> np.ndarray:
-    """Compute the mean number of pixels in each cell in both directions.
+    """Compute the mean number of pixels in each cell in both directions, (90, slices, 1).
 
-    The result has shape (90, slices, 1). radius: radius of the sphere, px. theta_d: theta_d of the slices, rad.
+    Args:
+        radius: radius of the sphere, px.
+        theta_d: difference angles of the slices, rad, (slices,).
     """
     edges = theta_h_edges()
     theta_h = (edges[1:] + edges[:-1]) / 2

@@ -43,22 +43,22 @@ class SampleView(NamedTuple):
 
     @property
     def distant(self) -> bool:
-        """Check whether both camera and lamp are distant."""
+        """True if both camera and lamp are distant."""
         return self.on_sphere.distant
 
     @property
     def one_picture(self) -> bool:
-        """Check whether one image shows all cells of one theta_d."""
+        """True if one image shows all cells of one theta_d."""
         return self.distant and not self.line
 
     @property
     def sphere(self) -> Sphere:
-        """Return the sphere with radius and camera distance of the view."""
+        """Sphere with the radius and the camera distance of the view."""
         return Sphere(self.radius) if self.camera == 0 else Sphere(self.radius, 1 / self.camera)
 
     @property
     def cylinder(self) -> Cylinder:
-        """Return the cylinder with radius and camera distance of the view."""
+        """Cylinder with the radius and the camera distance of the view."""
         return Cylinder(self.radius) if self.camera == 0 else Cylinder(self.radius, 1 / self.camera)
 
     def position(self, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> Position:
@@ -76,28 +76,20 @@ class SampleView(NamedTuple):
         return self.position(theta_h[..., None], theta_d[..., None], phi_d[..., None] + BOTH_DIRECTIONS).lamp_angle  # type: ignore[return-value]
 
     def irradiance(self, cos_i: np.ndarray) -> np.ndarray:
-        """Compute the relative irradiance of a surface that faces the lamp.
-
-        It is relative to the irradiance at the centre of the sphere.
+        """Compute the irradiance of a surface that faces the lamp, relative to that at the centre of the sphere.
 
         cos_i: cosine of the angle of incidence on the sphere at the position of the surface.
         """
         return 1.0 if self.lamp == 0 else np.asarray(closeness(self.lamp, xp.asarray(cos_i))) ** 2  # type: ignore[return-value]
 
     def highlight(self, lamp_angle: np.ndarray) -> np.ndarray:
-        """Compute the angle from optical axis to normal of the highlight, rad.
-
-        lamp_angle: lamp angle, rad.
-        """
+        """Compute the angle, rad, between the optical axis and the normal of the highlight for lamp angles, rad."""
         return np.asarray(self.sphere.highlight(xp.asarray(lamp_angle), self.lamp))
 
     def from_highlight(
         self, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Compute image positions relative to the highlight, px.
-
-        theta_h, theta_d, phi_d: half and difference angles, rad. The result is (x, y).
-        """
+        """Compute the image positions (x, y) of half and difference angles, rad, relative to the highlight, px."""
         if self.distant:
             x = self.radius * (
                 np.sin(theta_d) * (np.cos(theta_h) - 1) - np.sin(theta_h) * np.cos(phi_d) * np.cos(theta_d)
@@ -124,7 +116,7 @@ class SampleView(NamedTuple):
 
     @property
     def on_sphere(self) -> SphereView:
-        """Return radius and inverse distances, without the azimuth."""
+        """Radius and inverse distances, without the azimuth."""
         return SphereView(self.radius, self.camera, self.lamp)
 
 
@@ -154,7 +146,7 @@ def sample_view(rig: Rig | None) -> SampleView:
 
 
 def rig_behind(table: xr.DataArray, rig: Rig) -> Rig:
-    """Return the rig with the lamp azimuth of a table.
+    """Add the lamp azimuth of a table to a rig.
 
     The rig or the table specifies the azimuth. An ArgumentError is raised if they specify different azimuths or samples, or if
     the table is already corrected.

@@ -50,7 +50,7 @@ _GROUP = 4
 _MIDPOINT = MOST_NODES // _GROUP + 1
 """Index of the first midpoint rule in `_tabulated_rules`."""
 _BESIDE_BORDER = 24
-"""Least number of nodes on an arc under a source disc, whose image has borders."""
+"""Smallest number of nodes on an arc under a source disc, whose image has borders."""
 _KERNELS = 2
 """Largest number of kernels that one call of the compiled program evaluates at the same nodes. The two Gaussians that are
 stretched along and across the plane of camera and lamp have the same windows.
@@ -61,11 +61,11 @@ a processor.
 """
 _MORE_CIRCLES = np.polynomial.legendre.leggauss(2 * NODES[0].size)
 """Rule for the circles in pixels whose rows are not in the plane of camera and lamp, and under a source disc. With 40 circles,
-records at the limb are off by up to 4e-4.
+the error of records at the limb is up to 4e-4.
 """
 _REACH = 6.2
-"""Support radius of a Gaussian, in standard deviations. The Gaussian is 5e-9 of its maximum there, because highlights are up
-to 1e6 times brighter than their surroundings.
+"""Support radius of a Gaussian, in standard deviations. At this distance the Gaussian is 5e-9 of its maximum. Such a small
+value is required, because highlights are up to 1e6 times brighter than their surroundings.
 """
 _SLACK = 0.02
 """Share by which the range of angles is widened, because the border of a window is sampled at single points."""
@@ -98,7 +98,9 @@ class Kernel(NamedTuple):
 def kernel_reach(half_width: float, stds: np.ndarray) -> np.ndarray:
     """Compute the half side of the window of a pixel, px.
 
-    half_width: half width of the pixel, px. stds: standard deviations of the Gaussians of the blur, px.
+    Args:
+        half_width: half width of the pixel, px.
+        stds: standard deviations of the Gaussians of the blur, px.
     """
     return half_width + _REACH * stds
 
@@ -108,7 +110,7 @@ class SphereRule(NamedTuple):
 
     Attributes:
         weight: weights at the nodes of theta_h, (pixels, 40), no unit.
-        circles: sums over the circles, which give the azimuths for masking.
+        circles: sums over the circles, from which the azimuths for masking are computed.
         moment: `weight` times the deviation of theta_d from its value for the cell (`rise_of`), rad, (pixels, 40). None in a
             distant rig.
     """
@@ -162,7 +164,12 @@ class Directions(NamedTuple):
 def directions(normal: Any, sin: Any, cos: Any, q: Any, w: Any) -> Directions:
     """Compute the directions at normals of a sphere.
 
-    sin, cos: sine and cosine of the lamp angle. q, w: inverse distances of camera and lamp, 1/radii.
+    Args:
+        normal: components of the normals.
+        sin: sine of the lamp angle.
+        cos: cosine of the lamp angle.
+        q: inverse distance of the camera, 1/radii.
+        w: inverse distance of the lamp, 1/radii.
     """
     xp: Any = np if isinstance(normal[0], np.ndarray) else jnp
     n_x, n_y, n_z = normal
@@ -194,8 +201,11 @@ class WindowArcs(NamedTuple):
     def of(cls, view: SphereView, windows: Windows, circles: ThetaRange, more: bool) -> WindowArcs:
         """Find the arcs.
 
-        circles: range of the angle from the normal of the highlight in which the circles lie. more: True for twice as many
-        circles, see `_MORE_CIRCLES`.
+        Args:
+            view: the sphere and the distances of camera and lamp.
+            windows: windows of the pixels.
+            circles: range of the angle from the normal of the highlight in which the circles lie.
+            more: True for twice as many circles, see `_MORE_CIRCLES`.
         """
         angle, step = circles.nodes(_MORE_CIRCLES if more else NODES)
         found = []
@@ -340,9 +350,9 @@ def _arc_sums(
     The first 4 rows, or 7 rows in a near rig, are the sums of `CircleSums`. A near rig also has 40 sums of Legendre polynomials
     for weights, and 40 for moments.
 
-    used: number of blocks with arcs. kernels: number of kernels that are used. spread: two variances of each kernel, see
-        `Kernel`, (2 kernels, arcs). rule: index of the rule of each block. rules: result of `_tabulated_rules`.
-        blurs: blur of each kernel; the first axis of its arrays is that of the kernels.
+    Only the first `used` blocks contain arcs, and only the first `kernels` kernels are evaluated. `spread` contains two
+    variances of each kernel, see `Kernel`, (2 kernels, arcs). `rule` contains the index of the rule of each block in `rules`,
+    the result of `_tabulated_rules`. The first axis of the arrays of `blurs` is that of the kernels.
     """
     view = SphereView(*of_view) if near else SphereView(of_view[0], 0.0, 0.0)
     most = len(spread) // 2
@@ -361,7 +371,6 @@ def _arc_sums(
         )
 
     def sums(pixel, arc, variances, disc, nothing, node, node_weight):  # type: ignore[no-untyped-def]
-        """Compute the contribution of some nodes of each arc."""
         x, y, cosine, sine_, lamp, _, cell, *spacing = pixel
         half, sin_m, cos_m, s, c, sin_p, cos_p = arc
         off = half * node

@@ -21,7 +21,8 @@ _LOCAL = 10
 """Number of neighbouring nodes to which a weight is distributed. At more distant nodes the masking may differ."""
 _LARGEST_SCALE = 5e-4
 """Largest scale of the nodes about a highlight at normal view, rad. On a sphere of 20 px the bound of the width of a GGX lobe
-of 3e-4 (`limits`) is then that of 160 nodes within 2 %. With the scale of the whole window it is a hundredth of it.
+of 3e-4 (`limits`) is then within 2 % of the bound from 160 nodes. With the scale of the whole window it would be only 1 % of
+that bound.
 """
 NARROWEST = 0.5
 """Smallest roughness of a lobe that the nodes resolve, divided by their scale at normal view, no unit. Compared with 160 nodes,
@@ -88,7 +89,7 @@ class Scale(NamedTuple):
 
     Attributes:
         largest: largest scale, rad: that at normal view, or infinite.
-        shrink: ratio of the scale to the one that the range of angles determines, no unit. It is below 1 if the blur covers a
+        shrink: ratio of the scale to that determined by the range of angles, no unit. It is below 1 if the blur covers a
             large angle, as on a small sample, because a lobe covers the same angle on samples of all sizes.
     """
 
@@ -99,14 +100,16 @@ class Scale(NamedTuple):
     def of(cls, radius: float, reach: float, *, single: bool = False) -> Scale:
         """Compute the scale.
 
-        radius: radius of the limb, px. reach: half side of the window of the narrowest kernel, px. single: True if there are no
-        wider kernels with the same nodes, so that `shrink` alone limits the scale.
+        Args:
+            radius: radius of the limb, px.
+            reach: half side of the window of the narrowest kernel, px.
+            single: True if there are no wider kernels with the same nodes, so that only `shrink` limits the scale.
         """
         own = float(np.sqrt(2) * reach / radius / _RANGE_PER_SCALE)
         return cls(np.inf if single else min(own, _LARGEST_SCALE), min(1.0, _LARGEST_SCALE / own))
 
     def limit(self, high: Any) -> Any:
-        """Compute the largest scale of ranges of angles, rad. high: largest angle of each, rad."""
+        """Compute the largest scale, rad, of ranges of angles with the largest angles `high`, rad."""
         return self.shrink * high / _RANGE_PER_SCALE
 
 
@@ -129,7 +132,10 @@ class NodeSpacing(NamedTuple):
     def of(cls, low: Any, high: Any, largest_scale: Any = np.inf) -> NodeSpacing:
         """Compute the spacing of a range of angles.
 
-        low, high: ends of the range, rad. largest_scale: see `ThetaRange`. If `low` exceeds it, `low` is the limit.
+        Args:
+            low: smallest angle, rad.
+            high: largest angle, rad.
+            largest_scale: upper limit of the scale, rad. If `low` exceeds it, `low` is the limit.
         """
         scale = xp.maximum(high / _RANGE_PER_SCALE, xp.minimum(0.15 * (high - low), low))
         scale = xp.minimum(scale, xp.maximum(low, largest_scale))
@@ -181,7 +187,9 @@ class ThetaRange(NamedTuple):
     def nodes(self, rule: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         """Compute nodes and weights of a quadrature rule in theta, rad.
 
-        Both arrays have shape (pixels, nodes). rule: nodes in [-1, 1], and their weights.
+        Both arrays have shape (pixels, nodes).
+
+        rule: nodes in [-1, 1], and their weights.
         """
         spacing = self.spacing().by_pixel()
         weight = spacing.scale * np.cosh(spacing.stretched(rule[0])) * (spacing.last - spacing.first) / 2 * rule[1]
@@ -195,7 +203,9 @@ class ThetaRange(NamedTuple):
         """Transfer weights at angles to the nodes.
 
         The new weights have shape (pixels, nodes). Weighted sums of polynomials through neighbouring nodes are preserved.
-        The lobe must be smooth on the scale of the nodes; the kernel need not be. theta: angles of the weights, rad.
+        The lobe must be smooth on the scale of the nodes; the kernel need not be.
+
+        theta: angles of the weights, rad.
         """
         parts = (slice(first, first + PIECE) for first in range(0, theta.shape[0], PIECE))
         spacing = self.spacing()
@@ -237,7 +247,11 @@ def onto_nodes(positions: jax.Array, share: jax.Array) -> jax.Array:
 def legendre_sums(position: jax.Array, shares: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
     """Compute the sums of weights times Legendre polynomials of the position.
 
-    The sums are over the last axis, and have shape (degrees, ...). position: in [-1, 1]. shares: arrays of weights.
+    The sums are over the last axis, and have shape (degrees, ...).
+
+    Args:
+        position: positions in [-1, 1].
+        shares: arrays of weights in the shape of `position`.
     """
 
     def next_degree(state, k):  # type: ignore[no-untyped-def]

@@ -64,7 +64,7 @@ def _difference(factor: float, *shares: int) -> dict[float, tuple[tuple[float, f
 
 
 def _widened(*points: float) -> dict[float, tuple[tuple[float, float, float], ...]]:
-    """Build differences between wider or narrower Gaussians and the lens's kernel.
+    """Build differences between wider or narrower Gaussians and the kernel of the lens.
 
     points: logarithms of the ratios of the widths.
     """
@@ -72,7 +72,7 @@ def _widened(*points: float) -> dict[float, tuple[tuple[float, float, float], ..
 
 
 def _stretched(*points: float) -> dict[float, tuple[tuple[float, float, float], ...]]:
-    """Build differences between elliptical Gaussians and the lens's kernel. points: stretches of the Gaussians."""
+    """Build differences between elliptical Gaussians and the kernel of the lens. points: stretches of the Gaussians."""
     return {point: ((1 + point / 2, 1 - point / 2, 1.0), (1.0, 1.0, -1.0)) for point in points}
 
 

@@ -91,8 +91,9 @@ class Axis(NamedTuple):
     def std(self, relative: float) -> float:
         """Compute the standard deviation of the coordinate of a parameter of the camera.
 
-        For a width it is the step to one standard deviation above the base. relative: relative standard deviation of the
-        parameter.
+        For a width it is the step to one standard deviation above the base.
+
+        relative: relative standard deviation of the parameter.
         """
         return self.coordinate(self.base * (1 + relative)) if self.softening else relative
 
@@ -105,8 +106,9 @@ class Axis(NamedTuple):
     def square(self, coordinate: float, std: float) -> tuple[float, float]:
         """Compute the squared parameter and the standard deviation of the square.
 
-        Blurs add in quadrature, so the square is linear in the coordinate near a width of 0. std: standard deviation of
-        the coordinate.
+        Blurs add in quadrature, so the square is linear in the coordinate near a width of 0.
+
+        std: standard deviation of the coordinate.
         """
         total = float((self.base**2 + self.softening**2) * np.exp(2 * coordinate))
         return max(total - self.softening**2, 0.0), 2 * total * std
@@ -138,8 +140,9 @@ def scaled_changes(axes: Sequence[Axis], coordinates: np.ndarray) -> tuple[np.nd
     The changes are relative to the moments of the lens, so they vanish with its width. A change of its moment of order 2 k
     changes that of the whole blur, divided by the variance to the power k, by the share to the power k.
 
-    Returns: coordinates at which the lens of the rig has the same relative effect, and their derivatives with respect to the
-        given coordinates, (axes, axes). Coordinates of other parameters are returned unchanged.
+    Returns:
+        Coordinates at which the lens of the rig has the same relative effect, and their derivatives with respect to the given
+        coordinates, (axes, axes). Coordinates of other parameters are not changed.
     """
     scaled, slopes = np.array(coordinates, dtype=float), np.eye(len(axes))
     for lens in (n for n, axis in enumerate(axes) if axis.name == LENS and axis.base > 0):
@@ -217,7 +220,7 @@ def is_guess(name: str, relative: float) -> bool:
 
 
 def prior_axis(name: str, rig: Rig, std: float) -> Axis:
-    """Build the axis of a parameter of the camera with a prior. A guessed width of a lens has its whole range.
+    """Build the axis of a parameter of the camera with a prior. The axis of a guessed width of a lens covers its whole range.
 
     std: relative standard deviation of the parameter.
     """
@@ -291,10 +294,7 @@ def _lens_axis(rig: Rig, half: float | None = None) -> Axis:
 
 
 def rig_with(rig: Rig, values: Mapping[str, float]) -> Rig:
-    """Return the rig with other values of parameters.
-
-    values: value of each parameter by name, as in `Axis`.
-    """
+    """Replace values of parameters of a rig. values: value of each parameter by name, as in `Axis`."""
     camera = rig.camera.with_parameters({name: value for name, value in values.items() if name not in WIDTHS})
     rig = eqx.tree_at(lambda r: r.camera, rig, camera)
     if LAMP in values:
@@ -307,7 +307,9 @@ def rig_with(rig: Rig, values: Mapping[str, float]) -> Rig:
 def lens_coordinate(own: Blur, variance: float) -> float:
     """Compute the coordinate of the width of a Gaussian lens.
 
-    own: blur of the rig. variance: variance of lens and registration, relative to the blur of the rig.
+    Args:
+        own: blur of the rig.
+        variance: variance of lens and registration, relative to that of the rig.
     """
     pixel, lens = float(own.pixel.half_width) ** 2 / 3, own.std_of_half**2
     return round(0.5 * float(np.log((variance * lens + pixel) / (lens + pixel))), 12)
@@ -340,7 +342,6 @@ def _softening(name: str, rig: Rig) -> float:
 
 
 def _count(half: float) -> int:
-    """Choose the number of points of an axis from half its range."""
     return next(count for largest, count in _COUNTS if half <= largest)
 
 

@@ -48,7 +48,7 @@ class RigBlurs(NamedTuple):
 
     @classmethod
     def of(cls, rig: Rig, own: Blur, axes: tuple[Axis, ...]) -> RigBlurs:
-        """Compute the blurs. own: blur of the rig."""
+        """Compute the blurs of a rig. own: blur of the rig without changes."""
         # the dependence of the residual on lens parameters is second order and is neglected
         residual = own.residual if own.residual is not None and own.residual.even else None
         whole = own.residual is not None
@@ -78,8 +78,12 @@ class RigBlurs(NamedTuple):
     def differences(self, name: str, along: str, values: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
         """Compute the differences of values at the points of all axes.
 
-        The result contains the values of the rig and the differences by name. name: name of the values. along: prefix of the
-        names of the differences. values: values of each blur.
+        The result contains the values of the rig and the differences by name.
+
+        Args:
+            name: name of the values.
+            along: prefix of the names of the differences.
+            values: values of each blur.
         """
         own, moved = values[0], iter(values[1:])
         named = {name: own}
@@ -98,9 +102,9 @@ class RigBlurs(NamedTuple):
 
 
 def _changed(own: Blur, along: float, across: float) -> MovedBlur:
-    """Build a Gaussian for changes of the lens.
+    """Build a Gaussian for changes of the lens of the blur `own` of the rig.
 
-    own: blur of the rig. along, across: variances relative to that of the lens.
+    `along` and `across` are its variances along the plane of camera and lamp and across it, relative to that of the lens.
     """
     variance, least = own.std_of_half**2, min(along, across)
     one = dataclasses.replace(own, weights=jnp.ones(1), stds=jnp.full(1, np.sqrt(least * variance)), residual=None)
