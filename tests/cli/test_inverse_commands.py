@@ -149,7 +149,7 @@ def test_near_rigs_that_cannot_be_are_refused(command, options, words, merl_file
 
 def test_near_cells_of_real_pixels_are_refused(merl_file):
     said = str(run("fit", merl_file, "--lamp-distance", 20, "--cell", "nearest", "--phase", 0.1, 0.2).exception)
-    assert "with near ones each cell has its own image" in said
+    assert "because each cell has its own image if one of them is near" in said
 
 
 def test_limits_speaks(monkeypatch):

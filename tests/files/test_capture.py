@@ -134,7 +134,7 @@ BAD_ROWS = {
     "angle": (row("frames/x.tif", "L3", "far", "0", "E1", "0.01"), "x.tif: angle_deg must be a number", True),
     "range": (row("frames/x.tif", "L3", "200", "0", "E1", "0.01"), "x.tif: angle_deg, from the axis", True),
     "time": (row("frames/x.tif", "L3", "20", "0", "E1", "-1"), "x.tif: time_s must be", True),
-    "no lamp": (row("frames/x.tif", "", "20", "0", "E1", "1"), "x.tif: a frame needs a lamp", True),
+    "no lamp": (row("frames/x.tif", "", "20", "0", "E1", "1"), "x.tif: a frame must have a lamp", True),
     "lamp moved": (
         row("frames/x.tif", "L1", "25", "90", "E3", "1"),
         "x.tif: lamp L1 has a different position from that in an earlier line",
