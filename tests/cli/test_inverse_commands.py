@@ -167,4 +167,4 @@ def test_limits_of_a_cylinder_speak_of_it():
     document = json.loads(done.stdout)
     assert document["change"][0] == "cylinder twice as large in the image"
     assert document["width_std"][0] != sphere["width_std"][0]
-    assert "a Sphere or Cylinder" in str(run("limits", 0.01, "--sample", "flat").exception)
+    assert "a Sphere or a Cylinder" in str(run("limits", 0.01, "--sample", "flat").exception)

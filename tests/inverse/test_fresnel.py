@@ -353,7 +353,7 @@ def test_arguments_are_checked():
         (lambda: fresnel(table, rigs.merl().camera), "rig must be a Rig"),
         (
             lambda: fresnel(table, Rig(rigs.merl().camera, Flat())),
-            "must be a Sphere or a Cylinder for a fit, got a Flat",
+            "must be a Sphere or a Cylinder, got a Flat",
         ),
         (lambda: fresnel(table, rigs.merl(), ndf="beckman"), "ndf must be one of 'auto', 'gaussian', 'ggx'"),
         (lambda: fresnel(table, rigs.merl(), masking="none"), "masking must be one of"),

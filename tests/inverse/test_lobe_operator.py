@@ -201,7 +201,7 @@ def test_rigs_that_cannot_be_fitted_are_refused():
 
     camera = rigs.merl().camera
     for bad, words in (
-        (Rig(camera, Flat()), "must be a Sphere or a Cylinder for a fit, got a Flat"),
+        (Rig(camera, Flat()), "must be a Sphere or a Cylinder, got a Flat"),
         (Rig(camera, Sphere(256, 20), cell_value="nearest"), "requires a distant camera and lamp"),
         (Rig(camera, Sphere(256, 20), cell_value="mean"), "requires a distant camera and lamp"),
         (camera, "must be a Rig"),

@@ -291,7 +291,7 @@ def check_rig(rig: Rig) -> None:
     if not isinstance(rig, Rig):
         raise ArgumentError(f"rig must be a Rig such as rigs.merl(), or None, got {type(rig).__name__}")
     if not isinstance(rig.sample, Sphere | Cylinder):
-        raise ArgumentError(f"the sample must be a Sphere or a Cylinder for a fit, got a {type(rig.sample).__name__}")
+        raise ArgumentError(f"the sample must be a Sphere or a Cylinder, got a {type(rig.sample).__name__}")
     if isinstance(rig.sample, Cylinder):
         check_cylinder(rig)
         checked_isotropic(rig.camera.optics, "a fit of a cylinder")
