@@ -121,7 +121,7 @@ def test_bad_input_is_one_line_and_code_2(calibrate, chart, tmp_path):
         ("sky.tif",): "sky.tif: no slanted edge was found",
         ("odd.cr2",): "odd.cr2: unknown camera raw",
         ("huge.png",): "huge.png: an image of 900000 x 900000 px needs",
-        ("one.dng", "two.dng"): "pictures are of different cameras: Maker One (one.dng), Maker Two (two.dng)",
+        ("one.dng", "two.dng"): "the images are of different cameras: Maker One (one.dng), Maker Two (two.dng)",
         ("chart.tif", "soft.tif"): "contradictory measurements, channel grey: ",
         ("chart.tif", "--tone", "wavy.dat"): "wavy.dat: tone curve must be monotone, but falls from code 1 to 2",
         ("mosaic.tif",): "a mosaic of colours that is read as grey: give --cfa if",

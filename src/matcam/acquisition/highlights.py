@@ -177,8 +177,8 @@ class _LobeFit:
     def model(self, p: np.ndarray) -> np.ndarray:
         """Evaluate the light of each pixel.
 
-        `p` contains the position, px, and the logarithms of the two widths and of the exponent. For each channel follow the
-        logarithm of the height and the relative background.
+        `p` contains the position, px, and the logarithms of the two widths and of the exponent. The logarithm of the height
+        and the relative background of each channel follow.
         """
         centre = self.ball.normals(*(self.start + p[:2]))
         if not np.isfinite(centre).all():

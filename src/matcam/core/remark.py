@@ -101,7 +101,7 @@ def texts(remarks: Iterable[Remark]) -> list[str]:
 
 
 def to_attribute(remarks: Iterable[Remark]) -> str:
-    """Join remarks to one string for an attribute of a file.
+    """Join remarks into one string for an attribute of a file.
 
     Args:
         remarks: any number of remarks.

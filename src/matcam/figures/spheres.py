@@ -1,4 +1,4 @@
-"""Images of spheres: from the entries of a table, as thumbnails, rendered, or simulated for a rig."""
+"""Images and thumbnails of spheres, computed from a table, and figures of rendered or simulated images."""
 
 from __future__ import annotations
 

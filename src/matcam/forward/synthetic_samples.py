@@ -70,7 +70,7 @@ class SyntheticSample(Protocol):
         """Compute the radiance of one lamp position, (height, width, channels), 1/sr."""
 
     def before_field(self, shift: np.ndarray) -> np.ndarray | None:
-        """Compute the share of a bright field behind the sample in each pixel; None if the sample has no outline.
+        """Compute the fraction of each pixel covered by the bright field behind the sample; None if the sample has no outline.
 
         shift: shift of the sample, (right, down), px.
         """

@@ -127,8 +127,8 @@ def _lens_of(material: Material, rig: Rig, sample: Curved, error: float | None) 
 def _picture_shape(rig: Rig, shape: tuple[int, int] | None, reach: float) -> tuple[int, int]:
     """Choose the height and width of an image, px.
 
-    The result is the given shape, the crop of the rig, or a square that contains the sample with a margin for its blur of at
-    most 8 px.
+    The result is the given shape, the crop of the rig, or a square that contains the sample. The square has a margin for
+    the blur, of at most 8 px.
     """
     if shape is not None:
         return picture_shape("shape", shape)

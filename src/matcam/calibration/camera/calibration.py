@@ -321,7 +321,7 @@ class _Pictures:
         """
         if len(self.cameras) > 1:
             listed = ", ".join(f"{camera} ({file})" for camera, file in self.cameras.items())
-            raise ArgumentError(f"pictures are of different cameras: {listed}; calibrate one camera at a time")
+            raise ArgumentError(f"the images are of different cameras: {listed}; calibrate one camera at a time")
         if self.errors and not self.used:
             count, first = len(self.errors), self.errors[0]
             raise (

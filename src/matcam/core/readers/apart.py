@@ -113,11 +113,11 @@ def read_apart(
         **options: further arguments of the decoder.
 
     Returns:
-        The answer of the decoder: None, truth values, numbers, strings, lists, dicts with string keys, and NumPy arrays.
+        The return value of the decoder: None, truth values, numbers, strings, lists, dicts with string keys, and NumPy arrays.
 
     Raises:
-        FileFormatError: the file is missing or exceeds a limit, or its decoder crashes or raises a foreign error. Errors
-            of the package are passed on unchanged.
+        FileFormatError: the file is missing or exceeds a limit, or its decoder crashes or raises an error of another
+            package. Errors of matcam are passed on unchanged.
     """
     limits = _limits.get()
     module, name = decoder.split(":")

@@ -77,7 +77,10 @@ class LightGrid(NamedTuple):
         return cls(x, y, RegionWidths.above(per_px - highest), Taps.below(highest / per_px), symmetric)
 
     def laying(self, scene: Scene) -> Laying:
-        """Choose the sizes of the quadratures of a scene, whose parameters must be concrete, apart from derivatives."""
+        """Choose the sizes of the quadratures of a scene.
+
+        The parameters of the scene must be concrete. Derivatives with respect to them are allowed.
+        """
         known = without_derivatives(scene)
         radius = float(known.sample.radius)
         cosine = np.sqrt(1 - (float(highlight_x(known.sample, known.lamp_angle, known.lamp_nearness)) / radius) ** 2)

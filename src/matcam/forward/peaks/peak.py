@@ -1,8 +1,8 @@
 """Response at the peak of a highlight: recorded peak over true peak (docs/model.md 4).
 
-The tangent plane approximation is fast. On a sphere of 256 px it is accurate to 1e-5 up to 83 degrees for
-lobes narrower than 0.002 rad, and to 2 % at 80 degrees for 0.05 rad. The exact computation integrates over the curved
-sample with its limb.
+The tangent plane approximation is fast. On a sphere of 256 px it is accurate to 1e-5 for lobes narrower than
+0.002 rad at viewing angles up to 83 degrees, and to 2 % for lobes of 0.05 rad at 80 degrees. The exact computation integrates
+over the curved sample with its limb.
 """
 
 from __future__ import annotations

@@ -74,8 +74,8 @@ def seen_at(
 ) -> tuple[Element, Vector, jax.Array | None]:
     """Compute surface elements, directions to the lamp, and squared distances of the lamp.
 
-    The squared distance is relative to that from the centre, no unit; None: 1. u: angle of the normal, rad. row: row of the
-    image, px.
+    The squared distance is relative to that from the centre, no unit; None: it is 1 everywhere. u: angle of the normal,
+    rad. row: row of the image, px.
     """
     element = cylinder.surface(u, row / cylinder.stretch * (1 - cylinder.nearness * jnp.cos(u)))
     if light.nearness is None:

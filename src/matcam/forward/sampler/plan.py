@@ -293,7 +293,7 @@ def _residual_beside(
 def _arcs(
     view: SphereView, windows: Windows, fineness: float, finest: float, elongation: float
 ) -> tuple[np.ndarray, ArcRows, ArcRows]:
-    """Compute the frames of the circles of windows, (windows, 9), and their arcs; see `PlanPart`."""
+    """Compute the fields `frames`, `arcs` and `even_arcs` of `PlanPart` for windows."""
 
     def chunk(begin: int) -> tuple[np.ndarray, ...]:
         own = windows.at(slice(begin, begin + CHUNK))

@@ -105,9 +105,10 @@ class _Tile(NamedTuple):
 
 
 def _tiles(plan: RecordPlan, on_gpu: bool, lengths: tuple[int, ...]) -> list[Callable[[], _Tile]]:
-    """List the tiles of a plan, as functions because the rows of all tiles would occupy several GB.
+    """List the tiles of a plan, as functions that build them.
 
-    lengths: largest numbers of nodes on an arc, with a program for each.
+    The rows of all tiles together would occupy several GB. lengths: largest numbers of nodes on an arc, with a program
+    for each.
     """
     pixels, arcs = ((1, _ROWS_ON_GPU),) * 2 if on_gpu else ((_BLOCKS, _SMOOTH), (_BLOCKS, _ARCS))
     tiles: list[Callable[[], _Tile]] = []

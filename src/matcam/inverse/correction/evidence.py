@@ -267,7 +267,8 @@ class Weighing(NamedTuple):
 
     Attributes:
         noise: noise of a pixel.
-        kappa: exponent of the likelihood: share of pixel noise in the variance of the best fit, or of independent cells.
+        kappa: exponent of the likelihood: the share of pixel noise in the variance of the best fit. If the noise is not known,
+            it is the share of independent cells.
         chi2: mean squared residual of the best fit divided by the variance of pixel noise. The noise of a typical camera is
             assumed if the noise is not known.
         known: True if the noise of a pixel is specified, or determined by the data without a model.

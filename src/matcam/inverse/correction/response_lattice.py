@@ -3,7 +3,7 @@
 The response (recorded / true lobe) is computed on a lattice of cells, and its logarithm is interpolated. Along phi_d the
 response is even about 0 and pi/2, and a cubic spline with zero slopes at both ends interpolates it. If the lens or the azimuth
 of the lamp breaks this symmetry, the response has the period pi instead, and the spline is periodic. Along theta_h and theta_d
-monotone cubic polynomials are used. Cells in the last pixels of the sphere are not corrected.
+monotone cubic polynomials are used. Cells within a few pixels of the limb are not corrected.
 """
 
 from __future__ import annotations
