@@ -168,6 +168,8 @@ def _lamp_remarks(capture: Capture, radiometry: Radiometry | None, sample: tuple
     """
     if radiometry is None or capture.reference_position is None:
         return []
+    if not all(np.isfinite(capture.lamps[lamp].direction).all() for lamp in radiometry.lamp_output):
+        return []  # the light on the reference depends on directions that `reconstruct` measures
     seen = {lamp: out for lamp, out in radiometry.lamp_output.items() if math.isfinite(out.value)}
     if len(seen) < 2:
         text = "the reference is dark, clipped or absent, so lamp drift is not measured: expose it without clipping"

@@ -108,7 +108,7 @@ def command(
     check_outputs([output, table], force=force, inputs=files)
     check_picture(figure, force=force, inputs=files)
     electronics = _sensor(sensor)
-    with show.working(f"measuring {len(files)} images"):
+    with show.working(f"measuring {len(files)} image{'s' * (len(files) > 1)}"):
         use_caches()
         from matcam.calibration.camera.calibration import calibrate
 
@@ -232,10 +232,12 @@ def _verdict(found: Any) -> list[str]:
             for label, value, std in zip(fit.names, fit.values, fit.std, strict=True)
         )
         if fit.edges is None:
-            lines.append(f"{name}: {numbers}  (no edges, {sum(fit.measurements.values())} other measurements)")
+            count = sum(fit.measurements.values())
+            lines.append(f"{name}: {numbers}  (no edges, {count} other measurement{'s' * (count > 1)})")
             continue
         how = "explains the edges" if fit.consistent else "does NOT explain the edges (try --model measured or halo)"
-        lines.append(f"{name}: {numbers}  ({fit.edges.x.size} edges, whose blur varies by {fit.spread:.1%})")
+        varies = f", whose blur varies by {fit.spread:.1%}" if round(fit.spread, 3) else ""
+        lines.append(f"{name}: {numbers}  ({fit.edges.x.size} edges{varies})")
         lines.append(
             f"   the camera {how}: their MTFs differ by at most {fit.misfit:.4f} ± {fit.misfit_std:.4f} below Nyquist"
         )

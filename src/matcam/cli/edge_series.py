@@ -78,7 +78,7 @@ def run_series(
 
     regions = read_regions(rois) if rois else {region_name(roi): roi}
     photographs = [(str(path), partial(open_photograph, path)) for path in pictures]
-    with show.working(f"measuring {len(pictures)} images"):
+    with show.working(f"measuring {len(pictures)} image{'s' * (len(pictures) > 1)}"):
         rows = measure_series(photographs, regions, channel, cfa, measure)
     failed = [row for row in rows if row.problem]
     if len(failed) == len(rows):

@@ -73,8 +73,8 @@ def strengths_gain(
 
 
 def gain_remarks(gain: float) -> tuple[Remark, ...]:
-    """Build the remark on an image gain above 0."""
-    if not gain:
+    """Build the remark on an image gain."""
+    if round(gain, 3) == 0:
         return ()
     text = f"F varies between images by {gain:.1%} in addition to its noise; the standard deviation of F includes this gain"
     return (Remark("picture-gain", text),)

@@ -78,8 +78,9 @@ def quick_highlights(
         frames = sorted(
             capture.of("frames", lamp=lamp), key=lambda f: order.index(f.exposure) if f.exposure in order else 99
         )
-        position = None
+        position, readable = None, False
         for frame, whole in reader.readable(frames, capture.region):
+            readable = True
             codes = _without_reference(capture, whole)
             if lamp not in shortest:
                 shortest[lamp] = frame, int((codes >= level).sum())
@@ -91,7 +92,7 @@ def quick_highlights(
             if position is not None:
                 found[lamp] = position
                 break
-        if position is None and frames and kind != "flat":
+        if position is None and readable and kind != "flat":
             text = (
                 f"{capture.folder / frames[-1].file}: no highlight of lamp {lamp} was found; check lamp and exposures"
             )

@@ -330,7 +330,7 @@ class _Pictures:
 
     def provenance(self, summary: str) -> Provenance:
         return Provenance(
-            source=f"{len(self.used)} images ({', '.join(self.used)}), {summary}",
+            source=f"{len(self.used)} image{'s' * (len(self.used) > 1)} ({', '.join(self.used)}), {summary}",
             created=datetime.datetime.now(datetime.UTC).date().isoformat(),
             software=f"matcam {metadata.version('matcam')}",
             notes="; ".join(texts(self.remarks)),

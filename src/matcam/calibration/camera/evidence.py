@@ -271,9 +271,9 @@ def _nothing_measured(chart: Chart, registration: Projection) -> FitError:
     ends = registration(np.array([[0.0, height / 2], [width, height / 2]]))
     across = float(np.hypot(*(ends[1] - ends[0])))
     return FitError(
-        "the chart was found, but its targets cannot be measured: they are covered, or too fine for a page of "
-        f"{across:.0f} px width; uncover them and photograph the chart at a larger scale, or print a chart for this width "
-        "(matcam chart --pixels)"
+        "the chart was found, but its targets cannot be measured: they are covered, their edges are along rows or columns, or "
+        f"they are too fine for a page of {across:.0f} px width; uncover them, level the page, and photograph the chart at a larger "
+        "scale, or print a chart for this width (matcam chart --pixels)"
     )
 
 

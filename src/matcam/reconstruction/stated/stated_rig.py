@@ -82,11 +82,12 @@ def known_nearness(capture: Capture, of: str, remarks: list[Remark]) -> Stated:
     """
     stated, radius = capture.settings["distances"][f"{of}_mm"], capture.radius_mm
     if stated is None or radius is None:
+        missing = [f"distances.{of}_mm"] * (stated is None) + ["sample.radius_mm"] * (radius is None)
         remarks.append(
             Remark(
                 f"{of}-distance-not-stated",
                 f"the {of} distance in radii of the sample is unknown, so about 25 radii or more are assumed: specify "
-                f"distances.{of}_mm and sample.radius_mm",
+                f"{' and '.join(missing)}",
             )
         )
         return GUESSED_NEARNESS
