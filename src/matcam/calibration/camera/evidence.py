@@ -272,8 +272,8 @@ def _nothing_measured(chart: Chart, registration: Projection) -> FitError:
     across = float(np.hypot(*(ends[1] - ends[0])))
     return FitError(
         "the chart was found, but its targets cannot be measured: they are covered, their edges are along rows or columns, or "
-        f"they are too fine for a page of {across:.0f} px width; uncover them, level the page, and photograph the chart at a larger "
-        "scale, or print a chart for this width (matcam chart --pixels)"
+        f"they are too fine for a page of {across:.0f} px width; uncover them, level the page, and photograph the chart at a "
+        "larger scale, or print a chart for this width (matcam chart --pixels)"
     )
 
 
