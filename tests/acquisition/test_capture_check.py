@@ -86,6 +86,21 @@ def test_a_steady_lamp_near_a_white_patch_does_not_drift(tmp_path, outline):
     assert "lamp-drifts" not in {one.code for one in check_capture(capture).findings}
 
 
+def test_a_white_patch_under_lamps_of_unknown_directions_is_no_finding(tmp_path):
+    """Its light depends on the directions, which `reconstruct` finds from the highlights."""
+    drawn = small(reference="diffuse")
+    rows = [{**row, "angle_deg": "", "azimuth_deg": ""} for row in drawn.rows]
+    assert not {"no-reference", "lamp-drifts"} & set(codes(changed(drawn, rows=rows), tmp_path))
+
+
+def test_frames_that_cannot_be_read_are_one_finding(tmp_path):
+    drawn = small()
+    frames = {name: (frame >> 8).astype(np.uint8) for name, frame in drawn.frames.items()}
+    found = codes(changed(drawn, frames=frames), tmp_path)
+    assert "no-radiometry" in found
+    assert "no-highlight" not in found
+
+
 def test_azimuths_that_run_the_wrong_way_are_found(good, tmp_path):
     """A flipped y axis: rows run down, azimuths count upwards."""
     drawn = draw(

@@ -168,7 +168,8 @@ def _lamp_remarks(capture: Capture, radiometry: Radiometry | None, sample: tuple
     """
     if radiometry is None or capture.reference_position is None:
         return []
-    if not all(np.isfinite(capture.lamps[lamp].direction).all() for lamp in radiometry.lamp_output):
+    known = all(np.isfinite(capture.lamps[lamp].direction).all() for lamp in radiometry.lamp_output)
+    if capture.settings["reference"]["kind"] == "diffuse" and not known:
         return []  # the light on the reference depends on directions that `reconstruct` measures
     seen = {lamp: out for lamp, out in radiometry.lamp_output.items() if math.isfinite(out.value)}
     if len(seen) < 2:
