@@ -19,11 +19,6 @@ def test_oracle_imports_nothing_of_the_package():
             assert not [name for name in names if name.split(".")[0] in ("matcam", "jax")], path
 
 
-@pytest.mark.parametrize("path", SOURCES, ids=lambda p: str(p.relative_to(REPOSITORY / "src")))
-def test_a_file_is_one_sitting(path):
-    assert len(path.read_text().splitlines()) <= 450
-
-
 @pytest.mark.parametrize("name", matcam.__all__)
 def test_public_names_load_and_say_what_they_are(name):
     thing = getattr(matcam, name)

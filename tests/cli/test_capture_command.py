@@ -22,7 +22,7 @@ from tests.oracle.sphere_picture import Surface, View, fresnel, picture
 
 def test_a_template_is_a_capture_without_frames(matcam, tmp_path):
     folder = tmp_path / "new"
-    matcam("capture", "init", folder)
+    assert "lists no images" in matcam("capture", "init", folder).stdout
     # what is active in it is what holds without it
     bare = tmp_path / "bare.toml"
     bare.write_text('format = "matcam capture"\nversion = 1\n')

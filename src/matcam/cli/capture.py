@@ -71,6 +71,10 @@ def init(
     for path in files:
         show.say(f"{'template' if not listing.rows or path.name == SETTINGS else 'list'}: {path}")
     show.notes(listing.notes)
+    if photographs is None:
+        show.notes(
+            [f"{folder / LIST} lists no images: fill it in, or repeat with --from FOLDER --force to list photographs"]
+        )
 
 
 def check(
@@ -102,7 +106,8 @@ def check(
             }
         )
         return 1 if found.findings else 0
-    show.say(f"{len(capture.frames)} frames, {len(capture.lamps)} lamp positions, {len(capture.exposures)} exposures")
+    counts = {"frame": len(capture.frames), "lamp position": len(capture.lamps), "exposure": len(capture.exposures)}
+    show.say(", ".join(f"{count} {one}{'s' * (count != 1)}" for one, count in counts.items()))
     if found.radiometry is not None:
         _print_radiometry(found.radiometry)
     if math.isfinite(found.centre[2]):
