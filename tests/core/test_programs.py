@@ -201,6 +201,7 @@ FORGED = {
     "by way of a library": lambda folder: b"[0, 1]\n" + b"cnumpy\nos.mkdir\n(V" + str(folder).encode() + b"\ntR.",
     "from a library": lambda folder: b"[0, 1]\n" + b"cnumpy.testing._private.utils\nrundocs\n(tR.",
     "a module that runs when it is imported": lambda folder: b"[0, 1]\n" + b"cnumpy.f2py.__main__\ndtype\n(tR.",
+    "an attribute of a class": lambda folder: b"[0, 1]\n" + b"cbuiltins\ngetattr\n(cnumpy\ndtype\nVnewbyteorder\ntR.",
     "trees without end": lambda folder: b"[" * 100_000 + b"\n",
 }
 
