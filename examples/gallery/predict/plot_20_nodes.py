@@ -11,7 +11,7 @@ import numpy as np
 
 import matcam
 from matcam.forward.integral.blur import imaging_of
-from matcam.forward.sampler.arc_rules import MOST_NODES, gauss_rules, midpoint_rules
+from matcam.forward.sampler.arc_rules import arc_rule
 from matcam.forward.sampler.plan import RecordPositions, record_plan
 
 lamp_angle = np.radians(80)
@@ -24,13 +24,13 @@ part = record_plan(imaging_of(rig), positions, finest=0.001).parts[0]
 figure, axes = plt.subplots(1, 2, figsize=(9, 4.6))
 for number, (axis, (x, y)) in enumerate(zip(axes, pixels, strict=True)):
     total = 0
-    for arcs, rules in ((part.arcs, gauss_rules(MOST_NODES)), (part.even_arcs, midpoint_rules(MOST_NODES))):
+    for even, arcs in enumerate((part.arcs, part.even_arcs)):
         own = arcs.at(np.flatnonzero(arcs.position == number))
         total += own.nodes.sum()
         # axis of the circles, and the directions of azimuth 0 and 90 degrees
         frame = part.frames[own.window].reshape(-1, 3, 3)
         for nodes, angle, middle, half, vectors in zip(own.nodes, own.angle, own.middle, own.half, frame, strict=True):
-            azimuth = middle + half * rules[0, nodes, :nodes]
+            azimuth = middle + half * arc_rule(bool(even), int(nodes))[0]
             circle = np.stack(
                 [np.full(nodes, np.cos(angle)), np.sin(angle) * np.cos(azimuth), np.sin(angle) * np.sin(azimuth)]
             )

@@ -233,7 +233,7 @@ def _verdict(found: Any) -> list[str]:
         )
         if fit.edges is None:
             count = sum(fit.measurements.values())
-            lines.append(f"{name}: {numbers}  (no edges, {count} other measurement{'s' * (count > 1)})")
+            lines.append(f"{name}: {numbers}  (no edges, {count} other measurement{'s' * (count != 1)})")
             continue
         how = "explains the edges" if fit.consistent else "does NOT explain the edges (try --model measured or halo)"
         varies = f", whose blur varies by {fit.spread:.1%}" if round(fit.spread, 3) else ""

@@ -76,7 +76,7 @@ def _after_predict(values: dict[str, Any]) -> list[Any] | None:
 def _after_edge(values: dict[str, Any]) -> list[Any] | None:
     """Suggest a calibration with the same options if the images may contain enough edges, and otherwise a chart.
 
-    A photograph of which only a region was measured may contain more edges. A through-focus series does not describe one
+    A photograph may contain more edges than its measured region. A through-focus series does not describe one
     camera.
     """
     if values.get("focus"):

@@ -284,7 +284,7 @@ def identify(path: str | Path) -> str:
 def format_for(path: str | Path, *contents: str) -> Format:
     """Select the format of an output by the suffix of its name.
 
-    contents: keys of `CONTENTS`, of which the format supports at least one. Default: any measurement. An ArgumentError is
+    contents: keys of `CONTENTS`. The format supports at least one of them. Default: any measurement. An ArgumentError is
     raised for a name with another suffix.
     """
     name, contents = Path(path).name.lower(), contents or MEASUREMENTS

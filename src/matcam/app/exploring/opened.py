@@ -65,7 +65,7 @@ class Openable:
 
 
 def entries_of(path: Path) -> list[Openable]:
-    """List the materials of a path, of which only the records are read.
+    """List the materials of a path. Only the records of the materials are read.
 
     Args:
         path: file, folder or Zarr store of a run, or folder of a capture, which may contain results.

@@ -3,8 +3,8 @@
 - The lens is a sum of Gaussians (`camera/optics/gaussian.py`) and a residual (`kernel_residual.py`). Registration jitter
   adds its variance to each Gaussian.
 - A lens out of focus spreads light over a disc. A source disc spreads the half vector over an ellipse (docs/model.md
-  3). Both effects vary over the image. In records of pixels and cells, defocus is integrated over chords of the disc,
-  each of which is a product of functions of x and y. A record is the mean over the points of the source disc. The
+  3). Both effects vary over the image. In records of pixels and cells, defocus is integrated over chords of the disc.
+  The kernel of a chord is a product of functions of x and y. A record is the mean over the points of the source disc. The
   operator of a fit represents the source disc by `lamp_lines`. Elsewhere, each disc is replaced by a Gaussian with the
   same standard deviation, a quarter of the diameter of the disc.
 """

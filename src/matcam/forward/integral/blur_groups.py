@@ -9,7 +9,6 @@ import numpy as np
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import is_concrete, jax
 from matcam.forward.integral.blur import Blur
-from matcam.forward.integral.kernel_residual import KernelResidual
 from matcam.lamp.lamps import STEEPEST
 from matcam.sample.shape import Curved
 
@@ -21,7 +20,7 @@ _FOLLOWED = 5.2
 """Support radius of a Gaussian, in standard deviations."""
 _REST_NEAR = 1.3
 """Half side of the square around a highlight, in support radii of the residual."""
-WIDTHS, PERIODS = 6.2, 1.8
+_WIDTHS, _PERIODS = 6.2, 1.8
 """Support radius of a kernel with the fineness 1: in standard deviations of its narrowest Gaussian, and for a residual in
 periods of its highest frequency.
 """
@@ -69,24 +68,35 @@ def groups_of(blur: Blur, sample: Curved) -> tuple[BlurGroup, ...]:
     while left:
         ratio = _ONE_WIDTH_OF_TAILS if groups and blur.residual is not None else _ONE_WIDTH
         together = [j for j in left if stds[j] <= ratio * stds[left[0]]]
-        groups.append(BlurGroup(tuple(int(j) for j in together), _scale(half, stds[together], widened[together])))
+        groups.append(_group(blur, tuple(int(j) for j in together), half, float(np.max(widened[together]))))
         left = left[len(together) :]
     if blur.residual is not None:
-        groups.append(BlurGroup((stds.size,), _residual_scale(blur.residual, added)))
+        groups.append(_residual_group(blur, stds.size, float(blur.residual.reach_through(added))))
     return tuple(groups)
 
 
-def _residual_scale(residual: KernelResidual, added: float) -> BlurScale:
-    """Compute the lengths of a residual. added: variance that defocus and source disc add to the residual, px^2."""
-    reach = float(residual.reach_through(added))
-    fineness = max(reach / float(residual.period) / PERIODS, 1.0)
-    return BlurScale(near=_REST_NEAR * reach, margin=reach, reach=reach, fineness=fineness)
+def fineness_of(blur: Blur, terms: tuple[int, ...], reach: np.ndarray | float) -> np.ndarray:
+    """Compute the fineness of terms of a blur, see `BlurScale`.
+
+    Args:
+        blur: the blur.
+        terms: indices of its residual, or of some of its Gaussians.
+        reach: support radius, px, of any shape.
+    """
+    if blur.residual is not None and blur.is_residual(terms[0]):
+        return np.maximum(reach / float(blur.residual.period) / _PERIODS, 1.0)
+    stds = np.asarray(jax.lax.stop_gradient(blur.stds))
+    return np.maximum(reach / float(np.min(stds[list(terms)])) / _WIDTHS, 1.0)
 
 
-def _scale(half: float, stds: np.ndarray, widened: np.ndarray) -> BlurScale:
-    widest, narrowest = float(np.max(widened)), float(np.min(stds))
+def _group(blur: Blur, terms: tuple[int, ...], half: float, widest: float) -> BlurGroup:
+    """Build a group of Gaussians. widest: largest standard deviation with defocus and source disc, px."""
     std, reach = float(np.hypot(widest, half / np.sqrt(3))), half + _FOLLOWED * widest
-    return BlurScale(near=10 * std, margin=4.8 * std, reach=reach, fineness=max(reach / narrowest / WIDTHS, 1.0))
+    return BlurGroup(terms, BlurScale(10 * std, 4.8 * std, reach, float(fineness_of(blur, terms, reach))))
+
+
+def _residual_group(blur: Blur, term: int, reach: float) -> BlurGroup:
+    return BlurGroup((term,), BlurScale(_REST_NEAR * reach, reach, reach, float(fineness_of(blur, (term,), reach))))
 
 
 def _widest_spread(blur: Blur, sample: Curved) -> tuple[float, float]:

@@ -7,16 +7,20 @@ import numpy as np
 from matcam.forward.sampler.arc_rules import MOST_NODES
 from matcam.forward.sampler.arcs import Arcs, Frame
 from matcam.forward.sampler.circles import CircleLayout
-from matcam.forward.sampler.windows import SphereView, Windows
+from matcam.forward.sampler.windows import GRAZING, SphereView, Windows
 
 _ON_ARC, _ON_FULL_ARC = 6.0, 12.0
 """Number of nodes of a Gauss-Legendre rule on a short arc, and of additional nodes on an arc across a window whose kernel has
 the fineness 1.
 """
 _EVENLY, _EVENLY_PER_SIDE = 4.0, 10.0
-"""The same numbers of a midpoint rule. Their spacing in the image is at most 1.25 standard deviations of the kernel."""
+"""The same numbers of a midpoint rule. A spacing of h standard deviations of the kernel has a relative error of
+exp(-2 pi^2 / h^2), which is 3e-6 for the largest spacing in the image, 1.25.
+"""
 _EVENLY_PER_DISTANCE, _FEWEST = 5.0, 12.0
-"""Number of nodes of a midpoint rule per ratio of length to distance from the highlight."""
+"""Number of nodes of a midpoint rule per ratio of length to distance from the highlight, and smallest number of nodes. With
+smaller numbers (4 and 8), records of near rigs are off by up to twice the allowed error.
+"""
 _BESIDE, _PER_DISTANCE, _MOST_DISTANCES = 7.0, 2.5, 8.0
 """Number of nodes on an arc that is short relative to its distance from the highlight, number of additional nodes per ratio of
 length to distance, and largest ratio of length to distance.
@@ -24,9 +28,9 @@ length to distance, and largest ratio of length to distance.
 _LONGEST = 1.3
 """Length of an arc, in sides of its window, above which the number of nodes is constant."""
 _PART = 2 * np.pi / 3 + 1e-9
-"""Length of an arc, rad, that requires the number of Gauss-Legendre nodes of a short arc. Longer arcs require a multiple."""
-_GRAZING = 1e-3
-"""Smallest cosine of the viewing angle of a highlight by which the elongation of curves about it is estimated."""
+"""Largest part of a circle, rad, that needs the Gauss-Legendre nodes of one arc. A longer arc has the nodes of all its parts; a
+whole circle has three parts.
+"""
 
 
 def nodes_on_arcs(
@@ -82,6 +86,6 @@ def _elongation_about(view: SphereView, windows: Windows) -> np.ndarray:
     A displacement across the plane of incidence rotates the direction to a near lamp or camera by a larger angle than one in
     this plane, whose projection is shorter.
     """
-    cosine = np.maximum(np.cos(windows.peak) - view.camera, _GRAZING)
+    cosine = np.maximum(np.cos(windows.peak) - view.camera, GRAZING)
     turn = (view.camera / (1 - view.camera) + view.lamp / (1 - view.lamp)) / 2
     return (1 + turn / cosine) / (1 + turn * cosine)

@@ -1,7 +1,8 @@
-"""Tables of quadrature rules in [-1, 1] with all numbers of nodes up to a limit.
+"""Quadrature rules in [-1, 1]: Gauss-Legendre rules, and midpoint rules for integrands that vanish at both ends.
 
-On an arc whose ends lie on the border of a window, the integrand vanishes at both ends. The midpoint rule then converges
-exponentially, and requires half as many nodes as a Gauss-Legendre rule (Trefethen and Weideman 2014, 10.1137/130932132).
+If all derivatives of a smooth integrand are negligible at both ends, the midpoint rule converges exponentially, and requires
+half as many nodes as a Gauss-Legendre rule (Trefethen and Weideman 2014, 10.1137/130932132). This holds on an arc whose ends
+lie on the border of a window.
 """
 
 from __future__ import annotations
@@ -15,23 +16,20 @@ MOST_NODES = 256
 
 
 @cache
-def gauss_rules(most: int) -> np.ndarray:
-    """Tabulate Gauss-Legendre rules with 0 to `most` nodes, padded with zeros, (2, most + 1, most)."""
-    rules = np.zeros((2, most + 1, most))
-    for count in range(1, most + 1):
-        rules[:, count, :count] = np.polynomial.legendre.leggauss(count)
-    return rules
+def arc_rule(even: bool, count: int) -> np.ndarray:
+    """Compute nodes and weights of a rule, (2, count). even: True for the midpoint rule, False for Gauss-Legendre."""
+    if even:
+        return np.stack([(2 * np.arange(count) + 1) / count - 1, np.full(count, 2 / count)])
+    return np.stack(np.polynomial.legendre.leggauss(count))
 
 
 @cache
-def midpoint_rules(most: int) -> np.ndarray:
-    """Tabulate midpoint rules with 0 to `most` nodes, padded with zeros, (2, most + 1, most)."""
+def arc_rules(even: bool, most: int, step: int = 2) -> np.ndarray:
+    """Tabulate rules by their number of nodes, padded with zeros, (2, most + 1, most).
+
+    Only the numbers `step`, 2 `step`, ... up to `most` have rules. The numbers of nodes on arcs are even.
+    """
     rules = np.zeros((2, most + 1, most))
-    for count in range(1, most + 1):
-        rules[:, count, :count] = midpoints(count)
+    for count in range(step, most + 1, step):
+        rules[:, count, :count] = arc_rule(even, count)
     return rules
-
-
-def midpoints(count: int) -> np.ndarray:
-    """Compute the nodes of the midpoint rule, and their weights, (2, count)."""
-    return np.stack([(2 * np.arange(count) + 1) / count - 1, np.full(count, 2 / count)])

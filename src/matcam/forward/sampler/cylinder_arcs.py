@@ -20,7 +20,7 @@ import numpy as np
 from matcam.core.jax import AnyArray, jax, jnp
 from matcam.core.programs import kept_program
 from matcam.forward.integral.blur import Imaging
-from matcam.forward.sampler.arc_rules import MOST_NODES, midpoint_rules
+from matcam.forward.sampler.arc_rules import MOST_NODES, arc_rules
 from matcam.forward.sampler.cylinder_ridge import (
     PlacedLamps,
     ends_of_light,
@@ -195,7 +195,7 @@ class _Spans(NamedTuple):
         """Compute positions and weights of the nodes of midpoint rules, and the indices of their intervals."""
         which = np.repeat(np.arange(counts.size), counts)
         number = np.arange(which.size) - np.repeat(np.cumsum(counts) - counts, counts)
-        node, share = midpoint_rules(MOST_NODES)[:, counts[which], number]
+        node, share = arc_rules(True, MOST_NODES)[:, counts[which], number]
         centre, scale, middle, half = (a[which] for a in self)
         t = middle + half * node
         return centre + scale * np.sinh(t), share * half * scale * np.cosh(t), which

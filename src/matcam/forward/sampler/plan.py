@@ -23,14 +23,12 @@ from matcam.forward.sampler.arcs import CHUNK
 from matcam.forward.sampler.circle_arcs import CircleArcs
 from matcam.forward.sampler.circles import COARSEST, lay_circles
 from matcam.forward.sampler.cylinder_arcs import CrossArcs, arcs_across, smooth_on_cylinder
-from matcam.forward.sampler.windows import SphereView, Windows
+from matcam.forward.sampler.windows import GRAZING, SphereView, Windows
 from matcam.numerics.blocks import in_blocks, in_calls
 from matcam.sample.curved import Cylinder, Sphere
 
 _AROUND = np.pi / 8 * np.arange(16)
 """Azimuths, rad, of positions around a pixel that are visible and lit if the radiance around the pixel is smooth."""
-_GRAZING = 1e-3
-"""Smallest cosine of the viewing angle by which the size of a window on the sphere is estimated."""
 _NO_CRESCENT = 0.6
 """Share of the support radius of a residual. If the whole surface within this distance is lit, the radiance is smooth up to
 the limb.
@@ -231,7 +229,7 @@ def _crowded(view: SphereView, pixels: Windows) -> np.ndarray:
     n_x, n_y, n_z = view.normals(*pixels.to_lamp(pixels.x, pixels.y))
     sine, cosine = np.sin(pixels.peak), np.cos(pixels.peak)
     between = np.arctan2(np.hypot(n_x * cosine - n_z * sine, n_y), n_x * sine + n_z * cosine)
-    return between < 2 * pixels.half[0] / (view.radius * np.maximum(n_z - view.camera, _GRAZING))
+    return between < 2 * pixels.half[0] / (view.radius * np.maximum(n_z - view.camera, GRAZING))
 
 
 def _dark(view: SphereView, pixels: Windows) -> np.ndarray:

@@ -16,7 +16,7 @@ from matcam.core.threads import available_cores, in_order
 from matcam.forward.integral.blur import BlurTerms, Imaging
 from matcam.forward.integral.residual_at_limb import LimbRule
 from matcam.forward.integral.scene import Scene, Turn
-from matcam.forward.sampler.arc_rules import MOST_NODES, gauss_rules, midpoint_rules
+from matcam.forward.sampler.arc_rules import MOST_NODES, arc_rules
 from matcam.forward.sampler.circle_arcs import CircleArcs
 from matcam.forward.sampler.cylinder_arcs import CrossArcs
 from matcam.forward.sampler.plan import ArcRows, PlanPart, RecordPlan, RecordPositions
@@ -116,10 +116,9 @@ def _tiles(plan: RecordPlan, on_gpu: bool, lengths: tuple[int, ...]) -> list[Cal
         for index, rule in ((part.smooth, None), (part.limb, part.limb_rule)):
             some = (index[begin : begin + math.prod(pixels)] for begin in range(0, index.size, math.prod(pixels)))
             tiles += [partial(_pixel_tile, plan.positions, part.terms, rule, one, pixels) for one in some]
-        for own, table in ((part.arcs, gauss_rules), (part.even_arcs, midpoint_rules)):
+        for even, own in enumerate((part.arcs, part.even_arcs)):
             parts = (slice(begin, begin + math.prod(arcs)) for begin in range(0, own.position.size, math.prod(arcs)))
-            rules = table, lengths
-            tiles += [partial(_arc_tile, plan.positions, part, own.at(one), arcs, rules) for one in parts]
+            tiles += [partial(_arc_tile, plan.positions, part, own.at(one), arcs, lengths, bool(even)) for one in parts]
     return tiles
 
 
@@ -147,18 +146,18 @@ def _arc_tile(
     part: PlanPart,
     own: ArcRows | CrossArcs,
     shape: tuple[int, int],
-    rules_of: tuple[Callable[[int], np.ndarray], tuple[int, ...]],
+    lengths: tuple[int, ...],
+    even: bool,
 ) -> _Tile:
     """Collect arcs with the pixels to whose records they contribute.
 
-    rules_of: function that tabulates rules, and the largest numbers of nodes of the tables, see `_tiles`.
+    lengths: see `_tiles`. even: True for arcs with equally spaced nodes.
     """
     pixels = positions.at(own.position)
     arcs = own if isinstance(own, CrossArcs) else own.on_circles(part.frames)
     used, rows = shaped(_ArcInputs(*pixels[:3], pixels.turn, arcs), *shape)
     counts = np.resize(own.nodes, shape).max(axis=1)
-    tabulate, lengths = rules_of
-    rules = next(rules for rules in map(tabulate, lengths) if counts.max() < rules.shape[1])
+    rules = arc_rules(even, next(most for most in lengths if counts.max() <= most))
     return _Tile(part.terms, own.position, used, rows, counts, rules)
 
 

@@ -13,6 +13,8 @@ import numpy as np
 
 from matcam.sample.sight import depth_of
 
+GRAZING = 1e-3
+"""Smallest cosine of a viewing angle by which foreshortening is estimated. It avoids a division by 0."""
 _PER_SIDE = 12
 """Number of points on each side of a window at which angles are compared."""
 _AROUND = np.linspace(-1, 1, 9)

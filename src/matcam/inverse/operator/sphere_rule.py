@@ -25,9 +25,9 @@ import numpy as np
 
 from matcam.core.jax import jax, jit_plainly, jnp
 from matcam.forward.integral.blur import Blur, Spread
-from matcam.forward.integral.blur_groups import PERIODS, WIDTHS
+from matcam.forward.integral.blur_groups import fineness_of
 from matcam.forward.sampler.arc_nodes import nodes_on_arcs
-from matcam.forward.sampler.arc_rules import MOST_NODES, gauss_rules, midpoint_rules
+from matcam.forward.sampler.arc_rules import MOST_NODES, arc_rules
 from matcam.forward.sampler.arcs import CHUNK, Arcs, Clips, gaps_of
 from matcam.forward.sampler.circles import CircleLayout, Circles, about_highlight, from_highlight
 from matcam.forward.sampler.windows import SphereView, Windows
@@ -50,7 +50,7 @@ _GROUP = 4
 _MIDPOINT = MOST_NODES // _GROUP + 1
 """Index of the first midpoint rule in `_tabulated_rules`."""
 _BESIDE_BORDER = 24
-"""Smallest number of nodes on an arc under a source disc, whose image has borders."""
+"""Smallest number of nodes on an arc under a source disc. The borders of the image of the disc may cross short arcs, too."""
 _KERNELS = 2
 """Largest number of kernels that one call of the compiled program evaluates at the same nodes. The two Gaussians that are
 stretched along and across the plane of camera and lamp have the same windows.
@@ -265,7 +265,9 @@ def _kernel_sums(
     near, least = not view.distant, 0
     if kernel.disc is not None:  # its image has borders
         layout, least = layout._replace(arcs=arcs._replace(vanishes=np.zeros_like(arcs.vanishes))), _BESIDE_BORDER
-    nodes, evenly = nodes_on_arcs(view, windows, layout, _fineness(kernels, windows), 1.0)
+    reach = windows.half.max(axis=0)
+    fineness = np.max([fineness_of(one.blur, one.terms, reach) for one in kernels], axis=0)
+    nodes, evenly = nodes_on_arcs(view, windows, layout, fineness, 1.0)
     rule = -(-np.maximum(nodes, least) // _GROUP) + evenly * _MIDPOINT
     per_arc = angle[arcs.circle], arcs.middle, arcs.half
     program = _arc_sums if kernel.disc is None else _arc_sums_of_disc
@@ -313,19 +315,10 @@ def _from_sums(
     return SphereRule(own[0], seen, own[1])
 
 
-def _fineness(kernels: Sequence[Kernel], windows: Windows) -> np.ndarray:
-    """Compute the fineness of kernels in each window, see `BlurScale`."""
-    half, residual = windows.half.max(axis=0), kernels[0].blur.residual
-    if residual is not None:
-        return np.maximum(half / float(residual.period) / PERIODS, 1.0)
-    narrowest = min(float(np.min(np.asarray(kernel.blur.stds)[list(kernel.terms)])) for kernel in kernels)
-    return np.maximum(half / narrowest / WIDTHS, 1.0)
-
-
 @cache
 def _tabulated_rules() -> np.ndarray:
     """Tabulate Gauss-Legendre and then midpoint rules by their number of groups of nodes, (rules, 2, groups, nodes)."""
-    rules = np.concatenate([table(MOST_NODES)[:, ::_GROUP] for table in (gauss_rules, midpoint_rules)], axis=1)
+    rules = np.concatenate([arc_rules(even, MOST_NODES, _GROUP)[:, ::_GROUP] for even in (False, True)], axis=1)
     return np.moveaxis(rules, 1, 0).reshape(-1, 2, MOST_NODES // _GROUP, _GROUP)
 
 
