@@ -7,6 +7,7 @@ import pytest
 from jinja2 import UndefinedError
 from matplotlib.figure import Figure
 
+from matcam.core.results.summary import Quantity
 from matcam.figures.pages import write_run_index
 from matcam.figures.style import fit_titles, inline_png, styled, write_page
 
@@ -32,7 +33,8 @@ def test_an_index_cannot_be_injected_into(tmp_path):
 
 def test_a_correction_page_cannot_be_injected_into(tmp_path):
     content = {
-        "name": HOSTILE, "verdict": HOSTILE, "remarks": [HOSTILE], "family": HOSTILE, "parameters": [(HOSTILE, 1.0, 0.1)],
+        "name": HOSTILE, "verdict": HOSTILE, "remarks": [HOSTILE], "family": HOSTILE,
+        "parameters": [Quantity(HOSTILE, 1.0, 0.1)],
         "figures": [(HOSTILE, "data:image/png;base64,")],
     }  # fmt: skip
     write_page(tmp_path / "a.html", "correction_page.html", content)
@@ -58,10 +60,11 @@ def test_templates_are_files_of_the_package():
 
 CONTENT = {
     "name": "a-material-with-a-long-name.binary", "verdict": "word " * 60, "remarks": ["long/" * 40], "family": "epd",
-    "parameters": [("a long name of a parameter, rad", -1.23456e-05, 1.2e-05)],
+    "parameters": [Quantity("a long name of a parameter, rad", -1.23456e-05, 1.2e-07)],
     "budget_columns": [f"column {n} of the budget, %" for n in range(5)], "budget": [("noise", [0.123] * 5)],
     "lobes": [("ggx", 0.01)], "not_determined": [("one[R]", "other[G]", 0.99)], "exposures": [("E1", 1.0, 0.01)],
-    "lengths": [("distance of the camera, radii", "at least 400")], "pictures": [("L01-a-long-name-of-a-lamp", 45.0, 27.0, 3)],
+    "lengths": [Quantity("distance of the camera, radii", "at least 400")],
+    "pictures": [("L01-a-long-name-of-a-lamp", 45.0, 27.0, 3)],
     "left_out": ["frames/" + "z" * 120 + ".tiff: missing"],
     "uncertainty": [("a long name of a result, rad", [
         ["a long name of a source, px", "B", 0.5, 0.1, 2.0, 0.2, float("nan")],

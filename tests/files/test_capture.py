@@ -83,8 +83,8 @@ def test_frames_are_read_in_part(tmp_path):
 
 
 BAD_SETTINGS = {
-    "unknown key": ({**SETTINGS, "lamp": {"radius": 3}}, "field lamp.radius: extra inputs"),
-    "unknown table": ({**SETTINGS, "lamps": {"a": 1}}, "field lamps: extra inputs"),
+    "unknown key": ({**SETTINGS, "lamp": {"radius": 3}}, "field lamp.radius: unknown field"),
+    "unknown table": ({**SETTINGS, "lamps": {"a": 1}}, "field lamps: unknown field"),
     "no number": ({**SETTINGS, "distances": {"camera_mm": "far"}}, "field distances.camera_mm: .*value or"),
     "three numbers": ({**SETTINGS, "sample": {"radius_mm": [1, 2, 3]}}, "field sample.radius_mm: .*value or"),
     "negative": ({**SETTINGS, "sample": {"radius_mm": -1}}, "field sample.radius_mm: .*must lie in"),

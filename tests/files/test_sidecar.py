@@ -75,16 +75,16 @@ def test_published_schema_is_the_one_in_the_code():
         ({"sample": {"kind": "cube"}}, "field sample"),
         (
             {"sample": {"kind": "sphere", "radius_px": -1.0, "distance_radii": None}},
-            "radius_px: input should be greater than 0",
+            "radius_px: must be greater than 0",
         ),
         ({"sample": {"kind": "sphere", "radius_px": 9.0, "distance_radii": 1.0}}, "distance_radii"),
-        ({"sample": {"kind": "sphere", "radius_px": 9.0}}, "distance_radii: field required"),
+        ({"sample": {"kind": "sphere", "radius_px": 9.0}}, "distance_radii: this field is required"),
         ({"lamp": {"angles_rad": [], "radius_rad": 0.0}}, "field lamp.angles_rad"),
         ({"lamp": {"angles_rad": [0.1], "azimuths_rad": [45.0], "radius_rad": 0.0}}, "field lamp.azimuths_rad.0"),
         ({"lamp": {"angles_rad": [0.1], "azimuths_rad": [], "radius_rad": 0.0}}, "as many entries as angles_rad"),
         ({"lamp": {"angles_rad": [0.1], "radius_rad": 0.0, "distance_radii": 0.5}}, "field lamp.distance_radii"),
         ({"lamp": {"angles_rad": [np.nan], "radius_rad": 0.0}}, "field lamp.angles_rad.0"),
-        ({"lamp": {"angles_rad": [0.1], "radius_rad": 0.0, "colour": 1}}, "field lamp.colour: extra"),
+        ({"lamp": {"angles_rad": [0.1], "radius_rad": 0.0, "colour": 1}}, "field lamp.colour: unknown"),
         ({"exposure": {"electrons_per_radiance": [0.0], "times_s": [], "seed": 1}}, "electrons_per_radiance.0"),
         ({"picture": sections()["picture"] | {"quantity": "grey"}}, "field picture.quantity"),
         ({"picture": sections()["picture"] | {"shape": [3]}}, "field picture.shape"),
@@ -127,7 +127,7 @@ def test_existing_sidecars_are_kept(tmp_path):
         ({"version": 2}, "sidecar version 2 is unknown"),
         ({"version": True}, "version True is unknown"),
         ({"format": "other"}, "not a picture sidecar"),
-        ({"surprise": 1}, "field surprise: extra"),
+        ({"surprise": 1}, "field surprise: unknown"),
     ],
 )
 def test_other_versions_and_formats(change, words, tmp_path):
@@ -148,7 +148,7 @@ def test_foreign_files(text, tmp_path):
 
 
 def test_a_bad_camera_inside_is_named():
-    with pytest.raises(FileFormatError, match=r"copper\.exr\.json: field pixel: field required"):
+    with pytest.raises(FileFormatError, match=r"copper\.exr\.json: field pixel: this field is required"):
         document = CAMERA.profile()
         del document["pixel"]
         Camera.from_profile(document, "copper.exr.json")

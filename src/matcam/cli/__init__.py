@@ -135,7 +135,7 @@ def _run(arguments: list[str] | None) -> int:
         return exit_.exit_code
     except usage_error as error:
         context = f" (see {error.ctx.command_path} --help)" if error.ctx else ""
-        return _complain(f"{_one_line(error.format_message())}{context}", BAD_INPUT)
+        return _complain(f"{_one_line(error.format_message())}{_in_groups(error)}{context}", BAD_INPUT)
     except (KeyboardInterrupt, typer.Abort):
         return _interrupted()
     except MatcamError as error:
@@ -154,6 +154,19 @@ def _run(arguments: list[str] | None) -> int:
     code = result if isinstance(result, int) else 0
     broken = broken_output()
     return code if broken is None else _output_failed(broken, code)
+
+
+def _in_groups(error: Any) -> str:
+    """Suggest the commands of groups with the name of an unknown command."""
+    from matcam.cli.app import app
+
+    found = [
+        f"matcam {group.name} {command.name}"
+        for group in app.registered_groups
+        for command in group.typer_instance.registered_commands  # type: ignore[union-attr]
+        if f"No such command '{command.name}'" in error.format_message()
+    ]
+    return f" Did you mean {' or '.join(found)}?" if found else ""
 
 
 def _complain(message: str, code: int) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shlex
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -117,6 +118,8 @@ def check(
     show.notes(found.notes)
     for remark in found.findings:
         show.say(f"found: {remark}")
+    if found.findings:
+        show.say(f"next: correct these faults, then repeat {shlex.join(['matcam', 'capture', 'check', str(folder)])}")
     if not found.findings:
         show.say("no faults were found")
     return 1 if found.findings else 0

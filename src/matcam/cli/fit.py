@@ -128,12 +128,13 @@ def command(
 
 def print_fit(summary: dict[str, Any], name: str) -> None:
     """Print `to_dict()` of a fit as a table, with its remarks."""
+    from matcam.core.results.summary import half_width, parameters
     from matcam.inverse.fit.fit_data import LEAST_FLOOR
 
-    rows = [[key, f"{value:.6g}", f"{summary['std'][key]:.2g}"] for key, value in summary["params"].items()]
     modified = "spline-modified " if summary["spline_modified"] else ""
-    show.table(["parameter", "value", "std"], rows, f"{name}: {modified}{summary['ndf']}")
-    show.say(f"half width at half maximum: {summary['hwhm_rad']:.6g} ± {summary['hwhm_std_rad']:.2g} rad")
+    show.quantities(parameters(summary["params"], summary["std"]), f"{name}: {modified}{summary['ndf']}")
+    width = half_width(summary["hwhm_rad"], summary["hwhm_std_rad"])
+    show.say(f"{width.name}: {width.text}")
     noise = summary["noise"]
     show.say(
         f"noise of a pixel: {noise['relative']:.2%} of its value and {noise['floor']:.2%} of the image's peak; noise of the "

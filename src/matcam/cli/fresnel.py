@@ -198,6 +198,7 @@ def _print(result: Any, tables: Any, files: list[Path], channel: str) -> None:
     import numpy as np
 
     from matcam.core.remark import from_attribute
+    from matcam.core.results.summary import half_width, with_std
 
     one = result.sel(channel=channel)
     # nearest existing slices: a table has slices at 74.5 and 75.5 degrees, and --slice-step omits some
@@ -228,11 +229,10 @@ def _print(result: Any, tables: Any, files: list[Path], channel: str) -> None:
     )
     attrs = result.attrs
     determined = "" if attrs["width_determined"] else " (narrower than this camera can resolve: an upper bound)"
-    width = f"width {float(result['width']):.6g} ± {float(result['width_std']):.1g}{determined}"
-    half, std = (float(np.degrees(result[name])) for name in ("hwhm", "hwhm_std"))
+    width = f"width {with_std(float(result['width']), float(result['width_std']))}{determined}"
     show.say(
         f"lobe: {attrs['ndf']}, {'spline-modified' if attrs['spline_modified'] else width}; "
-        f"half width at half maximum {half:.4g}° ± {std:.1g}°"
+        f"half width at half maximum {half_width(float(result['hwhm']), float(result['hwhm_std'])).text}"
     )
     show.say(
         f"noise of a pixel ({attrs['noise']}): {attrs['noise_relative']:.2%} of its value, "

@@ -171,11 +171,10 @@ def _print_result(report: dict[str, Any]) -> None:
     show.say(report["verdict"])
     if "lens" in report:
         show.say(f"table: {report['table']}; lens {report['lens']}")
-    rows = [
-        [name, _plain(one["value"]), "-" if one["std"] is None else f"{one['std']:.2g}"]
-        for name, one in report["parameters"].items()
-    ]
-    show.table(["parameter", "value", "std"], rows, f"Lobe of the family {report['family']}")
+    from matcam.core.results.summary import Quantity
+
+    found = [Quantity(name, one["value"], _known(one["std"])) for name, one in report["parameters"].items()]
+    show.quantities(found, f"Lobe of the family {report['family']}")
     if report.get("left_out"):
         show.say(f"images that were left out: {', '.join(report['left_out'])}")
     show.notes(report["remarks"])
@@ -228,6 +227,10 @@ def _print_variables(variables: dict[str, Any]) -> None:
     show.table(["variable", "size", "unit"], rows)
 
 
+def _known(std: float | None) -> float:
+    return float("nan") if std is None else std
+
+
 def _plain(value: Any) -> str:
     if isinstance(value, list):
         return ", ".join(map(_plain, value))
@@ -260,13 +263,15 @@ def _print_table(report: dict[str, Any]) -> None:
 
 
 def _print_profile(report: dict[str, Any]) -> None:
+    from matcam.core.results.summary import Quantity
+
     show.say(f"{report['file']}: camera profile")
-    unknown = "exact" if report["std"] else "not specified"
-    rows = [
-        [name, f"{value:.6g}", unknown if report["std"].get(name) is None else f"± {report['std'][name]:.2g}"]
-        for name, value in report["parameters"].items()
-    ]
-    show.table(["parameter", "value", "standard deviation"], rows)
+    exact = 0.0 if report["std"] else None
+    show.quantities(
+        Quantity(name, value, _known(report["std"].get(name, exact))) for name, value in report["parameters"].items()
+    )
+    if not report["std"]:
+        show.say("standard deviations of the parameters: not specified")
     mtf50 = report["mtf50_cycles_per_px"]
     for name, value in mtf50.items() if isinstance(mtf50, dict) else [("", mtf50)]:
         lens = f", {name}" if name else ""

@@ -153,14 +153,12 @@ def _write(result: Any, document: dict[str, Any], files: dict[str, Path], captur
 
 
 def _print(result: Any, document: dict[str, Any]) -> None:
+    from matcam.core.results.summary import Quantity
     from matcam.reconstruction.stated.captured_scene import INCOMPLETE
 
-    show.table(
-        ("parameter", "value", "std"),
-        [(name, f"{value:.5g}", f"{std:.2g}") for name, (value, std) in result.parameters.items()],
-    )
+    show.quantities([Quantity(name, *pair) for name, pair in result.parameters.items()])
     if result.sample != "flat":
-        show.table(("outline and distances", "value ± std"), [(one.name, one.text) for one in result.length_quantities])
+        show.quantities(result.length_quantities, head="outline and distances")
         columns = [("ratio", "F at grazing, %"), ("level", "absolute F, %"), ("roughness", "roughness, %")]
         columns = [column for column in columns if column[0] in result.budget["total"]]
         show.table(

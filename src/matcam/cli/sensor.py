@@ -114,8 +114,7 @@ def _camera(path: Path | None, pitch: float | None) -> tuple[Any, float]:
 
 def _print(found: Any, files: list[Path]) -> None:
 
-    rows = [[name, f"{value:.5g}", f"{std:.2g}"] for name, value, std, _ in found.quantities()]
-    show.table(["characteristic", "value", "std"], rows)
+    show.quantities(found.quantities(), head="characteristic")
     show.say(found.verdict)
     show.notes(found.remarks)
     show.written(files)

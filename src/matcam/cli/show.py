@@ -14,11 +14,14 @@ import re
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from matcam.cli import activity
 from matcam.core.io import plain
 from matcam.core.readers.names import UNPRINTABLE, printable
+
+if TYPE_CHECKING:
+    from matcam.core.results.summary import Quantity
 
 _SECONDS = 30.0
 """Smallest time between two lines of progress, s, which keeps the log of a long run short."""
@@ -121,6 +124,11 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]], title: str = "") -
         whole = sum(column.min_width or 0 for column in drawn.columns) + 3 * len(head)
         console.print(drawn, width=max(console.width, whole), crop=False)
         _print("\n".join(line.rstrip() for line in drawing.getvalue().split("\n")), end="")
+
+
+def quantities(rows: Iterable[Quantity], title: str = "", head: str = "parameter") -> None:
+    """Print quantities with their standard deviations as a table."""
+    table([head, "value ± std"], [[row.name, row.text] for row in rows], title)
 
 
 def _width() -> int | None:

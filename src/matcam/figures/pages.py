@@ -18,6 +18,7 @@ from matplotlib.figure import Figure
 
 from matcam.core.grid import merl_grid, sampling_of
 from matcam.core.remark import texts
+from matcam.core.results.summary import Quantity, half_width
 from matcam.figures.curves import RAW_LABEL, draw_corrected_lobe
 from matcam.figures.spheres import (
     encoded_for_screen,
@@ -75,8 +76,8 @@ def write_correction_page(
         "remarks": texts(done.remarks),
         "family": found.lobe_name,
         "parameters": [
-            *((_READ_AS.get(key, key), value, found.std[key]) for key, value in found.params.items()),
-            *([] if "hwhm_rad" in found.params else [(_READ_AS["hwhm_rad"], found.hwhm, found.hwhm_std)]),
+            *(Quantity(_READ_AS.get(key, key), value, found.std[key]) for key, value in found.params.items()),
+            *([] if "hwhm_rad" in found.params else [half_width(found.hwhm, found.hwhm_std)]),
         ],
         "figures": [(title, inline_png(figure)) for title, figure in figures],
         "uncertainty": budget_tables(done.uncertainty_budgets()),

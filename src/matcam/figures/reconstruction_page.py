@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from matcam.acquisition.merged_picture import MergedPicture
 from matcam.core.arrays import evenly
 from matcam.core.grid import merl_grid
+from matcam.core.results.summary import Quantity
 from matcam.figures.curves import draw_lobe
 from matcam.figures.fitted_windows import fitted_windows, pinhole_slice
 from matcam.figures.strip_profiles import profile_figure
@@ -68,12 +69,12 @@ def write_reconstruction_page(
         "name": name,
         "verdict": result.verdict,
         "remarks": [f"left out: {remark}" if remark.code in INCOMPLETE else str(remark) for remark in result.remarks],
-        "parameters": [(key, *pair) for key, pair in result.parameters.items()],
+        "parameters": [Quantity(name, *pair) for name, pair in result.parameters.items()],
         "budget_columns": [words for _, words, _ in columns],
         "budget": [
             (source, [scale * parts[key] for key, _, scale in columns]) for source, parts in result.budget.items()
         ],
-        "lengths": [(one.name, one.text) for one in result.length_quantities],
+        "lengths": result.length_quantities,
         "pictures": [
             (name, np.degrees(theta_d), chi2, left_out)
             for name, theta_d, chi2, left_out in zip(

@@ -48,7 +48,7 @@ def write_sensor_page(path: str | Path, result: SensorCharacteristics, name: str
         "name": name,
         "verdict": result.verdict,
         "remarks": texts(result.remarks),
-        "parameters": [(one.name, one.value, one.std) for one in result.quantities()],
+        "parameters": result.quantities(),
         "figures": [
             (
                 "Photon transfer, signal-to-noise ratio, linearity, and fixed patterns",

@@ -7,7 +7,7 @@ import xarray as xr
 
 from matcam.core.grid import DIMS
 from matcam.core.remark import from_attribute
-from matcam.core.results.summary import Quantity, Summary
+from matcam.core.results.summary import Quantity, Summary, half_width
 
 _ANGLES = (5, 15, 30, 45, 60, 75)
 """Values of theta_d in a summary, degrees. They range from near normal incidence to the minimum of F of a metal."""
@@ -39,7 +39,7 @@ def fresnel_summary(data: xr.Dataset) -> Summary:
             ],
             "Lobe": [
                 Quantity(width, float(data["width"]), float(data["width_std"])),
-                Quantity("half width at half maximum", float(data["hwhm"]), float(data["hwhm_std"]), "rad"),
+                half_width(float(data["hwhm"]), float(data["hwhm_std"])),
             ],
         },
         from_attribute(str(data.attrs.get("remarks", ""))),

@@ -209,7 +209,7 @@ class Reconstruction(Summarised):
         return [
             Quantity(name, _least_distance(value, std))
             if "distance" in name and not std < value / 2
-            else Quantity(name, value, std)
+            else Quantity(name, value, std, relative=name not in ("outline_column_px", "outline_row_px"))
             for name, (value, std) in self.lengths.items()
         ]
 

@@ -247,6 +247,7 @@ def measure_picture(
                     raise _nothing_measured(chart, registration) from error
                 if not samples:
                     raise
+                remarks.append(Remark("edges-not-measured", f"no edge was measured: {error}").about(plane.channel))
             else:
                 remarks += edge_remarks(result, plane.channel)
         findings.append(Finding(plane.channel, name, f_number, result, samples, dots, plane.shape, software))

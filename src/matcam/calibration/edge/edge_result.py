@@ -226,7 +226,7 @@ class EdgeMTF(Summarised, EdgeValues[float]):
                 Quantity("glare, share of the light", self.glare_fraction, self.glare_fraction_std),
             ]
         geometry = [
-            Quantity("direction of the normal", self.angle, self.angle_std, "rad"),
+            Quantity("direction of the normal", self.angle, self.angle_std, "rad", relative=False),
             Quantity("bow", self.bow, unit="px"),
         ]
         return Summary(

@@ -38,6 +38,13 @@ _LONGEST_LINE = 1000
 """Largest number of characters in a line. A TOML key of a thousand dots takes 1 s to parse, quadratic in its length."""
 
 
+_PROBLEMS = {
+    "extra_forbidden": "unknown field; check its spelling, or remove it",
+    "missing": "this field is required",
+}
+"""Messages by type of pydantic's errors, where pydantic's own text is not plain."""
+
+
 def read_json(path: str | Path, what: str) -> Any:
     """Read a JSON document.
 
@@ -62,6 +69,8 @@ def read_toml(path: str | Path, what: str) -> dict[str, Any]:
         with reading(path, what):
             text = _checked_text(path, what, SMALL_TEXT).decode("utf-8-sig")
         return tomllib.loads(text)
+    except UnicodeDecodeError as error:
+        raise FileFormatError(f"{path}: not TOML: {_not_utf8(error)}") from None
     except (ValueError, RecursionError) as error:  # an integer with too many digits does not raise TOMLDecodeError
         raise FileFormatError(f"{path}: not TOML: {' '.join(str(error).split())}") from None
 
@@ -92,6 +101,8 @@ def decode_json(path: Path, *, title: str) -> np.ndarray:
         )
     try:
         json.loads(content.decode("utf-8"), parse_constant=refuse)
+    except UnicodeDecodeError as error:
+        raise FileFormatError(f"{path}: not {title}: {_not_utf8(error)}") from None
     except (ValueError, RecursionError) as error:
         raise FileFormatError(f"{path}: not {title}: {error}") from None
     return np.frombuffer(content, np.uint8)
@@ -101,6 +112,10 @@ def decode_lines(path: Path, *, title: str) -> np.ndarray:
     """Read the bytes of a text file, and check the limits of lines."""
     # 65,536 lines of three numbers take 3 MiB
     return np.frombuffer(_checked_text(path, title, 4 << 20), np.uint8)
+
+
+def _not_utf8(error: UnicodeDecodeError) -> str:
+    return f"byte {error.start} is not UTF-8 text; save the file with the encoding UTF-8"
 
 
 def _bytes_of(path: Path, what: str, largest: int) -> bytes:
@@ -153,4 +168,9 @@ def first_problem(error: ValidationError, unnamed: Collection[str] = ()) -> str:
     """
     first = error.errors()[0]
     field = ".".join(str(part) for part in first["loc"] if part not in unnamed)
-    return printable(f"field {field:.100}: {first['msg'][0].lower()}{first['msg'][1:]}")
+    if first["type"] in _PROBLEMS:
+        problem = _PROBLEMS[first["type"]]
+    else:
+        text = first["msg"].removeprefix("Value error, ").replace("Input should ", "must ")
+        problem = f"{text[0].lower()}{text[1:]}"
+    return printable(f"field {field:.100}: {problem}")

@@ -39,12 +39,15 @@ class Quantity(NamedTuple):
         value: the value, a number or a string.
         std: standard deviation, in the unit of the value. Default: NaN, it is unknown.
         unit: unit. Default: "", the quantity has no unit, or its name includes the unit.
+        relative: whether the standard deviation is also given in percent of the value, which has no meaning for a coordinate.
+            Default: True.
     """
 
     name: str
     value: float | str
     std: float = math.nan
     unit: str = ""
+    relative: bool = True
 
     @property
     def text(self) -> str:
@@ -54,7 +57,7 @@ class Quantity(NamedTuple):
         """
         if isinstance(self.value, str):
             return self.value
-        unit = f" {self.unit}" if self.unit else ""
+        unit = self.unit if self.unit in ("", "°") else f" {self.unit}"
         if math.isnan(self.std):
             return f"{self.value:.6g}{unit}"
         if math.isinf(self.std):
@@ -67,7 +70,7 @@ class Quantity(NamedTuple):
     def _share(self) -> str:
         """Standard deviation in percent of the value."""
         assert not isinstance(self.value, str)
-        share = 100 * self.std / abs(self.value) if self.value else math.inf
+        share = 100 * self.std / abs(self.value) if self.value and self.relative else math.inf
         return f" ({share:.2g} %)" if share < 99.5 else f" ({share:.0f} %)" if share < 1000 else ""
 
 
@@ -92,6 +95,20 @@ def with_std(value: float, std: float) -> str:
     digits = min(max(0, 1 - math.floor(math.log10(std)) + scale), 12)
     text = f"{value / 10.0**scale:.{digits}f} ± {std / 10.0**scale:.{digits}f}"
     return f"({text})e{scale:+03d}" if scale else text
+
+
+def half_width(angle: float, std: float) -> Quantity:
+    """Half width of a lobe at half maximum in degrees.
+
+    Args:
+        angle: the half width, rad.
+        std: standard deviation of `angle`, rad.
+
+    Example:
+        >>> half_width(0.0023501, 7e-06).text
+        '0.13465 ± 0.00040° (0.3 %)'
+    """
+    return Quantity("half width at half maximum", math.degrees(angle), math.degrees(std), "°")
 
 
 class Summary(NamedTuple):

@@ -14,7 +14,7 @@ from matcam.core.errors import ArgumentError
 from matcam.core.jax import jnp, placed
 from matcam.core.remark import Remark
 from matcam.core.results.labelled import named
-from matcam.core.results.summary import Quantity, Summarised, Summary, correlations, parameters
+from matcam.core.results.summary import Quantity, Summarised, Summary, correlations, half_width, parameters
 from matcam.inverse.fit.body import Base, DiffusePart
 from matcam.inverse.fit.fit_data import cell_variance, standardised_residual
 from matcam.inverse.fit.fit_parameters import reflectance_at
@@ -330,14 +330,14 @@ class MaterialFit(Summarised):
         return linearised_fit(self._solution)
 
     def _summary(self) -> Summary:
-        half_width = [] if HALF_WIDTH in self.params else [Quantity(HALF_WIDTH, self.hwhm, self.hwhm_std)]
+        width = [] if HALF_WIDTH in self.params else [half_width(self.hwhm, self.hwhm_std)]
         source = "given" if self.noise_given else "estimated from the residuals"
         noise = f"{self.noise.relative:.2g} of the value, {self.noise.floor:.2g} of the peak ({source})"
         return Summary(
             f"{self.lobe_name} lobe, fitted {'without a' if self.camera is None else 'through the'} camera",
             f"The data {'determine' if self.determined else 'do not determine'} the roughness to 5 %.",
             {
-                "Parameters": [*parameters(self.params, self.std), *half_width],
+                "Parameters": [*parameters(self.params, self.std), *width],
                 "Correlations": correlations(self.params, self.covariance),
                 "Fit statistics": [
                     Quantity("noise of a pixel", noise),
