@@ -1,4 +1,4 @@
-"""Command line as `python -m matcam`."""
+"""Entry point of `python -m matcam`."""
 
 from matcam.cli import main
 

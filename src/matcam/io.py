@@ -1,4 +1,4 @@
-"""Reading and writing of files, in a specific format or in a format that is recognised."""
+"""Readers and writers of individual file formats."""
 
 import lazy_loader
 

@@ -81,16 +81,16 @@ def peak_eq11(
 def figure_3_4(ratio: float, rig: Rig | None = None) -> xr.Dataset:
     """Compute Figure 3 (ratio 10) or 4 (ratio 1) of the paper.
 
-    The lobe is a Gaussian with a standard deviation of ratio * sigma_mtf / radius, rad. Its highlight is computed on the
-    sensor, after the optics, and as recorded by the pixels, along a line in the plane of camera and lamp, at several
-    theta_o.
+    The lobe is a Gaussian with a standard deviation of ratio * sigma_mtf / radius, rad. Its highlight is computed on
+    the sensor, after the optics, and as recorded by the pixels. The positions are on a line in the plane of camera and
+    lamp, at several theta_o.
 
     Args:
         ratio: width of the lobe divided by sigma_mtf / radius, no unit.
-        rig: rig as in the paper: Gaussian optics and a sphere. None: `rigs.merl()`.
+        rig: rig with Gaussian optics and a sphere. Default: None, `rigs.merl()`.
 
     Returns:
-        Dataset over (theta_o, x) of the signals over the true peak, no unit: `signal`, `after_optics`, and `recorded`
+        Dataset over (theta_o, x) of signals relative to the true peak, no unit: `signal`, `after_optics`, and `recorded`
         by the pixel that contains x. x is the distance from the peak, px.
 
     Source:
@@ -132,11 +132,11 @@ def figure_5(rig: Rig | None = None) -> xr.Dataset:
     The loss is relative to theta = 0, for lobes of several widths.
 
     Args:
-        rig: rig as in the paper: Gaussian optics and a sphere. None: `rigs.merl()`.
+        rig: rig with Gaussian optics and a sphere. Default: None, `rigs.merl()`.
 
     Returns:
-        Dataset of `loss`, computed as in docs/model.md 4, and `loss_printed`, computed by equation (11), over (ratio,
-        theta), no unit; and of `cosine` over theta. `ratio` is the width of the lobe divided by sigma_mtf / radius.
+        Dataset over (ratio, theta), no unit. `loss` is computed as in docs/model.md 4, and `loss_printed` by equation
+        (11). `cosine` is over theta only. `ratio` is the width of the lobe divided by sigma_mtf / radius.
 
     Source:
         Holzschuch & Pacanowski (2017), Figure 5.
@@ -165,6 +165,6 @@ def figure_5(rig: Rig | None = None) -> xr.Dataset:
 
 
 def _gaussian_numbers(rig: Rig) -> tuple[float, float, float]:
-    """Read sigma_mtf, sigma_p and the radius of the sphere of a rig, px."""
+    """Return sigma_mtf, sigma_p and the radius of the sphere, px."""
     sigma = rig.camera.parameters()["optics.sigma_px"]
     return float(sigma), float(rig.camera.pixel.half_width), float(rig.sample.radius)  # type: ignore[attr-defined]

@@ -1,4 +1,4 @@
-"""Rigs: a camera, a sample in front of it and a lamp; and the rigs of published measurements."""
+"""Rig of a measurement (camera, sample and lamp), and rigs of published measurements."""
 
 from __future__ import annotations
 
@@ -43,12 +43,10 @@ PixelPhase = tuple[float, float] | tuple[tuple[float, float], ...]
 class Rig(Module):
     """Camera, sample and lamp that measure a material.
 
-    The rig photographs a sample of the material.
-
     Args:
         camera: camera, with its uncertainty if it is known.
         sample: shape of the sample: `Sphere`, `Cylinder` or `Flat`.
-        lamp: lamp: `DistantLamp` or `NearLamp`. Default: None, a distant point.
+        lamp: light source, `DistantLamp` or `NearLamp`. Default: None, a distant point.
         lamp_radius: angular radius of a distant lamp, instead of `lamp`, rad, [0, pi/8]. Default: None, that of `lamp`.
         jitter: standard deviation of the registration of the images, px, [0, 10]. Default: 0. Increase it if several
             exposures are merged or the rig vibrates.
@@ -141,7 +139,7 @@ class Rig(Module):
         return self.lamp.angular_radius
 
     def azimuths(self, azimuth: ArrayLike | None = None) -> jax.Array:
-        """Check azimuths of the lamp, rad, or select that of the rig.
+        """Check azimuths of the lamp, rad.
 
         Args:
             azimuth: azimuths in [-2 pi, 2 pi], rad, any shape. Default: None, `lamp_azimuth` of the rig, or 0, towards
@@ -165,14 +163,14 @@ class Rig(Module):
             theta_d: half the angle between lamp and camera, seen from the highlight, rad.
 
         Returns:
-            Shift in the plane of camera and lamp and across it; infinite for a constant normal.
+            Shift in the plane of camera and lamp and perpendicular to it; infinite for a constant normal.
         """
         return self.sample.px_per_rad(theta_d, self.lamp.nearness)
 
     def lamp_spread(self, theta_d: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Compute the spread of the half vector over the source disc, rad.
 
-        The disc of a near lamp is larger from the highlight than from the centre of the sample.
+        The disc of a near lamp appears larger from the highlight than from the centre of the sample.
 
         Args:
             theta_d: difference angle, rad, any shape.
@@ -185,7 +183,7 @@ class Rig(Module):
         return quarter, quarter / xp.cos(theta_d)
 
     def description(self) -> dict[str, Any]:
-        """Describe the rig as in the sidecar of an image.
+        """Build the description of the rig for an image sidecar.
 
         Returns:
             Sections "camera", "sample" and "blur", and the angular radius and distance of the lamp (None: infinite);

@@ -115,7 +115,7 @@ def test_version_2_is_still_read_and_knows_no_field(tmp_path):
     path.write_text(json.dumps(valid()))
     assert Camera.load(path).field is None
     path.write_text(json.dumps(changed(field=None)))
-    with pytest.raises(FileFormatError, match="field field: extra"):
+    with pytest.raises(FileFormatError, match="field field: unknown"):
         Camera.load(path)
 
 

@@ -89,7 +89,7 @@ def test_a_rig_is_read_back(written):
         ({"covariance": document()["geometry"]["covariance"] | {"matrix": (-covariance()).tolist()}}, "variances >= 0"),
         ({"lamps": document()["geometry"]["lamps"][:1] * 3}, "two lamps have the same name"),
         ({"radius_px": "80"}, "field geometry.radius_px"),
-        ({"other": 1}, "field geometry.other: extra"),
+        ({"other": 1}, "field geometry.other: unknown"),
         ({"field": document()["geometry"]["field"] | {"unit_px": 0}}, "geometry.field: unit_px must lie in"),
     ],
 )

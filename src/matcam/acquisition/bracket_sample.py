@@ -1,7 +1,7 @@
 """Selected pixels of every lamp position in all its exposures, for estimates of exposure ratios, gain and clip level.
 
-Pixels are selected and grouped by the mean of their neighbours of the same colour, never by their own codes, because
-selection by a noisy value would bias the estimates.
+Pixels are selected and grouped by the mean of their neighbours of the same colour, never by their own codes. Selection
+by a noisy value would bias the estimates.
 """
 
 from __future__ import annotations

@@ -42,7 +42,10 @@ class Darkness:
         return float(np.mean(self.level))
 
     def hot_pixels(self, shape: tuple[int, ...]) -> np.ndarray:
-        """Select the hot pixels of a frame, a mask of shape (height, width). It is empty if they are unknown for this shape."""
+        """Return the mask of hot pixels of a frame, (height, width).
+
+        No pixel is selected if the hot pixels are unknown for this shape.
+        """
         hot = np.asarray(self.hot)
         return hot if hot.shape == shape else np.zeros(shape, bool)
 

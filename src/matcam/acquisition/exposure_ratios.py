@@ -1,9 +1,9 @@
 """Exposure ratios, clip level, photon transfer and linearity from brackets: images of one scene in several exposures.
 
 The light of a pixel in exposure k is e_k f, where f is its flux and e_k the exposure. Sums over groups of pixels obey
-the same law. The quasi-likelihood equations sum_p w (d_k - e_k f) = 0 are linear in the data d, so noise in f causes no
-bias, unlike in a regression. A group contains pixels of one lamp position, one brightness and one set of exposures that
-do not clip them.
+the same law. The quasi-likelihood equations sum_p w (d_k - e_k f) = 0 are linear in the data d. Unlike in a regression,
+noise in f therefore causes no bias. A group contains pixels of one lamp position, one brightness and one set of
+exposures that do not clip them.
 """
 
 from __future__ import annotations
@@ -122,7 +122,7 @@ def measure_clip_level(samples: Sequence[BracketSample], guess: np.ndarray, larg
 
 
 def usable(sample: BracketSample, exposures: np.ndarray, clip: ClipLevel, noise: float) -> np.ndarray:
-    """Find the pixels of each exposure, (k, n), that are not clipped according to their code and to shorter exposures."""
+    """Compute the mask of the pixels, (k, n), that neither their code nor a shorter exposure indicates as clipped."""
     relative = exposures[sample.exposures]
     below = sample.codes < clip.threshold
     height = max(clip.level - float(np.median(sample.codes[0] - sample.light[0])), 1.0)

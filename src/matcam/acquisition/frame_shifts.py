@@ -1,8 +1,8 @@
-"""Position of the sphere in every frame, because sphere or camera move by tenths of a pixel between images.
+"""Position of the sphere in every frame.
 
-One lamp lights part of the limb. One radius, one centre and the shift of every frame are solved for jointly from many
-such crescents, because a mean of shifted frames would have a limb that is neither round nor of the radius of the
-sphere.
+The sphere or the camera moves by tenths of a pixel between images, and one lamp lights only part of the limb. One
+radius, one centre and the shift of every frame are therefore fitted jointly to many partly lit limbs. The limb of a
+mean of shifted frames would not be round, and its radius would be wrong.
 """
 
 from __future__ import annotations

@@ -1,6 +1,8 @@
-"""One linear image per lamp position from its exposures, with its noise; clipped pixels are censored, never dropped.
+"""Merging of the exposures of each lamp position into one linear image with its noise.
 
-The flux of a pixel is the weighted mean of its exposures, f = sum w d / sum w e with w = e / (K e f + r^2), where K is
+Clipped pixels are censored, never dropped.
+
+The flux of a pixel is the weighted mean of its exposures, f = sum w d / sum w e with w = e / (K e f + r^2). Here K is
 the gain and r the read noise. Clipping of a pixel in an exposure is predicted from shorter exposures, because selection
 by the noisy code itself would bias the flux.
 """
@@ -202,7 +204,6 @@ def bracket_misfit(capture: Capture, lamp: str, radiometry: Radiometry, picture:
 
 
 def misfit_remark(lamp: str, misfit: float) -> Remark | None:
-    """Report exposures of a lamp position that differ by more than noise. The result is None if they agree."""
     if not misfit > 2.0:
         return None
     text = f"lamp {lamp}: the differences of its exposures are {math.sqrt(misfit):.1f} times their noise: "

@@ -20,7 +20,6 @@ _SETTLED = 1e-15  # change of an angle at convergence, rad
 
 
 def unit(vectors: np.ndarray) -> np.ndarray:
-    """Normalise vectors (..., 3) to unit length."""
     return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
 
 

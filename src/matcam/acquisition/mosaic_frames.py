@@ -52,7 +52,6 @@ class MosaicReader:
 
     @property
     def channels(self) -> tuple[str, ...]:
-        """Names of the colours, to which `channel_map` refers."""
         return ("grey",) if self.cfa is None else ("R", "G", "B")
 
     @property
@@ -61,7 +60,6 @@ class MosaicReader:
         return 1 if self.cfa is None else 2
 
     def channel_map(self, shape: tuple[int, ...], region: Region | None = None) -> np.ndarray:
-        """Compute the index of the colour of each pixel of a region."""
         if self.cfa is None:
             return np.zeros(shape, np.int8)
         tile = np.array(["RGB".index(c) for c in self.cfa], np.int8).reshape(2, 2)

@@ -1,8 +1,8 @@
 """Outline of a sphere in an image: centre and radius of the limb, corrected for the blur of the lens, with covariance.
 
-An image shows the limb where a lamp lights the sphere up to the limb, or as the border of a dark disc in front of a
-bright field. Its edges are measured in sectors of azimuth (`limb/limb_edges.py`). The outline is the conic of a sphere at
-a known distance: a circle on the camera's axis, an ellipse beside it. Sectors with a stand, dust or a highlight are omitted.
+An image shows the limb of a sphere that a lamp lights up to the limb, or of a dark sphere in front of a bright field.
+Its edges are measured in sectors of azimuth (`limb/limb_edges.py`). The outline is the conic of a sphere at a known
+distance: a circle on the camera's axis, an ellipse beside it. Sectors with a stand, dust or a highlight are omitted.
 """
 
 from __future__ import annotations
@@ -118,7 +118,6 @@ class Outline:
 
     @property
     def ball(self) -> MirrorBall:
-        """Sphere of this outline, as a mirror."""
         return MirrorBall(self.row, self.column, self.radius, self.sighting.distance, self.sighting.axis)
 
     def curve(self, azimuth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -206,7 +205,10 @@ def find_outline(
 
 
 def _likelier(one: Outline, other: Outline) -> Outline:
-    """Choose the outline with the better model of the light, and add its distance from the other outline to the covariance."""
+    """Choose the outline with the better model of the light.
+
+    The distance of the other outline from this outline is added to the covariance.
+    """
     both = one.used & other.used
     chi2, freedom = (
         np.array([np.sum(getattr(each.sectors, name)[both]) for each in (one, other)]) for name in ("chi2", "freedom")
@@ -278,7 +280,6 @@ class OutlineFit:
         self.count = int(np.clip(area / _PIXELS_IN_SECTOR, 24, 72))
 
     def band(self, position: np.ndarray, wider: float = 0.0) -> BandPixels:
-        """Select the pixels near the curve."""
         row, column = self.rows - position[0], self.columns - position[1]
         reach = position[2] * 1.02 + self.outside + wider
         near = self.good & (np.abs(row) < reach) & (np.abs(column) < reach)
@@ -290,12 +291,10 @@ class OutlineFit:
         return BandPixels(inside[chosen], azimuth[chosen], values, std, channel, float(position[2]))
 
     def edges(self, position: np.ndarray, sigma: float, exponents: Sequence[float], wider: float = 0.0) -> LimbSectors:
-        """Fit the edges of the sectors about a curve."""
         coated = float(self.position[2]) if self.light == "coated" else None
         return sector_edges(self.band(position, wider), blurred_powers(sigma, tuple(exponents), coated), self.count)
 
     def usable(self, edges: LimbSectors) -> np.ndarray:
-        """Select the sectors that show a visible, sharp and unobstructed limb."""
         with np.errstate(invalid="ignore"):
             sharp = (edges.contrast > _CONTRAST) & (edges.std < _LARGEST_STD)
             return sharp & (edges.misfit < _MISFIT * np.median(edges.misfit[sharp])) if sharp.any() else sharp
@@ -359,7 +358,6 @@ class OutlineFit:
         return step, used, covariance, float(np.sqrt(np.mean(left[used] ** 2)))
 
     def outline(self, backlight_reach: tuple[float, float] | None = None) -> Outline:
-        """Build the outline with all its uncertainties."""
         remarks = []
         # the model of a step and a line converges from any result of the search
         position, *_ = self.settle(self.position, 1.0, (0, 1), turns=4, wider=2.0)

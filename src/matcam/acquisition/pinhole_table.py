@@ -1,9 +1,9 @@
 """Binning of images of a sphere as if the camera were a pinhole: a table without correction for the lens.
 
 Each pixel represents the normal at its centre. The ratio of its radiance to its irradiance is added to the cell of its
-half and difference angles, and the value of a cell is the mean of its pixels. Tables of measured materials were made in
-this way. The difference from a reconstruction shows the effect of the camera. Images are added one at a time, so memory
-does not grow with their number.
+half and difference angles. The value of a cell is the mean of its pixels. Published tables of measured materials result
+from this binning. The difference from a reconstruction shows the effect of the camera. Images are added one at a time,
+so memory does not grow with their number.
 """
 
 from __future__ import annotations

@@ -103,11 +103,9 @@ class Radiometry:
 
     @property
     def unit(self) -> str:
-        """Name of the unit of merged values."""
         return "electrons" if math.isfinite(self.gain.value) else "DN"
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the result as a JSON object."""
         return {
             "exposures": {name: list(value) for name, value in self.exposures.items()},
             "reference_exposure": self.reference_exposure,
@@ -324,8 +322,8 @@ def _without_clipped(
 ) -> tuple[list[BracketSample], list[Remark]]:
     """Remove frames that are clipped everywhere from the samples and from `used`, and report them.
 
-    A frame with a single bright code is treated as clipped at any clip level, unless all frames have a single code (a
-    render of a uniform sample).
+    A frame with a single bright code is treated as clipped at any clip level. The exception is a render of a uniform
+    sample, all of whose frames have a single code.
     """
     least, level, height = (TopCodes._fields.index(name) for name in ("least", "level", "height"))
     every = np.concatenate([sample.tops for sample in samples])

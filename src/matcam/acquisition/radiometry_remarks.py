@@ -38,8 +38,8 @@ def tone_exponent(ratios: ExposureRatios, nominal: np.ndarray) -> Stated:
     The exponent is 1 for linear frames.
 
     A tone curve changes every ratio of exposures approximately to a power of the ratio, with an exponent of 0.45 for a
-    gamma of 2.2. Wrong nominal times scatter about the nominal ratios instead. The result is NaN if the frames do not
-    link at least three exposures with times, because a single wrong time has the same effect as a power.
+    gamma of 2.2. Wrong nominal times scatter about the nominal ratios instead. The result is NaN if the frames link
+    fewer than three exposures with times. A single wrong time then has the same effect as a power.
     """
     if len(nominal) < _EXPOSURES_OF_A_POWER or not ratios.linked or not np.isfinite(nominal).all():
         return Stated(math.nan, math.inf)
@@ -67,7 +67,6 @@ def tone_curve_proof(exponent: Stated) -> str | None:
 
 
 def exposure_remarks(names: Sequence[str], ratios: ExposureRatios, nominal: np.ndarray) -> list[Remark]:
-    """Compare the ratios of exposures with their nominal times."""
     found = []
     if len(names) > 1 and not ratios.linked:
         found.append(
@@ -108,7 +107,6 @@ def exposure_remarks(names: Sequence[str], ratios: ExposureRatios, nominal: np.n
 
 
 def clip_remarks(clip: ClipLevel, names: Sequence[str], samples: Sequence[BracketSample]) -> list[Remark]:
-    """Report an unclear or unobserved clip level, and the clipped pixels of the shortest exposures."""
     found = []
     if not clip.pixels:
         found.append(Remark("clip-not-seen", f"no clipped pixel was found; codes up to {clip.level:.0f} DN are used"))
@@ -141,7 +139,6 @@ def processing_remarks(where: str, correlation: float, std: float) -> list[Remar
 
 
 def linearity_remarks(ratios: ExposureRatios) -> list[Remark]:
-    """Report codes that are not proportional to light."""
     curve = ratios.curve
     curve = curve[curve[:, 0] > 0.02] if len(curve) else curve
     if not len(curve):

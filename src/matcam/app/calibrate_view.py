@@ -93,12 +93,10 @@ class CalibrateView:
         self.layout = row(self._knobs(), self._plots(), sizing_mode="stretch_width", spacing=8, name="calibrate-view")
 
     def start(self) -> None:
-        """Open the images of the command line."""
         for path in self._files:
             self._dropped(path)
 
     def close(self) -> None:
-        """Stop computing and remove the uploaded files."""
         self._work.close()
         self._upload.close()
 
@@ -372,7 +370,6 @@ def _counted(measurements: dict[str, int]) -> str:
 
 
 def is_picture(path: Path) -> bool:
-    """Check whether the name of a file is that of a photograph."""
     from matcam.files.formats import suffixes_for
 
     return is_file(path) and path.suffix.lower() in {*PICTURES, *suffixes_for("picture")}

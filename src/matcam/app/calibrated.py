@@ -86,7 +86,7 @@ def measured_edge(
 ) -> Any:
     """Measure the MTF across an edge as `matcam edge` does.
 
-    region: x, y, width and height of the region with the edge, px; None: the entire image.
+    `region` contains x, y, width and height of the region with the edge, px. None: the entire image.
     """
     from matcam.calibration.edge.edge import edge_mtf
 
@@ -96,7 +96,7 @@ def measured_edge(
 def calibrated(paths: Sequence[Path], model: str, tone: str, half_width: float, chart: Path | None = None) -> Any:
     """Calibrate the camera of these images as `matcam calibrate` does.
 
-    chart: description of the chart in the images. Default: None, edges are found automatically.
+    `chart` is the description of the chart in the images. Default: None, edges are found automatically.
     """
     from matcam.calibration.camera.calibration import calibrate
 
@@ -104,7 +104,6 @@ def calibrated(paths: Sequence[Path], model: str, tone: str, half_width: float, 
 
 
 def is_chart(path: Path) -> bool:
-    """Check whether a file is the description of a chart."""
     from matcam.files.formats import identify
 
     try:
@@ -180,12 +179,10 @@ _HALF_LINE = 20.0  # half the length of the line that marks an edge, px
 
 
 def _source(found: Any, path: Path) -> str:
-    """Select the name by which a calibration refers to an image."""
     return next((name for name in found.pictures if name in (str(path), path.name)), str(path))
 
 
 def profiles(found: Any) -> dict[str, bytes]:
-    """Encode the camera profiles that `matcam calibrate` would write, by file name."""
     cameras = {"camera.json": found.camera}
     if len(found.channels) > 1:
         cameras |= {f"camera-{name}.json": camera for name, camera in found.cameras.items()}

@@ -17,12 +17,10 @@ _BOX = 72  # width of a box with its label, px of the screen
 
 
 def watch(widget: Any, action: Callable[[], None], attribute: str = "value") -> None:
-    """Call a function after each change of a widget."""
     widget.on_change(attribute, lambda attr, old, new: action())
 
 
 def note(name: str) -> Div:
-    """Create an empty paragraph in small letters."""
     return Div(text="", name=name, sizing_mode="stretch_width", styles={"font-size": "12px"})
 
 
@@ -57,7 +55,6 @@ class Setting:
         return math.log10(value) if self.log else value
 
     def from_slider(self, position: float) -> float:
-        """Convert the position of the slider to a value with 3 significant digits."""
         return float(f"{min(max(10**position if self.log else position, self.low), self.high):.3g}")
 
 
@@ -117,7 +114,6 @@ class NumberControl:
 
     @property
     def value(self) -> float:
-        """Value of the parameter, which is infinite if the box is ticked."""
         if self.infinite.active:
             return math.inf
         return min(self.setting.value, self.setting.high) if self.field.value is None else float(self.field.value)
@@ -196,12 +192,10 @@ class ConductorControl:
         return max(n, 0.01), k
 
     def offer(self, names: list[str]) -> None:
-        """List the metals, and show n and k of the chosen one."""
         self.name.options = [*names, CUSTOM]
         self.fill()
 
     def fill(self) -> None:
-        """Show n and k of the metal, unless they are custom."""
         if self.name.value != CUSTOM:
             self._own = True
             for field, value in zip(self.numbers, self._indices(self.name.value), strict=True):

@@ -56,11 +56,9 @@ class Guard(HTTPServerConnectionDelegate):
         return f"http://{f'[{host}]' if ':' in host else host}:{self.port}/?token={self.token}"
 
     def start_request(self, server_conn: object, request_conn: HTTPConnection) -> HTTPMessageDelegate:
-        """Create the handler of the next request."""
         return _Request(self, server_conn, request_conn)
 
     def on_close(self, server_conn: object) -> None:
-        """Forward the end of a connection."""
         self.application.on_close(server_conn)
 
     def answer(self, line: RequestStartLine, headers: HTTPHeaders) -> tuple[int, HTTPHeaders, str] | None:
@@ -89,7 +87,6 @@ class Guard(HTTPServerConnectionDelegate):
         return None
 
     def secure(self, headers: HTTPHeaders) -> None:
-        """Add security headers to an answer."""
         names = _LOOPBACK if self.host == "127.0.0.1" else (*_LOOPBACK, self.host)
         sockets = " ".join(f"ws://{name}:{self.port}" for name in names if ":" not in name)
         headers["Content-Security-Policy"] = _POLICY.format(sockets=sockets)

@@ -59,11 +59,9 @@ class Page:
         document.on_event("document_ready", lambda event: self._begin())
 
     def complain(self, line: str) -> None:
-        """Show an error on one line; an empty string removes the error."""
         self._message.text = escape(" ".join(line.split()))
 
     def close(self) -> None:
-        """End the work of all views."""
         for view in self._views.values():
             view.close()
 

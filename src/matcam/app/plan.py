@@ -76,22 +76,18 @@ class PlanView:
         self.layout = row(self._knobs(), self._pictures(), sizing_mode="stretch_width", spacing=8, name="plan")
 
     def start(self) -> None:
-        """Compile the previews, with a progress line, and show the first ones."""
         self._fast.ask(self._warmed, self._started)
 
     def close(self) -> None:
-        """Stop computing."""
         self._fast.close()
         self._exact.close()
 
     @property
     def planned(self) -> Planned:
-        """Rig and material that the controls specify."""
         numbers = {name: control.value for name, control in self._controls.items()}
         return Planned(**numbers, metal=self._metal.name.value, family=self._family.value, n_and_k=self._metal.n_and_k)
 
     def refresh(self) -> None:
-        """Show the previews for the current values of the controls."""
         planned = self.planned
         if self._warm:
             self._fast.ask(lambda: _fast(planned), self._show, **DRAINED)
@@ -192,7 +188,6 @@ class PlanView:
         self.refresh()
 
     def _warmed(self) -> Any:
-        """Compile the previews, and show each of them when it is finished."""
         from matcam.core.jax import use_compilation_cache
         from matcam.material.optical_constants import metals
 
@@ -285,7 +280,6 @@ class PlanView:
                 one.arrived()
 
     def _at_rest(self, planned: Planned) -> None:
-        """Compute the exact values one after the other, and stop if a control has changed."""
         from matcam.forward.prediction import predicted
 
         rig = planned.rig()
@@ -365,7 +359,6 @@ def _fast(planned: Planned) -> dict[str, Any]:
 
 
 def _limits(planned: Planned) -> str:
-    """Format the bounds of the roughness as HTML, or the reason why they cannot be computed."""
     from matcam.core.errors import MatcamError
     from matcam.core.workspace import Workspace
     from matcam.inverse.recoverability import limits

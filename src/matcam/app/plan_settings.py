@@ -90,7 +90,6 @@ class Planned:
 
     @property
     def roughnesses(self) -> list[float]:
-        """Roughnesses to draw, in ascending order."""
         return sorted({self.roughness, *OTHERS})
 
     @property
@@ -102,7 +101,6 @@ class Planned:
         return self.lamp_radius == 0 and math.isinf(self.distance) and math.isinf(self.lamp_distance)
 
     def rig(self) -> Rig:
-        """Build the rig."""
         from matcam.camera.camera import Camera
         from matcam.camera.optics.gaussian import GaussianOptics
         from matcam.camera.optics.halo import HaloOptics
@@ -121,11 +119,9 @@ class Planned:
         return Rig(Camera(lens, BoxPixel(self.half_width)), Sphere(self.radius, self.distance), lamp)
 
     def lobes(self) -> list[Any]:
-        """Build the lobes to draw."""
         return [FAMILIES[self.family](r) for r in self.roughnesses]
 
     def material(self) -> Microfacet:
-        """Build the material of the chosen lobe and metal, for green light."""
         import numpy as np
 
         from matcam.material.microfacet import Microfacet
@@ -161,7 +157,6 @@ class Planned:
         return as_toml(head | {name: values for name, values in sections.items() if values})
 
     def command(self) -> str:
-        """Format the command line of the prediction, with the profile camera.json."""
         words = [
             "matcam predict",
             *(f"{r:g}" for r in self.roughnesses),
@@ -176,7 +171,6 @@ class Planned:
         return " ".join(words)
 
     def python(self) -> str:
-        """Format the rig and its prediction as Python code."""
         lens = f"matcam.GaussianOptics({self.sigma:g})"
         if self.glare:
             lens = f"matcam.HaloOptics({lens}, {self.glare:g}, {GLARE_RADIUS:g})"
@@ -195,7 +189,6 @@ class Planned:
 
 
 def green_indices(name: str) -> tuple[float, float]:
-    """Look up n and k of a metal for green light, no unit."""
     from matcam.core.grid import CHANNEL_WAVELENGTHS
     from matcam.material.optical_constants import metal
 

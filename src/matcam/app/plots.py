@@ -1,5 +1,6 @@
-"""Plots that the views share: curves and images with units on every axis, in colours that colour-blind readers can
-distinguish.
+"""Plots that the views share.
+
+Curves and images have units on every axis, and colours that colour-blind readers can distinguish.
 """
 
 from __future__ import annotations
@@ -50,7 +51,6 @@ THEME = Theme(
 
 
 def empty_source(name: str, *columns: str) -> ColumnDataSource:
-    """Create a data source without rows."""
     return ColumnDataSource({column: [] for column in columns}, name=name)
 
 
@@ -72,7 +72,8 @@ def curve_figure(title: str, x: str, y: str, *, height: int, **more: Any) -> Any
 def picture_figure(title: str, size: int, x: str, y: str, **more: Any) -> Any:
     """Create a plot for images. The names of the axes must include units.
 
-    size: width and height, px of the screen. The background is light until `on_black` is called for an image.
+    `size` is the width and height of the plot, px of the screen. The background is light until `on_black` is called for
+    an image.
     """
     plot = figure(title=title, frame_width=size, frame_height=size, x_axis_label=x, y_axis_label=y, **more)
     plot.grid.visible = False
@@ -97,7 +98,6 @@ def on_black(plot: Any, picture: Any, *, shown: bool = True) -> None:
 
 
 def hover(plot: Any, renderers: list[Any], tips: list[tuple[str, str]]) -> None:
-    """Add a tool that shows the values under the pointer."""
     plot.add_tools(HoverTool(renderers=renderers, tooltips=tips))
 
 
@@ -123,8 +123,8 @@ class PictureColours:
     def scale(self, largest: float) -> None:
         """Set the largest radiance of the scale, rounded up to half decades.
 
-        Due to the rounding, the colours rarely change their radiances while a slider moves, and the browser maps the
-        pixels of an image once instead of three times.
+        The rounding keeps the scale constant during most moves of a slider. The browser then maps the pixels of an image
+        once instead of three times.
 
         Args:
             largest: largest radiance of the images, 1/sr.
@@ -133,7 +133,6 @@ class PictureColours:
         self.mapper.update(low=-high if self._difference else high * self._least, high=high)
 
     def bar(self) -> ColorBar:
-        """Create the colour bar."""
         return ColorBar(
             color_mapper=self.mapper,
             width=10,
@@ -200,7 +199,6 @@ class PictureFigure:
             self.plot.add_layout(colours.bar(), "right")
 
     def arrived(self) -> None:
-        """Show the image after its data have arrived."""
         if not self._drawn.visible:
             on_black(self.plot, self._drawn)
 
@@ -221,6 +219,5 @@ def picture_columns(name: str, values: np.ndarray, x: np.ndarray, y: np.ndarray)
 
 
 def no_pictures(*names: str) -> dict[str, list[Any]]:
-    """Build the columns of images without data."""
     nothing, at = np.zeros((2, 2), np.float32), np.array([-0.5, 0.5])
     return {key: value for name in names for key, value in picture_columns(name, nothing, at, at).items()}

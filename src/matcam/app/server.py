@@ -77,12 +77,10 @@ class AppServer:
 
     @property
     def address(self) -> str:
-        """Address to open, including the token."""
         return self.guard.address
 
     @property
     def busy(self) -> bool:
-        """True while a computation is running."""
         return any(thread.name == THREAD for thread in threading.enumerate())
 
     def run(self) -> None:
@@ -118,7 +116,6 @@ class AppServer:
             act()
 
     def stop(self) -> None:
-        """End all work and close the port."""
         for page in list(self.pages):
             page.close()
         self.downloads.close()

@@ -28,7 +28,6 @@ class Downloads:
         self._files: dict[str, tuple[str, bytes]] = {}
 
     def offer(self, name: str, content: bytes) -> str:
-        """Register a file, and return an HTML link that saves it."""
         key = secrets.token_urlsafe(16)
         self._files[key] = (name, content)
         # all pages together offer at most 64 files, which limits the memory of the app
@@ -37,15 +36,12 @@ class Downloads:
         return f'<a href="/save/{key}" download="{escape(name, quote=True)}">{escape(name)}</a>'
 
     def get(self, key: str) -> tuple[str, bytes] | None:
-        """Look up the name and the content of a file. The result is None for an unknown key."""
         return self._files.get(key)
 
     def close(self) -> None:
-        """Remove all files."""
         self._files.clear()
 
     def pattern(self) -> Any:
-        """Build the route of the links, for the server."""
         return r"/save/([\w-]+)", _Saved, {"downloads": self}
 
 
@@ -88,7 +84,6 @@ class Upload:
         self.layout.on_change("value", self._arrived)
 
     def close(self) -> None:
-        """Remove the files."""
         if self._folder is not None:
             shutil.rmtree(self._folder, ignore_errors=True)
 
@@ -123,7 +118,6 @@ class Upload:
 
 
 def safe_name(name: str) -> str:
-    """Remove the folder and special characters from the name of a file."""
     last = re.split(r"[\\/]", name)[-1]
     plain = re.sub(r"[^\w.() -]", "_", last).strip(" .")[-120:]
     return plain or "file"

@@ -122,7 +122,6 @@ class Newest:
 
 
 def _explained(error: Exception) -> str:
-    """Format an error as one line. For a fault of matcam, print the traceback."""
     if isinstance(error, MatcamError):
         return str(error)
     if isinstance(error, MemoryError):

@@ -132,8 +132,9 @@ class RunFolder:
     def check(self, settings: dict[str, Any], jobs: Sequence[Job], *, force: bool) -> bool:
         """Check whether the folder already belongs to this run.
 
-        Unless `force` is set, an OutputError is raised if the folder belongs to another run, or if it contains files
-        with the names of the outputs that no run wrote. The message contains the first setting that differs.
+        Unless `force` is set, an OutputError is raised if the folder belongs to another run. It is also raised if the
+        folder contains files with the names of the outputs that no run wrote. The message contains the first setting
+        that differs.
         """
         if not is_there(self._settings):
             for path in (*(path for job in jobs for path in job.files), self.index, self._failed, self.camera):
@@ -152,7 +153,6 @@ class RunFolder:
         return different is None
 
     def claim(self, settings: dict[str, Any]) -> None:
-        """Record the settings of this run in the folder."""
         write_json(self._settings, settings, force=True)
 
     def sweep(self, jobs: Iterable[Job]) -> None:
@@ -180,7 +180,6 @@ class RunFolder:
         return [replace(job, row=rows[job.name]) for job in waiting]
 
     def write_failures(self, failures: Sequence[Outcome]) -> None:
-        """Write the failures with their reasons, or remove an old list if there are no failures."""
         if not failures:
             self._failed.unlink(missing_ok=True)
             return
@@ -189,7 +188,6 @@ class RunFolder:
 
 
 def _first_difference(old: Any, new: Any, name: str = "") -> tuple[str, str, str] | None:
-    """Find the first entry in which two documents differ: (name, old, new), or None if they are equal."""
     if isinstance(old, dict) and isinstance(new, dict):
         for key in [*new, *(key for key in old if key not in new)]:
             found = _first_difference(old.get(key), new.get(key), f"{name}.{key}" if name else str(key))

@@ -34,7 +34,7 @@ class Job:
         output: MERL file to write. Files .nc, .json and, if the recipe requires a page, .html are written beside it. If its
             name ends in .nc, no MERL file is written.
         recipe: settings of the correction.
-        force: whether to replace existing files.
+        force: True to replace existing files.
         key: key of the run's settings; None outside a run. In a run, a thumbnail (.png) is written for the index, too.
         row: row of the run's Zarr store to fill, if the run has one.
         budget: file for the uncertainty budgets (.json, .csv). Default: None, not written.
@@ -50,7 +50,6 @@ class Job:
 
     @property
     def name(self) -> str:
-        """Name of the material, which is the name of the output file without suffix."""
         return self.output.stem
 
     @property
@@ -60,12 +59,10 @@ class Job:
 
     @property
     def writes_merl(self) -> bool:
-        """True if a MERL file is written."""
         return self.output.suffix.lower() != ".nc"
 
     @property
     def files(self) -> list[Path]:
-        """All files of the job, with the record last."""
         merl = [self.output] if self.writes_merl else []
         page = [".html"] if self.recipe.page else []
         thumbnail = [".png"] if self.key is not None else []
@@ -129,14 +126,13 @@ class Outcome(NamedTuple):
 
 
 def failed(source: Path, reason: str) -> Outcome:
-    """Build the outcome of a job that failed before its work, or whose worker was lost."""
     return Outcome(source, 0.0, f"{source}: {reason}")
 
 
 def attempt(job: Job, workspace: Workspace | None = None) -> Outcome:
     """Run a job, and report errors as its outcome, so that other jobs continue.
 
-    workspace: workspace of the worker. Default: None, that of the job.
+    `workspace` is the workspace of the worker. Default: None, that of the job.
     """
     started = time.perf_counter()
 
@@ -159,7 +155,7 @@ def attempt(job: Job, workspace: Workspace | None = None) -> Outcome:
 def write_corrected(job: Job, workspace: Workspace | None = None) -> dict[str, Any]:
     """Correct one table, write its files, and return its record.
 
-    workspace: workspace of the worker. Default: None, that of the job.
+    `workspace` is the workspace of the worker. Default: None, that of the job.
 
     Raises:
         ArgumentError, OutputError: a file cannot be written, or not in this format. They are raised before any work.

@@ -121,7 +121,6 @@ class Recipe:
     version: str = field(default_factory=lambda: metadata.version("matcam"))
 
     def settings(self, *, fit_camera: bool) -> dict[str, Any]:
-        """List all settings that affect the files of a run, in types of JSON."""
         return plain(
             {
                 "format": SETTINGS_FORMAT,
@@ -140,7 +139,6 @@ class Recipe:
         )
 
     def in_words(self) -> str:
-        """Describe the recipe in one line."""
         family = "GGX or EPD, the more probable" if self.options.ndf == "auto" else self.options.ndf
         camera = self.rig.camera
         known = f"uncertainty {known_lens(camera).words}"
@@ -151,7 +149,6 @@ class Recipe:
 
 
 def rig_description(rig: Rig) -> dict[str, Any]:
-    """Describe all properties of a rig that affect its results."""
     described = rig.description()
     described["camera"].pop("provenance")  # contains the current date, which does not affect results
     azimuth = {} if rig.lamp_azimuth is None else {"lamp_azimuth": rig.lamp_azimuth}
@@ -159,14 +156,14 @@ def rig_description(rig: Rig) -> dict[str, Any]:
 
 
 def settings_key(settings: dict[str, Any]) -> str:
-    """Compute a key from the content of the settings."""
     return hashlib.sha256(json.dumps(plain(settings), sort_keys=True).encode()).hexdigest()[:32]
 
 
 def fit_shared_camera(recipe: Recipe, inputs: Sequence[Path]) -> Camera:
-    """Fit the blur of the camera of the recipe to these tables, with its variance.
+    """Fit the blur of the recipe's camera to these tables.
 
-    A FitError is raised if all tables are unreadable, or the tables do not determine the blur to 25 %.
+    The fitted camera includes the variance of the blur. A FitError is raised if all tables are unreadable, or if the
+    tables do not determine the blur to 25 %.
     """
     chosen = _narrowest(inputs, recipe.sampling)
     tables = [table for _, table in chosen]

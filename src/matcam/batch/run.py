@@ -132,8 +132,8 @@ def correct_all(
     affect others. Workers store compiled functions, and results that depend on the rig alone, in the cache folder of the
     user.
 
-    Workers are new processes that import the calling script: call this function under
-    `if __name__ == "__main__":` in the script.
+    Workers are new processes that import the calling script: call this function under `if __name__ == "__main__":` in
+    the script.
 
     Args:
         paths: MERL files, and folders, which represent their *.binary files.
@@ -157,7 +157,7 @@ def correct_all(
             corrected with that blur and its covariance, which camera.json contains. Default: False.
         time_limit: time limit for one material, s, after which its worker process is killed and the material has
             failed. It does not apply to clusters. Default: 3600.
-        force: whether to replace existing files and correct everything again. Default: False.
+        force: True to replace existing files and correct everything again. Default: False.
         watch: function that is called with a `Progress` at the start and after each material.
             Default: a function that does nothing.
         corrector: function (table, rig, options) that corrects one table; it must be at the top level of a module,
@@ -281,7 +281,6 @@ def _executor(workers: int | None, cluster: str | None, time_limit: float) -> Ex
 
 
 def _check_picklable(recipe: Recipe) -> None:
-    """Raise ArgumentError for a corrector that workers cannot import."""
     try:
         pickle.dumps((recipe, recipe.corrector.__qualname__))
     except Exception:

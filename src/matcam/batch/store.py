@@ -96,12 +96,10 @@ def open_rows(store: Path, names: Sequence[str], sampling: Sampling) -> dict[str
 
 
 def whole_rows(store: Path) -> np.ndarray:
-    """Read the mask of rows with a corrected table, bool."""
     return _stored(store, [_DONE])[_DONE]
 
 
 def row_names(store: Path) -> list[str]:
-    """Read the names of the materials in the Zarr store of a run, in the order of its rows."""
     _check_readable(store)
     return _stored(store, [_ROW])[_ROW].tolist()
 

@@ -1,8 +1,8 @@
 """Exposure bracketing: several images of one scene, merged to its radiance, with uncertainty.
 
-The weight of an image is the inverse of its variance, which the model of the sensor predicts from the merged radiance
-(docs/model.md 8), not from the noisy pixels of the image. Near saturation the weight decreases smoothly to 0, because a
-sharp limit would select pixels by their noise and bias the result.
+The weight of an image is the inverse of its variance. The model of the sensor predicts the variance from the merged
+radiance (docs/model.md 8), not from the noisy pixels of the image. Near saturation the weight decreases smoothly to 0,
+because a sharp limit would select pixels by their noise and bias the result.
 """
 
 from __future__ import annotations

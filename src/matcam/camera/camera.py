@@ -179,7 +179,7 @@ class Camera(Module, Summarised):
         return effective.transfer(self.optics, self.pixel, fx, fy)
 
     def _sum(self, kernel: Callable[[Optics], jax.Array]) -> jax.Array:
-        """Sum a kernel over the components of the lens, because it is linear in the lens."""
+        """Sum a kernel over the components of the lens, because the kernel is linear in the lens."""
         return sum((weight * kernel(part) for weight, part in self.optics.components()), xp.zeros(()))
 
     # ------------------------------------------------------------------ parameters and profile

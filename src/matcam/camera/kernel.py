@@ -74,12 +74,12 @@ def edge(optics: Optics, pixel: PixelResponse, x: jax.Array, angle: jax.Array) -
 
 
 def transfer(optics: Optics, pixel: PixelResponse, fx: jax.Array, fy: jax.Array) -> jax.Array:
-    """Evaluate the total transfer function at (fx, fy) cycles/px."""
+    """Evaluate the transfer function of lens and pixel at (fx, fy), cycles/px."""
     return optics.otf(fx, fy) * pixel.mtf(fx) * pixel.mtf(fy)
 
 
 def transfer_along(optics: Optics, pixel: PixelResponse, f: jax.Array, angle: jax.Array) -> jax.Array:
-    """Evaluate the total transfer function at f cycles/px along `angle`."""
+    """Evaluate the transfer function of lens and pixel at f, cycles/px, in the direction `angle`, rad."""
     lens = optics.mtf(f) if optics.isotropic else optics.otf(f * xp.cos(angle), f * xp.sin(angle))
     return lens * pixel.mtf(f * xp.cos(angle)) * pixel.mtf(f * xp.sin(angle))
 
@@ -93,7 +93,7 @@ def rule_for(optics: Optics, x: jax.Array) -> fourier.Rule:
 def square_line(x: jax.Array, angle: jax.Array, half_width: jax.Array, std: jax.Array) -> jax.Array:
     """Compute the value of a square pixel for a Gaussian line, 1/px.
 
-    x and angle are those of `line`; half_width and std are in px.
+    x, angle: see `line`. half_width, std: px.
     """
     long, sliver, short = _boxes(angle, half_width, std)
     safe = xp.where(sliver, std, short)  # neither the unused branch nor its gradient may divide by 0
@@ -107,7 +107,7 @@ def square_line(x: jax.Array, angle: jax.Array, half_width: jax.Array, std: jax.
 def square_edge(x: jax.Array, angle: jax.Array, half_width: jax.Array, std: jax.Array) -> jax.Array:
     """Compute the value of a square pixel at a blurred edge.
 
-    The edge is a unit step with Gaussian blur. x and angle are those of `edge`; half_width and std are in px.
+    The edge is a unit step with Gaussian blur. x, angle: see `edge`. half_width, std: px.
     """
     long, sliver, short = _boxes(angle, half_width, std)
     safe = xp.where(sliver, std, short)

@@ -172,13 +172,13 @@ def replace_parameters(part: str, module: Any, values: Mapping[str, Any]) -> Any
 def fields_of(module: Any) -> dict[str, Any]:
     """List the fields of a lens or a pixel by name.
 
-    The fields are scalars, curves, and an inner lens; the names include the units.
+    The fields are scalars, curves and inner lenses. The names include the units.
     """
     return {field: operator.attrgetter(path)(module) for field, path in module.profile_fields.items()}
 
 
 def _path(module: Any, inner: list[str], field: str) -> str:
-    """Derive the path of the attribute of a parameter, through the inner lenses `inner`."""
+    """Translate profile names into the path of an attribute, such as "core.sigma"."""
     steps = []
     for name in (*inner, field):
         steps.append(module.profile_fields[name])

@@ -48,7 +48,6 @@ _WHAT = "a camera profile"
 
 
 def model_name(module: Module) -> str:
-    """Look up the name of the model of a lens or a pixel."""
     return next(name for name, cls in MODELS.items() if type(module) is cls)
 
 
@@ -63,7 +62,6 @@ def as_document(
     uncertainty: Uncertainty | None,
     provenance: Provenance,
 ) -> dict[str, Any]:
-    """Convert the parts of a camera to the JSON of a profile."""
     return {
         "format": FORMAT,
         "version": VERSION,
@@ -121,7 +119,6 @@ def from_document(document: Any, where: str | Path) -> dict[str, Any]:
 
 
 def field_document(field: LensField) -> dict[str, Any]:
-    """Convert the field of a lens to the JSON of a profile."""
     return {
         "centre_px": list(field.centre),
         "unit_px": field.unit,

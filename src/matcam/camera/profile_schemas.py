@@ -41,7 +41,6 @@ def _kind(name: str, field: str) -> Any:
 
 
 def _part_schema(name: str) -> type[Part]:
-    """Build the schema of one model of a lens or a pixel from the fields of its class."""
     title = "_" + "".join(word.capitalize() for word in name.split())
     fields: dict[str, Any] = {"model": (Literal[name], ...)}
     for field in MODELS[name].profile_fields:
@@ -117,7 +116,7 @@ class _Provenance(Strict):
 
 
 def _profile(version: int, optics: Any, **parts: type[BaseModel]) -> type[BaseModel]:
-    """Build the schema of a version. parts: further sections, which may be null or missing."""
+    """Build the schema of a version, with sections `parts` that may be null or missing."""
     fields: dict[str, Any] = {
         "format": (Literal["matcam camera profile"], ...),
         "version": (Literal[version], ...),
@@ -142,5 +141,4 @@ VERSIONS = {
 
 
 def json_schema(version: int = VERSION) -> dict[str, Any]:
-    """Build the JSON Schema of a version of the profile."""
     return VERSIONS[version].model_json_schema()

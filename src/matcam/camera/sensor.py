@@ -308,7 +308,6 @@ def _checked_exposure(exposure: ArrayLike, time: ArrayLike) -> tuple[jax.Array, 
 
 
 def random_key(seed: Seed) -> jax.Array:
-    """Convert a seed to a key of jax.random."""
     from matcam.core.jax import jax
 
     if isinstance(seed, jax.Array) and jax.numpy.issubdtype(seed.dtype, jax.dtypes.prng_key):

@@ -26,7 +26,6 @@ INTERRUPTED = 130
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run one command and exit with its code."""
     # garbage collection is rare, because it would only slow down a short process with many imports and traces
     gc.set_threshold(50_000, 20, 50)
     use_one_blas_thread()
@@ -68,7 +67,7 @@ _ended_by: list[int] = []
 
 
 def _end_on_signals() -> None:
-    """Handle termination signals like Ctrl-C, which removes incomplete files."""
+    """Treat termination signals as Ctrl-C, so that incomplete files are removed."""
 
     def end(number: int, frame: Any) -> None:
         _ended_by.append(number)
@@ -97,7 +96,6 @@ def _interrupted() -> int:
 
 
 def _unwritable() -> OSError | None:
-    """Flush standard output, and return the error if that fails."""
     try:
         sys.stdout.flush()
     except OSError as error:

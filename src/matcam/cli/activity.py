@@ -39,7 +39,6 @@ class Activity:
         self._thread.start()
 
     def clear(self) -> None:
-        """Remove the line before printed output."""
         with self._lock:
             if len(self.doing) == 1:
                 self.doing[0] = ""
@@ -47,7 +46,6 @@ class Activity:
 
     @contextlib.contextmanager
     def hidden(self) -> Iterator[None]:
-        """Hide the line while another object draws on the terminal."""
         with self._lock:
             self._hidden += 1
             self._wipe()
@@ -58,7 +56,6 @@ class Activity:
                 self._hidden -= 1
 
     def end(self) -> None:
-        """Remove the line, and store the duration of the command."""
         self._ended.set()
         self._thread.join()
         self._wipe()
@@ -67,7 +64,6 @@ class Activity:
             _remember(self.name, took)
 
     def line(self) -> str:
-        """Format the current text of the line."""
         took = time.monotonic() - self.started
         text = f"{self.doing[-1]} {took:.0f} s"
         if took >= _LONG and self._last is not None:
@@ -103,7 +99,6 @@ _shown: list[Activity] = []
 
 @contextlib.contextmanager
 def shown(name: str) -> Iterator[None]:
-    """Show the line of a command, if standard error is a terminal."""
     if _shown or not sys.stderr.isatty():
         yield
         return
@@ -116,7 +111,6 @@ def shown(name: str) -> Iterator[None]:
 
 @contextlib.contextmanager
 def doing(what: str) -> Iterator[None]:
-    """Set the current step of a command."""
     if not _shown:
         yield
         return
@@ -128,19 +122,16 @@ def doing(what: str) -> Iterator[None]:
 
 
 def rename(what: str) -> None:
-    """Rename the current step of a command."""
     if _shown:
         _shown[-1].doing[-1] = what
 
 
 def clear() -> None:
-    """Remove the line before printed output."""
     if _shown:
         _shown[-1].clear()
 
 
 def hidden() -> contextlib.AbstractContextManager[Any]:
-    """Hide the line while another object draws on the terminal."""
     return _shown[-1].hidden() if _shown else contextlib.nullcontext()
 
 

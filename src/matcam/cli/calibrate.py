@@ -160,7 +160,6 @@ def _sensor(path: Path | None) -> Any:
 
 
 def _files(given: list[Path]) -> list[Path]:
-    """List the images. Those of a folder are sorted by name."""
     from matcam.core.readers.names import check_within
     from matcam.files.photographs import PICTURES
 

@@ -187,7 +187,6 @@ def command(
 
 
 def _write_layers(recorded: Path, target: Path, path: Path, sampling: Any, force: bool) -> None:
-    """Write the slice across the plane of light and view, recorded and corrected, as layers of one image."""
     import numpy as np
 
     from matcam.exchange.contents import read_table

@@ -219,7 +219,10 @@ def _print_readings(found: dict[str, Any], pitch: float | None, name: str) -> No
 
 
 def _lp_per_mm(frequency: Any, pitch: float) -> Any:
-    """Convert a frequency from cycles/px to line pairs per mm. pitch: pixel pitch, um."""
+    """Convert a frequency from cycles/px to line pairs per mm.
+
+    `pitch` is the pixel pitch, um.
+    """
     return frequency * 1000 / pitch
 
 

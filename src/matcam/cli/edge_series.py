@@ -12,7 +12,6 @@ from matcam.core.io import plain, write_columns
 
 
 def focus_positions(text: str, count: int, method: str) -> list[float]:
-    """Read the focus positions of `count` photographs."""
     if method == "iso12233":
         raise ArgumentError(
             "--focus needs --method likelihood, because an e-SFR has no standard deviations: omit this option"

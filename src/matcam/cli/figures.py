@@ -49,7 +49,7 @@ def command(
 def draw_all(sources: Mapping[str, Any], output: Path, vector: str, *, force: bool, quiet: bool) -> None:
     """Draw and write figures.
 
-    sources: for each stem, the file of a table or a result of `fresnel`; None: a simulated table.
+    `sources` contains, for each stem, the file of a table or a result of `fresnel`. None: a simulated table.
     """
     drawn = {}
     for stem, source in sources.items():
@@ -62,7 +62,6 @@ def draw_all(sources: Mapping[str, Any], output: Path, vector: str, *, force: bo
 
 
 def outputs(folder: Path, stems: Sequence[str], vector: str) -> list[Path]:
-    """List the files that the command writes."""
     return [folder / f"{stem}.{suffix}" for stem in stems for suffix in ("png", vector, "csv")]
 
 

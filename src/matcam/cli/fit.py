@@ -127,7 +127,6 @@ def command(
 
 
 def print_fit(summary: dict[str, Any], name: str) -> None:
-    """Print `to_dict()` of a fit as a table, with its remarks."""
     from matcam.core.results.summary import half_width, parameters
     from matcam.inverse.fit.fit_data import LEAST_FLOOR
 

@@ -134,7 +134,6 @@ def _channel_of(table: Any, given: str | None) -> str:
 
 
 def _write_budget(result: Any, path: Path, force: bool) -> None:
-    """Write the uncertainty budget of F at each printed angle, for the channels in which F is determined there."""
     import numpy as np
 
     from matcam.inverse.fresnel_term import fresnel_budget

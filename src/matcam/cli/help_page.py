@@ -40,7 +40,6 @@ class HelpLine(NamedTuple):
 
 
 def entry(param: Any, context: Any) -> HelpLine:
-    """Build the help line of a parameter. A flag has no value."""
     if param.param_type_name == "argument":
         name = param.metavar or param.name.upper() + ("..." if param.nargs == -1 else "")
         return HelpLine(name, "", param.help or "", "" if param.required else "optional")
@@ -53,7 +52,6 @@ def entry(param: Any, context: Any) -> HelpLine:
 
 
 def _choices(label: str) -> str:
-    """Extract the choices or the type of an option without a metavar from the label that typer writes."""
     found = re.search(r"[<\[](.*?)[>\]]\.*$", label)
     return found[1] if found else label.rpartition(" ")[2]
 
@@ -66,14 +64,12 @@ def _default(param: Any) -> str:
 
 
 def parts(command: Any) -> tuple[str, list[str]]:
-    """Split the text of a command into description and examples."""
     text = re.sub(r"[ \t]*\n[ \t]*(?!\n)", "\n", command.help or "")
     before, _, after = text.partition("Example:")
     return before.strip(), re.findall(r"`([^`]+)`", after)
 
 
 def entries(command: Any, context: Any) -> tuple[list[HelpLine], list[HelpLine]]:
-    """List the help lines of the arguments and of the options of a command."""
     params = command.get_params(context)
     shown = [p for p in params if not getattr(p, "hidden", False)]
     arguments = [entry(p, context) for p in shown if p.param_type_name == "argument"]
@@ -81,7 +77,6 @@ def entries(command: Any, context: Any) -> tuple[list[HelpLine], list[HelpLine]]
 
 
 def usage(command: Any, context: Any) -> str:
-    """Format the usage line of a command."""
     arguments, _ = entries(command, context)
     words = [f"[{a.names}]" if a.default else a.names for a in arguments]
     tail = ["COMMAND ..."] if hasattr(command, "commands") else []
@@ -89,7 +84,6 @@ def usage(command: Any, context: Any) -> str:
 
 
 def groups(commands: Any) -> Iterator[tuple[str, list[str]]]:
-    """Yield the groups of the existing commands, and finally the ungrouped commands."""
     left = [name for name in commands if not getattr(commands[name], "hidden", False)]
     rest = "Commands"
     for title, members in GROUPS.items():
@@ -103,7 +97,6 @@ def groups(commands: Any) -> Iterator[tuple[str, list[str]]]:
 
 
 def page(command: Any, context: Any) -> str:
-    """Format the complete help of a command or of a group of commands."""
     width = max(50, min(shutil.get_terminal_size().columns, 100))
     text, examples = parts(command)
     lines = [f"Usage: {usage(command, context)}", ""]
@@ -125,7 +118,6 @@ def page(command: Any, context: Any) -> str:
 
 
 def summary(command: Any) -> str:
-    """Extract the first paragraph of the description of a command."""
     return parts(command)[0].split("\n\n")[0].replace("\n", " ").replace("`", "")
 
 
@@ -138,7 +130,6 @@ def _wrapped(text: str, width: int, indent: str) -> list[str]:
 
 
 def _rows(rows: list[tuple[str, str]], width: int) -> list[str]:
-    """Format rows in two columns; a long first cell has its own line."""
     first = min(max(len(name) for name, _ in rows) + 2, 26)
     lines: list[str] = []
     for name, text in rows:

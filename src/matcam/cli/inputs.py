@@ -9,7 +9,10 @@ from matcam.core.io import reading
 
 
 def check_inputs(paths: Iterable[Path], what: str = "") -> None:
-    """Raise FileFormatError for files that are missing, before any work. what: expected content, as for `reading`."""
+    """Raise FileFormatError for missing files, before any work.
+
+    `what` is the expected content, as for `reading`.
+    """
     for path in paths:
         with reading(path, what):
             pass

@@ -1,7 +1,8 @@
 """Common options of commands, and errors in terms of options.
 
-Messages of the library name Python arguments ("half_width must lie in ..."). `Command` translates errors, remarks and all
-other lines, for all commands, by the options of the command and by the tables below ("--half-width must lie in ...").
+Messages of the library name Python arguments ("half_width must lie in ..."). `Command` replaces these names by options
+in errors, remarks and all other lines ("--half-width must lie in ..."). It uses the options of the command and the
+tables below.
 """
 
 from __future__ import annotations
@@ -186,7 +187,6 @@ class Group(TyperGroup):
         return super().parse_args(ctx, args)
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
-        """Write the help."""
         formatter.write(help_page.page(self, ctx))
 
 
@@ -194,7 +194,6 @@ _outputs_of_command: list[Outputs] = []
 
 
 def files_are_written() -> bool:
-    """Check whether the output files of a command are published."""
     return any(outputs.are_published for outputs in _outputs_of_command)
 
 
@@ -206,7 +205,6 @@ class Command(TyperCommand):
     """
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
-        """Write the help."""
         formatter.write(help_page.page(self, ctx))
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
@@ -224,7 +222,6 @@ class Command(TyperCommand):
         return super().parse_args(ctx, split)
 
     def invoke(self, ctx: Any) -> Any:
-        """Run the command, publish its output files together, and translate errors."""
         check_address_space()
         values = [value if isinstance(value, list) else [value] for value in ctx.params.values()]
         modules = formats.decoded_by(path for paths in values for path in paths if isinstance(path, Path))
@@ -250,7 +247,6 @@ class Command(TyperCommand):
 
 
 def in_options(message: str, command: TyperCommand) -> str:
-    """Translate a message of the library from Python arguments to the options of a command."""
     options = {str(p.name): max(p.opts, key=len) for p in command.params if p.param_type_name == "option"}
     renamed = {argument: options[name] for argument, name in _RENAMED.items() if name in options}
     return _translated(message, {**options, **renamed})

@@ -98,11 +98,10 @@ class RigOptions:
 
     @property
     def files(self) -> list[Path]:
-        """Files that the options name."""
         return [] if self.camera is None else [self.camera]
 
     def build(self, **more: Any) -> Rig:
-        """Build the rig. more: further arguments of `Rig`."""
+        """Build the rig. `more` contains further arguments of `Rig`."""
         from matcam import rigs
         from matcam.camera.camera import Camera
         from matcam.camera.optics.halo import HaloOptics
@@ -125,7 +124,6 @@ class RigOptions:
         return rigs.Rig(camera, shape, self._lamp(), lamp_azimuth=turned, **more)
 
     def of_table(self) -> Rig:
-        """Build the rig that recorded a table."""
         return self.build(cell_value=self.cell or "unknown", pixel_phase=self.phase)
 
     def _lamp(self) -> Lamp:

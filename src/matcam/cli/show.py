@@ -57,7 +57,6 @@ def wording(translate: Callable[[str], str]) -> Iterator[None]:
 
 
 def worded(text: str) -> str:
-    """Translate a message of the library to the options of the running command."""
     return "\n".join(map(_wordings[-1], text.split("\n")))
 
 
@@ -102,7 +101,6 @@ def _laid_out(value: Any, indent: str = "") -> str:
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]], title: str = "") -> None:
-    """Print a table, with the first column left-aligned and the others right-aligned."""
     if _manner[-1][0]:
         return
     from rich import box
@@ -132,7 +130,7 @@ def quantities(rows: Iterable[Quantity], title: str = "", head: str = "parameter
 
 
 def _width() -> int | None:
-    """Return the smallest width of tables if that of the environment is smaller, and None otherwise."""
+    """Return the smallest width of tables if the width in the environment is smaller; otherwise None."""
     stated = os.environ.get("COLUMNS", "")
     return _LEAST_WIDTH if stated.isdigit() and int(stated) < _LEAST_WIDTH else None
 
@@ -144,24 +142,20 @@ def say(text: str, *, quiet: bool = False) -> None:
 
 
 def notes(texts: Iterable[object]) -> None:
-    """Print the remarks on a result."""
     for text in texts:
         _say(f"note: {worded(str(text))}")
 
 
 def _say(text: str) -> None:
-    """Print a translated line of the result, unless standard output is for JSON."""
     if not _manner[-1][0]:
         _print("\n".join(map(printable, text.split("\n"))))
 
 
 def written(paths: Iterable[object]) -> None:
-    """Print the names of the output files."""
     say(f"written: {', '.join(map(str, paths))}")
 
 
 def remark(text: str) -> None:
-    """Print a remark, such as the failure of one input, to standard error."""
     activity.clear()
     with contextlib.suppress(OSError):
         print(f"matcam: {printable(worded(text))}", file=sys.stderr)
@@ -178,7 +172,6 @@ def _print(text: str, end: str = "\n") -> None:
 
 
 def broken_output() -> OSError | None:
-    """Return and clear the error of writing standard output. The result is None if there was no error."""
     return _broken.pop() if _broken else None
 
 

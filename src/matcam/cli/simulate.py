@@ -199,7 +199,6 @@ def _tabulated(table: Path, sampling: Any) -> tuple[Any, dict[str, Any]]:
 
 
 def _microfacet(lobe: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
-    """Build the metal with the lobe of the options; its description names the source of n and k."""
     from matcam.core.grid import CHANNEL_WAVELENGTHS
     from matcam.core.registry import family_ndf
     from matcam.material.microfacet import Microfacet

@@ -53,7 +53,6 @@ def _of_table(values: dict[str, Any], file: Path | None) -> list[Any] | None:
 
 
 def _correct(file: Path, values: dict[str, Any]) -> list[Any]:
-    """Suggest the correction of a table, without a MERL file if the table has other channels."""
     words = ["matcam", "correct", file, *_camera(values)]
     if values.get("channels", _OF_MERL) == _OF_MERL:
         return words
@@ -61,7 +60,6 @@ def _correct(file: Path, values: dict[str, Any]) -> list[Any]:
 
 
 def _after_predict(values: dict[str, Any]) -> list[Any] | None:
-    """Suggest the bounds of the same rig, which require a curved sample and a Gaussian lens."""
     if values.get("sample") == "flat":
         return None
     if values.get("camera"):
@@ -121,7 +119,6 @@ def _after_inspect(values: dict[str, Any]) -> list[Any] | None:
 
 
 def _after_convert(values: dict[str, Any]) -> list[Any] | None:
-    """Suggest an inspection of the new file. A fitted surface and the columns of a result cannot be inspected."""
     target = values["target"]
     if values.get("content") == "result" and target.suffix.lower() == ".csv":
         return None

@@ -102,7 +102,6 @@ def degrees_hint(value: float, high: float) -> str:
 
 
 def positive(name: str, value: ArrayLike, unit: str = "") -> jax.Array:
-    """Convert `value` to a float64 array, finite and above 0."""
     return within(name, value, 0, np.inf, unit, open_low=True, open_high=True)
 
 
@@ -180,8 +179,7 @@ def flag(name: str, value: Any) -> bool:
 def instance(name: str, value: Any, kind: type[T], example: str = "") -> T:
     """Check that `value` is an instance of a class.
 
-    Otherwise an ArgumentError is raised, whose message contains the class and an example of an instance. Default: no
-    example.
+    Otherwise an ArgumentError is raised. Its message contains the class and `example`. Default: no example.
     """
     if not isinstance(value, kind):
         such = f" such as {example}" if example else ""
@@ -192,7 +190,7 @@ def instance(name: str, value: Any, kind: type[T], example: str = "") -> T:
 def instances(name: str, values: Any, kind: type[T]) -> list[T]:
     """Check that all values are instances of a class, and list them.
 
-    Otherwise an ArgumentError is raised, whose message contains the class.
+    Otherwise an ArgumentError is raised. Its message contains the class.
     """
     if isinstance(values, str | bytes) or not isinstance(values, Iterable):
         raise ArgumentError(f"{name} must be a sequence of {kind.__name__}, got {_shown(values)}")

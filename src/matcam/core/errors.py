@@ -49,17 +49,14 @@ class RegionError(FitError):
 
 
 def one_line(error: Exception) -> str:
-    """Format the error of a library on one line of at most 120 characters."""
     return " ".join(str(error).split())[:120] or type(error).__name__
 
 
 def described(error: Exception) -> str:
-    """Format an unexpected error with its class, as one line."""
     return " ".join(f"{type(error).__name__}: {error}".split())
 
 
 def unknown_name(kind: str, name: object, known: Iterable[str]) -> ArgumentError:
-    """Build the error for an unknown name. The message suggests the nearest known name, or lists all of them."""
     known = sorted(known)
     if not isinstance(name, str):
         return ArgumentError(

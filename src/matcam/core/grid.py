@@ -1,8 +1,8 @@
 """MERL grid: half and difference angles (Rusinkiewicz 1998), and tables of a BRDF on it.
 
-A pair of directions is given by (theta_h, theta_d, phi_d): the half vector's angle to the normal, and the light's
-direction in the frame whose pole is the half vector and whose x axis points away from the normal. Reciprocity is phi_d
--> phi_d + pi.
+A pair of directions is given by (theta_h, theta_d, phi_d). theta_h is the angle of the half vector to the normal.
+theta_d and phi_d are the direction of the light in the frame of the half vector: its pole is the half vector, and its x
+axis points away from the normal. Reciprocity is phi_d -> phi_d + pi.
 
 A table is an xarray.DataArray on this grid. Missing values are NaN, and the attribute `sampling` is the sampling
 position in a cell.
@@ -246,8 +246,8 @@ def in_order(table: xr.DataArray, what: str) -> xr.DataArray:
     """Order the channels R, G, B if these are their labels.
 
     Three channels without labels are assumed to be in this order. An ArgumentError is raised if three channels have
-    other labels, because their wavelengths are unknown, or if labels are duplicate. what: name of the values, for the
-    message.
+    other labels, because their wavelengths are unknown, or if labels are duplicate. `what` is the name of the values in
+    the message.
     """
     if "channel" not in table.coords:
         return table
@@ -304,7 +304,6 @@ def sample_of(table: xr.DataArray) -> str | None:
 
 
 def sampling_of(table: xr.DataArray) -> Sampling:
-    """Read the sampling position from the attribute `sampling` of a table."""
     sampling = table.attrs.get("sampling")
     if sampling not in SAMPLINGS:
         raise ArgumentError(f"attrs['sampling'] of a BRDF table must be 'centre' or 'edge', got {sampling!r}")
@@ -316,7 +315,10 @@ CORRECTED = "corrected_for_camera"
 
 
 def check_recorded(table: xr.DataArray, what: str = "brdf") -> None:
-    """Raise ArgumentError if a table is already corrected for a camera. what: name of the table in the message."""
+    """Raise ArgumentError if a table is already corrected for a camera.
+
+    `what` is the name of the table in the message.
+    """
     if table.attrs.get(CORRECTED):
         kind = table.attrs.get("long_name", "corrected BRDF")
         raise ArgumentError(f"{what} is already a {kind}: give the table as it was recorded")

@@ -36,8 +36,9 @@ _PICTURES = (".png", ".pdf", ".svg")
 def check_output(path: str | Path, *, force: bool = False, inputs: Iterable[str | Path] = ()) -> Path:
     """Check that an output can be written without overwriting a file.
 
-    An OutputError is raised if `path` is a folder, has a file as parent, is one of `inputs` (even with `force`), or
-    exists and `force` is not set; an ArgumentError is raised if `force` is neither True nor False.
+    An OutputError is raised if `path` is a folder, has a file as parent, or is one of `inputs`, even with `force`. It
+    is also raised if `path` exists and `force` is not set. An ArgumentError is raised if `force` is neither True nor
+    False.
     """
     path = Path(path)
     if type(force).__name__ not in ("bool", "bool_"):  # also of NumPy; a string would be true
@@ -55,7 +56,6 @@ def check_output(path: str | Path, *, force: bool = False, inputs: Iterable[str 
 
 
 def check_outputs(paths: Iterable[Path | None], *, force: bool, inputs: Iterable[str | Path] = ()) -> None:
-    """Check all given outputs by `check_output`."""
     for path in paths:
         if path is not None:
             check_output(path, force=force, inputs=inputs)
@@ -90,7 +90,6 @@ def check_output_folder(path: Path) -> None:
 
 
 def check_picture(path: str | Path, *, force: bool, inputs: Iterable[str | Path] = ()) -> Path:
-    """Check an output image, whose suffix determines the format, like `check_output`."""
     path = check_output(path, force=force, inputs=inputs)
     if path.suffix.lower() not in _PICTURES:
         raise OutputError(f"output {path} is an image: its name must end in {', '.join(_PICTURES)}")
@@ -331,7 +330,7 @@ def where_written(path: Path) -> Path:
 
 @contextlib.contextmanager
 def reading(path: Path, what: str = "") -> Iterator[None]:
-    """Convert errors of reading `path` to a FileFormatError that names it.
+    """Convert errors of reading `path` to a FileFormatError whose message contains `path`.
 
     `what` is the expected content ("an image"); if given, a folder is an error, too.
     """
@@ -384,8 +383,8 @@ def _cells(column: Sequence[Any]) -> list[str]:
 def user_cache_folder() -> Path:
     """Return the cache folder of this user.
 
-    It is in $XDG_CACHE_HOME if this is set, and otherwise in the cache folder of the system. A relative path is
-    ignored, as the XDG Base Directory Specification requires.
+    It is in $XDG_CACHE_HOME if this variable is set, and otherwise in the cache folder of the system. A relative path
+    is ignored, as the XDG Base Directory Specification requires.
     """
     root = Path(os.environ.get("XDG_CACHE_HOME", ""))
     if root.is_absolute():
@@ -421,7 +420,10 @@ def json_text(document: dict[str, Any]) -> str:
 
 
 def write_text(path: str | Path, text: str, *, force: bool = False, errors: str = "strict") -> None:
-    """Write text in UTF-8. errors: treatment of characters without encoding, as for `open`."""
+    """Write text in UTF-8.
+
+    `errors` specifies the treatment of characters without encoding, as for `open`.
+    """
     with replacing(path, force=force) as temporary:
         temporary.write_text(text, encoding="utf-8", errors=errors)
 

@@ -1,7 +1,7 @@
 """JAX in float64. All numerical modules import `jax` and `jnp` from here, so that the option is set once.
 
-Float64 is required: the erf differences of the effective kernel lose all digits in float32 for broad lobes, and
-highlights are 1e3 to 1e6 times brighter than their surroundings.
+Float64 is required for two reasons. The erf differences of the effective kernel lose all digits in float32 for broad
+lobes. Highlights are 1e3 to 1e6 times brighter than their surroundings.
 """
 
 from __future__ import annotations
@@ -112,14 +112,13 @@ def placed(array: npt.ArrayLike) -> jax.Array:
 
 
 def transferred(tree: T) -> T:
-    """Transfer the NumPy arrays of a tree to the device on which JAX computes."""
     return jax.tree.map(lambda leaf: placed(leaf) if isinstance(leaf, np.ndarray) else leaf, tree)
 
 
 def plainly_compiled(runs: Runs = "some") -> dict[str, Any] | None:
     """Return options for `jax.jit` that reduce the compile time.
 
-    runs: expected number of runs. "once" takes a quarter of the default compile time, and twice the run time. "some"
+    `runs` is the expected number of runs. "once" takes a quarter of the default compile time, and twice the run time. "some"
     takes two thirds of the compile time, and most programs are not slower. "many" takes three quarters of the compile
     time, and few programs are slower. "mostly" uses all passes, as JAX does by default, for a program that takes most of
     the time of a command: elementary functions in its loops take half the time.
@@ -198,7 +197,6 @@ def _use_sealed_cache() -> bool:
 
 
 def _trim(folder: Path) -> None:
-    """Remove the oldest files of a cache above its limit, and empty files of killed processes."""
     # the limit of JAX is not used: it fails permanently if a process was killed between two of its writes
     files = [
         (max(one.status.st_atime, one.status.st_mtime), one.status.st_size, one.name) for one in sealed_files(folder)

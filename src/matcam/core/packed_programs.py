@@ -41,7 +41,7 @@ _LAPACK = b"lapack_"
 
 
 def _member(kind: Any, name: str) -> enum.Enum:
-    """Select a member of an Enum by name. ValueError for any other class."""
+    """Select a member of an Enum by name. A ValueError is raised for any other class."""
     if not (isinstance(kind, enum.EnumMeta) and name in kind.__members__):
         raise ValueError("the description uses an attribute that is not a member of an Enum, which is not allowed")
     return kind[name]
@@ -102,7 +102,7 @@ def unpack_program(packed: bytes) -> Any:
 
 @cache
 def _load_lapack() -> None:
-    """Make JAX load LAPACK by lowering a call. Otherwise a program that calls LAPACK would crash."""
+    """Load LAPACK into JAX by lowering a call. Otherwise a program that calls LAPACK would crash."""
     jax.jit(jax.numpy.linalg.cholesky).lower(jax.ShapeDtypeStruct((1, 1), float))
 
 

@@ -102,7 +102,6 @@ _TRACED = ("traced",)
 
 
 def _kind(leaf: Any) -> tuple[Any, ...]:
-    """Describe an argument: shape and type of an array, or type and value of any other argument."""
     if isinstance(leaf, jax.core.Tracer):
         return _TRACED
     if isinstance(leaf, _ARRAYS):
@@ -142,7 +141,7 @@ class _HeldPrograms:
     def use(self, ready: dict[Hashable, _Program], key: Hashable, size: int) -> None:
         """Mark a program of a function as the most recently used.
 
-        ready: all programs of the function, by their keys.
+        `ready` contains all programs of the function, by their keys.
         """
         if not size:
             return
@@ -208,7 +207,6 @@ class _Kept(NamedTuple):
         return _Program(self._of_its_kind(program), size), None
 
     def _of_its_kind(self, program: Callable[..., Any]) -> Callable[..., Any]:
-        """Restore the structure of the results, which the program returns as a flat tuple."""
         if self.returns is None:
             return program
         structure = jax.tree.structure(_positions(self.returns))
@@ -232,7 +230,6 @@ class _Kept(NamedTuple):
 
 
 def _positions(kind: Any) -> Any:
-    """Build a nested named tuple with a placeholder for each array."""
     if get_origin(kind) is tuple:
         return tuple(map(_positions, get_args(kind)))
     if isinstance(kind, type) and issubclass(kind, tuple):

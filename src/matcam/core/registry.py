@@ -39,7 +39,6 @@ class Registry(Mapping[str, T], Generic[T]):
         return len(self.homes)
 
     def subset(self, keep: Callable[[str], bool]) -> Registry[T]:
-        """Select the names for which `keep` is true."""
         return Registry({name: home for name, home in self.homes.items() if keep(name)})
 
     def __repr__(self) -> str:

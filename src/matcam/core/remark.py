@@ -25,7 +25,7 @@ class Remark(NamedTuple):
         return self.text
 
     def about(self, subject: str) -> Remark:
-        """Return the remark with the name of its subject in front of the text.
+        """Prefix the text with the name of the subject.
 
         Args:
             subject: name of an image or channel.

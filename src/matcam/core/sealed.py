@@ -3,9 +3,9 @@
 A damaged file, or a file of another key, is removed, its content is computed again, and one line is logged. A file that
 cannot be written is skipped, because a full disk must not stop any work.
 
-The seal detects damage, not forgery. Against forgery, only folders and files that belong to this user or to the system,
-and that no other user may change, are used. A folder is opened once and checked, and its files are accessed through it,
-so that it cannot be replaced between check and use. Links are not followed.
+The seal detects damage, not forgery. To prevent forgery, a folder or a file is used only if it belongs to this user or
+to the system, and no other user may change it. A folder is opened once and checked. Its files are accessed through the
+open folder, so that it cannot be replaced between check and use. Links are not followed.
 """
 
 from __future__ import annotations
@@ -82,7 +82,6 @@ def sealed_files(path: Path) -> list[SealedFile]:
 
 
 def remove_sealed(path: Path, names: Iterable[str]) -> None:
-    """Remove files of a cache folder, if they exist."""
     with contextlib.suppress(OSError), _opened(path) as folder:
         for name in names:
             with contextlib.suppress(OSError):
@@ -162,7 +161,6 @@ def _warn_of(folder: Path) -> None:
 
 
 def _is_foreign(status: os.stat_result) -> bool:
-    """Check whether another user could have written a file, or the content of a folder."""
     return hasattr(os, "getuid") and (
         status.st_uid not in (os.getuid(), 0) or bool(status.st_mode & (stat.S_IWGRP | stat.S_IWOTH))
     )
@@ -199,11 +197,9 @@ class CompiledFunctions:
             cls._passed_by.now = False
 
     def get(self, key: str) -> bytes | None:
-        """Read the content of a key. The result is None if there is none."""
         return None if self._is_passed_by else read_sealed(self._file(key), key.encode())
 
     def put(self, key: str, value: bytes) -> None:
-        """Store bytes under a key."""
         if not self._is_passed_by:
             write_sealed(self._file(key), key.encode(), value)
 

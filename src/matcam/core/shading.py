@@ -40,7 +40,7 @@ class Shading(NamedTuple):
 def shading(normal: Vector, tangent: Vector, light: Vector, view: Vector) -> Shading:
     """Compute the arguments of a BRDF from unit vectors.
 
-    tangent: first tangent, perpendicular to the normal.
+    `tangent` is the first tangent, perpendicular to the normal.
 
     Slopes remain accurate near the mirror direction, unlike an angle that is computed from its cosine.
     """
@@ -90,7 +90,6 @@ def towards_source(source: Vector, point: Vector, nearness: ArrayLike) -> tuple[
 
 
 def vector(x: ArrayLike, y: ArrayLike, z: ArrayLike) -> Vector:
-    """Build a vector from its components."""
     return xp.asarray(x), xp.asarray(y), xp.asarray(z)
 
 

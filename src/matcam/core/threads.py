@@ -63,11 +63,9 @@ def available_cores() -> int:
 def import_behind(*modules: str) -> None:
     """Import modules in another thread, for later use.
 
-    modules: full names of the modules.
-
-    Meanwhile XLA can compute, because it releases the global interpreter lock. A failing import fails again where the
-    module is used. The end of the process waits for the import, because an exit during the import of a C++ module would
-    abort.
+    `modules` are full names of modules. Meanwhile XLA can compute, because it releases the global interpreter lock. A
+    failing import fails again where the module is used. The end of the process waits for the import, because an exit
+    during the import of a C++ module would abort.
     """
 
     def work() -> None:

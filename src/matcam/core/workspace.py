@@ -3,8 +3,8 @@
 Caching is explicit: functions that cache take a `Workspace`. The default is that of `default_workspace`, without files
 on disk. The command line and the workers of a run use `Workspace.user()`.
 
-Tables of the package (metals, checksums, EPD's peak) and results that depend only on a few numbers (basis of a spline,
-a lens model) are constants, which use `functools.cache`.
+Tables of the package (metals, checksums, EPD's peak) are constants. So are results that depend only on a few numbers,
+such as the basis of a spline. Both use `functools.cache`.
 """
 
 from __future__ import annotations
@@ -65,7 +65,6 @@ class Workspace:
             object.__setattr__(self, "folder", Path(self.folder))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle without the results in memory."""
         return type(self), (self.folder, self.entries, self.files)
 
     @classmethod
@@ -108,8 +107,8 @@ class Workspace:
         """Return the arrays of a description from disk, or compute and store them.
 
         The name of the file is a hash of the description and of the version of the package. The file ends in a SHA-256
-        of both and of its content, so that a damaged or foreign file is detected and computed again, with one line in
-        the log. A full disk is not an error. An empty result is not stored.
+        of both and of its content. If the file is damaged or foreign, one line is logged and the arrays are computed
+        again. A full disk is not an error. An empty result is not stored.
 
         Args:
             description: text with all dependencies of the arrays.
@@ -140,7 +139,6 @@ class Workspace:
 
 
 def kept_file(folder: Path, description: str) -> Path:
-    """Return the path of the file in which the arrays of a description are stored."""
     return folder / _file_name(_key(description))
 
 

@@ -1,4 +1,4 @@
-"""Contents of files of any format, and reading and writing independent of the format."""
+"""Format-independent reading and writing of files."""
 
 from __future__ import annotations
 
@@ -42,12 +42,10 @@ class Contents:
 
     @property
     def table(self) -> xr.DataArray | None:
-        """BRDF on the MERL grid; None for other data."""
         return self.data if self.content == "table" else None
 
     @property
     def kind(self) -> str:
-        """Kind of the contents, in words."""
         of_result = self.content == "result"
         brdf = self.data.get("brdf") if of_result else self.table
         if brdf is not None and (of_result or brdf.attrs.get(CORRECTED)):
@@ -99,7 +97,7 @@ def write(path: str | Path, thing: Any, *, force: bool = False) -> None:
     Args:
         path: file to write.
         thing: object such as `read` returns, except a sidecar (see `write_sidecar`).
-        force: replace an existing file. Default: False.
+        force: True to replace an existing file. Default: False.
 
     Raises:
         ArgumentError: the suffix is unknown, or the format does not support the object.
@@ -232,9 +230,10 @@ def read_table(path: str | Path, sampling: Sampling = "centre") -> xr.DataArray:
 
 
 def _read_merl(path: Path, sampling: Sampling) -> xr.DataArray:
-    """Read a MERL file, with the attributes of the NetCDF file of the same result beside it.
+    """Read a MERL file, and add the attributes of the NetCDF file beside it if both contain the same result.
 
-    A MERL file has no attributes. The NetCDF file is of the same result if its supported values are those of the table.
+    A MERL file has no attributes. Both files contain the same result if the supported values of the NetCDF file are
+    those of the table.
     """
     table = read_merl(path, sampling=sampling)
     try:

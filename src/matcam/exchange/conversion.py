@@ -147,7 +147,6 @@ def _brdf(material: Material, light: Vector, view: Vector) -> np.ndarray:
 
 
 def _mirrored() -> tuple[Vector, Vector]:
-    """Compute mirror directions of light and view up to 45 degrees from the normal."""
     angle = np.linspace(0, np.pi / 4, _MIRRORED)
     azimuth = np.linspace(0, 2 * np.pi, _MIRRORED, endpoint=False)
     along, across, up = np.sin(angle) * np.cos(azimuth), np.sin(angle) * np.sin(azimuth), np.cos(angle)
@@ -188,7 +187,10 @@ def _resample(
 def _smallest_grid(material: Material, error: float, description: str) -> tuple[Any, dict[str, float]]:
     """Resample a material to the smallest grid that satisfies an error, otherwise to the finest grid.
 
-    error: largest error, no unit, as in `convert`. The result is the fields and their `resampling_error`.
+    `error` is the largest error, no unit, as in `convert`.
+
+    Returns:
+        Fields of the grid, and their `resampling_error`.
     """
     checks.positive("error", error)
     for size in GRID_SIZES:
@@ -229,7 +231,6 @@ def _as_table(contents: Contents, sampling: Sampling) -> tuple[Contents, dict[st
 
 
 def _write_sidecar(source: Path, target: Path, force: bool) -> dict[str, Any]:
-    """Write the sidecar of the image beside the output, with its new name."""
     beside = sidecar_path(source)
     if not is_there(beside) or beside == sidecar_path(target):
         return {}

@@ -60,9 +60,9 @@ class LobeWidths(NamedTuple):
 def lobe_widths(table: xr.DataArray) -> LobeWidths:
     """Measure the lobe's half width at half maximum at every theta_d.
 
-    The BRDF is averaged over the channels, and over the cells within 18 degrees of the plane of light and view, or
-    beyond 72 degrees from it. Between the angles of the grid its logarithm is linear in theta_h^2. The maximum is the value
-    at the first theta_h.
+    The BRDF is averaged over the channels and over azimuths. The azimuths are within 18 degrees of the plane of light
+    and view for `in_plane`, and beyond 72 degrees from this plane for `across`. Between the angles of the grid, the
+    logarithm of the mean is linear in theta_h^2. The maximum is the value at the first theta_h.
 
     Args:
         table: BRDF on the MERL grid, (90, 90, 180, channels), 1/sr, such as `read_merl` returns.
@@ -169,8 +169,8 @@ def inspect_contents(contents: Contents, radius: float = SPHERE_RADIUS) -> dict[
     """Report on contents (see `read_contents`), as plain values (JSON).
 
     The report has `holds`, and sections for a table, samples, another result or an image. For fields of RGL it has
-    their grid, and the sections of a table after resampling. radius: radius of the sphere from which a table was recorded,
-    px.
+    their grid, and the sections of a table after resampling. `radius` is the radius of the sphere from which a table
+    was recorded, px.
     """
     report: dict[str, Callable[[Any], dict[str, Any]]] = {
         "table": partial(inspect_table, radius=radius),

@@ -1,10 +1,11 @@
 """OpenPBR surfaces in MaterialX, fitted to a measured BRDF.
 
 OpenPBR (Academy Software Foundation, version 1.1) has GGX facets with height-correlated masking. Its
-`specular_roughness` is the square root of alpha, the scale of facet slopes (Walter et al. 2007). Two surfaces are
-fitted, and the better one is written: a metal, whose `base_color` is F at normal incidence in Schlick's formula, and a
-dielectric, whose `base_color` is the albedo of a Lambertian base under a clear interface of `specular_ior`. A renderer
-reduces the base by the reflectance of the interface; the fit adds base and interface without this reduction.
+`specular_roughness` is the square root of alpha, the scale of facet slopes (Walter et al. 2007). A metal and a
+dielectric are fitted, and the better of the two is written. The `base_color` of a metal is F at normal incidence in
+Schlick's formula. The `base_color` of a dielectric is the albedo of a Lambertian base under a clear interface of
+`specular_ior`. A renderer reduces the base by the reflectance of the interface; the fit adds base and interface without
+this reduction.
 
 Such a surface cannot represent a table exactly: the residual is part of the report and of the file.
 """
@@ -128,7 +129,7 @@ def write_openpbr(path: str | Path, surface: OpenPBRSurface, *, note: str = "", 
         path: file to write.
         surface: surface from `fit_openpbr`.
         note: text for the document, such as the residual of the fit. Default: "".
-        force: replace an existing file. Default: False.
+        force: True to replace an existing file. Default: False.
 
     Raises:
         ArgumentError: `surface` or `note` is of the wrong type.

@@ -1,8 +1,9 @@
 """Camera for a Mitsuba rendering: the effective kernel as a differentiable linear operation of Dr.Jit.
 
-Mitsuba renders radiance on a film with a box filter, with several subpixels per pixel. The value of a pixel of the camera is
-the sum of the subpixels times the integral of the kernel over each, which is exact for constant radiance within a
-subpixel. The operation is linear: its forward derivative is itself, and its backward derivative the transpose.
+Mitsuba renders radiance on a film with a box filter, with several subpixels per pixel. The value of a pixel of the
+camera is a weighted sum of the subpixels. Each weight is the integral of the kernel over the subpixel. The result is
+exact for constant radiance within a subpixel. The operation is linear: its forward derivative is itself, and its
+backward derivative the transpose.
 """
 
 from __future__ import annotations

@@ -33,7 +33,6 @@ def is_photograph(path: Path) -> bool:
 
 
 def photograph_overview(path: Path) -> dict[str, Any]:
-    """Report size, channels, range, saturation and camera of a photograph."""
     photograph = open_photograph(path)
     values, exif = photograph.values, photograph.exif
     colour = values.ndim == 3
@@ -87,7 +86,6 @@ def result_overview(path: Path) -> dict[str, Any] | None:
 
 
 def folder_overview(folder: Path) -> dict[str, Any]:
-    """Report on the contents of a folder: a capture, the results of a run, tables or photographs."""
     if is_file(folder / SETTINGS):
         return _capture_overview(folder)
     if is_file(folder / _RUN_SETTINGS):
@@ -135,6 +133,5 @@ def _run_overview(folder: Path, settings: dict[str, Any]) -> dict[str, Any]:
 
 
 def _in_words(description: dict[str, Any]) -> str:
-    """Format the single values of a description, such as "gaussian, sigma_px 0.5"."""
     single = {name: value for name, value in description.items() if isinstance(value, str | float | int)}
     return ", ".join(str(value) if isinstance(value, str) else f"{name} {value:g}" for name, value in single.items())

@@ -36,8 +36,9 @@ _HALF_PI = np.pi / 2
 def _light_angles(below: int, beyond: int) -> np.ndarray:
     """Choose angles of the light, rad, with a spacing proportional to cos theta.
 
-    below: number of angles up to 82 degrees. beyond: number of angles from there to 89 degrees. `sigma` leaves a factor
-    1 / cos theta for broad lobes; its interpolation error for a spacing h is h^2 (1 + 2 tan^2 theta) / 8.
+    `below` is the number of angles up to 82 degrees, and `beyond` the number of angles from 82 to 89 degrees. `sigma`
+    leaves a factor 1 / cos theta for broad lobes. The error of its interpolation for a spacing h is h^2 (1 + 2 tan^2
+    theta) / 8.
     """
     log_tan = lambda degrees: np.log(np.tan(np.pi / 4 + np.radians(degrees) / 2))  # noqa: E731  the integral of 1 / cos
     effort = np.concatenate([np.linspace(0, log_tan(82), below), np.linspace(log_tan(82), log_tan(89), beyond + 1)[1:]])
@@ -131,8 +132,8 @@ def resampled_grid(
 ) -> xr.Dataset:
     """Resample a material, checked by `adaptive_grid`, to a grid of this size.
 
-    peak_error: largest relative error of the peak between two angles of the light up to 45 degrees; angles are added to
-    satisfy it. None: no angle is added.
+    `peak_error` is the largest relative error of the peak between two angles of the light up to 45 degrees. Angles are
+    added to satisfy this error. None: no angle is added.
     """
     square, light_angles = size.square, _light_angles(*size.angles)
     if peak_error is not None:
@@ -211,7 +212,7 @@ def peak_angles(material: Material, error: float) -> np.ndarray:
 def _nodes(material: Material) -> int:
     """Choose the number of nodes in theta_h.
 
-    The number of intervals is a multiple of that of a MERL table, with ten or more nodes in the width of the lobe where
+    The number of intervals is a multiple of that of a MERL table. The width of the lobe contains ten or more nodes if
     the largest multiple permits it.
     """
     finest = np.sqrt(float(material.finest) / _HALF_PI)

@@ -1,8 +1,8 @@
 """Solid angles of a rig in the terms of goniophotometers.
 
 A camera and a sphere have an equivalent solid angle of the receiver. The kernel k of lens and pixel averages over the
-area A = 1 / integral of k^2 (px^2), which is the area of the pixel for an ideal lens. On a sphere of radius r px this
-area covers normals in a solid angle of A / (r^2 cos theta_o). A goniophotometer has a fixed sample, and averages over
+area A = 1 / integral of k^2 (px^2). For an ideal lens, A is the area of the pixel. On a sphere of radius r px this area
+covers normals in a solid angle of A / (r^2 cos theta_o). A goniophotometer has a fixed sample, and averages over
 directions of view. The views that move the half vector by the same amount fill the solid angle
 
     d omega_o = 4 cos theta_d d omega_h,

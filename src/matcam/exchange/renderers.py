@@ -175,7 +175,7 @@ def rendered_sphere(
     The sphere fills the image. The camera is distant. The film stores float32 and has a box filter of one pixel, because
     the default filter of Mitsuba blurs by half a pixel. Materials are converted by `adaptive_grid`.
 
-    A distant lamp of irradiance pi is displaced towards +x, and by a third of that upwards. The sky has a uniform
+    A distant lamp of irradiance pi is displaced towards +x, and upwards by a third of this displacement. The sky has a uniform
     radiance of 0.2. A white diffuse sphere has radiance 1 + 0.2 where it faces the lamp.
 
     Args:

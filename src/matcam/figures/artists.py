@@ -55,7 +55,7 @@ def draw_camera(axes: Axes, camera: Camera) -> None:
 def draw_fit(axes: Axes, fit: MaterialFit, channel: int | None = None) -> None:
     """Draw F of every slice of a fit with its standard deviation.
 
-    channel: index of the channel. Default: None, all channels.
+    `channel` is the index of the channel. Default: None, all channels.
     """
     curves = fit.curves
     theta = np.degrees(curves["theta_d"].values)
@@ -118,7 +118,6 @@ def draw_fresnel_term(axes: Axes, result: xr.Dataset, metal: str | None = None, 
 
 
 def draw_bounds(axes: Axes, data: xr.Dataset) -> None:
-    """Draw the bounds of the standard deviation of ln roughness for each assumption about the lens."""
     for name, label, colour in (
         ("width_std", "lens exact", BLUE),
         ("width_std_stated", "lens as specified by its profile", GREY),
@@ -133,7 +132,6 @@ def draw_bounds(axes: Axes, data: xr.Dataset) -> None:
 
 
 def draw_reconstruction(axes: Axes, result: Reconstruction) -> None:
-    """Draw F of every photograph and the fitted curve, by channel."""
     from matcam.figures.reconstruction_page import draw_reflectance
 
     draw_reflectance(axes, result)
@@ -142,7 +140,7 @@ def draw_reconstruction(axes: Axes, result: Reconstruction) -> None:
 def draw_flat_reconstruction(axes: Axes, result: FlatReconstruction, map: str = "diffuse") -> None:  # noqa: A002
     """Draw one of the maps of a flat sample.
 
-    map: "diffuse" or "specular".
+    `map` is "diffuse" or "specular".
     """
     shown = result.maps[checks.choice("map", map, ("diffuse", "specular"))]
     x, y = shown["x"].values, shown["y"].values

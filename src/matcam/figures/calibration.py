@@ -112,7 +112,6 @@ def _draw_lsf(axes: Axes, result: EdgeMTF, reach: float) -> None:
 
 
 def draw_edge_mtf(axes: Axes, result: EdgeMTF) -> None:
-    """Draw the model-free and the parametric MTF across an edge, with MTF50."""
     fit, f = result.parametric, result.frequency
     mtf_lines(axes)
     label = f"{fit.model} lens: {fit.mtf50:.4f} ± {fit.mtf50_std:.4f}"
@@ -224,12 +223,10 @@ def _draw_picture(axes: Axes, fit: CameraFit, picture: np.ndarray | None, channe
 
 
 def draw_calibration(axes: Axes, found: Calibration) -> None:
-    """Draw the mean MTFs of edges and camera, by channel."""
     _draw_mtf(axes, found.channels)
 
 
 def draw_camera_fit(axes: Axes, fit: CameraFit) -> None:
-    """Draw the mean MTFs of edges and camera."""
     _draw_mtf(axes, {"grey": fit})
 
 

@@ -56,7 +56,6 @@ def fresnel_figure(result: xr.Dataset, tables: xr.Dataset | None = None, channel
 
 
 def draw_fresnel(axes: Axes, result: xr.Dataset, tables: xr.Dataset | None, channel: int) -> None:
-    """Draw raw, corrected and tabulated F of one channel."""
     one = result.isel(channel=channel)
     theta = np.degrees(one["theta_d"].values)
     supported = np.degrees(float(one["supported_angle"]))
@@ -109,7 +108,7 @@ def _draw_loss(axes: Axes, result: xr.Dataset) -> None:
 def prediction_figure(data: Prediction, title: str) -> Figure:
     """Draw the relative response over theta for each roughness.
 
-    Loss angles are marked. data: result of `predicted`.
+    Loss angles are marked. `data` is the result of `predicted`.
     """
     with drawing(7.4, 4.4) as figure:
         axes = figure.subplots()
@@ -121,7 +120,7 @@ def prediction_figure(data: Prediction, title: str) -> Figure:
 def draw_prediction(axes: Axes, data: xr.Dataset) -> None:
     """Draw the relative response over theta for each roughness.
 
-    Loss angles are marked. data: result of `predict`.
+    Loss angles are marked. `data` is the result of `predict`.
     """
     colours = matplotlib.colormaps["cividis"](np.linspace(0.0, 0.88, data.sizes["roughness"]))
     limit, theta = 1 - LOSS, np.degrees(data["theta"].values)
@@ -145,7 +144,7 @@ def draw_prediction(axes: Axes, data: xr.Dataset) -> None:
 def plane_figure(data: Prediction, title: str) -> Figure:
     """Draw the relative response over angle and roughness, and the loss angle.
 
-    data: result of `predicted`.
+    `data` is the result of `predicted`.
     """
     with drawing(7.4, 4.6) as figure:
         axes = figure.subplots()
@@ -168,7 +167,7 @@ def plane_figure(data: Prediction, title: str) -> Figure:
 def highlight_figure(data: xr.Dataset) -> Figure:
     """Draw a highlight on the sensor, after the optics, and in pixels.
 
-    These are Figures 3 and 4 of Holzschuch & Pacanowski (2017). data: result of `paper.figure_3_4`.
+    These are Figures 3 and 4 of Holzschuch & Pacanowski (2017). `data` is the result of `paper.figure_3_4`.
     """
     with drawing(10, 3.3) as figure:
         panels = figure.subplots(1, data.sizes["theta_o"], sharey=True)
@@ -202,7 +201,8 @@ def highlight_figure(data: xr.Dataset) -> Figure:
 def loss_figure(data: xr.Dataset) -> Figure:
     """Draw the ratio of recorded to true peak over the angle.
 
-    This is Figure 5 of Holzschuch & Pacanowski (2017), for narrow to wide lobes. data: result of `paper.figure_5`.
+    This is Figure 5 of Holzschuch & Pacanowski (2017), for narrow to wide lobes. `data` is the result of
+    `paper.figure_5`.
     """
     with drawing(7.4, 4.4) as figure:
         axes = figure.subplots()
@@ -258,7 +258,8 @@ def draw_lobe(
 ) -> None:
     """Draw a BRDF over theta_h, degrees, on logarithmic axes.
 
-    `seen` is the mask of the drawn angles, `good` that of the supported angles, and `label` the label of the curve.
+    `seen` is the mask of the drawn angles, and `good` is the mask of the supported angles. `label` is the label of the
+    curve.
     """
     axes.plot(theta_h[seen], value[seen], color=BLUE, label=label)
     low = np.maximum(value - std, value * 1e-2)

@@ -39,7 +39,7 @@ class BlurMap(NamedTuple):
 def blur_map(edges: EdgeTable, shape: tuple[int, int]) -> BlurMap:
     """Compute the median blur of edges in parts of the image.
 
-    shape: height and width of the image, px.
+    `shape` is the height and width of the image, px.
     """
     height, width = shape
     rows, columns = (_SHORTER, _LONGER) if width >= height else (_LONGER, _SHORTER)
@@ -57,7 +57,6 @@ def blur_map(edges: EdgeTable, shape: tuple[int, int]) -> BlurMap:
 
 
 def draw_blur_map(axes: Axes, edges: EdgeTable, shape: tuple[int, int], channel: str) -> None:
-    """Draw the blur in parts of the image, with its values."""
     found = blur_map(edges, shape)
     axes.set_title(f"Blur in parts of the image, {channel}: median sigma [px]", loc="left", parse_math=False)
     axes.grid(False)
@@ -84,7 +83,6 @@ def draw_blur_map(axes: Axes, edges: EdgeTable, shape: tuple[int, int], channel:
 
 
 def draw_lateral_colour(axes: Axes, found: Calibration, shape: tuple[int, int]) -> None:
-    """Draw the radial displacement of the other colours relative to green."""
     corner = float(np.hypot(*shape) / 2)
     radius = np.linspace(0, corner, 101)
     for name, lateral in found.lateral_colour.items():

@@ -62,7 +62,7 @@ def write_correction_page(
         raw: the table that was corrected.
         done: its correction.
         name: title of the page.
-        force: whether to replace the file. Default: False.
+        force: True to replace the file. Default: False.
     """
     found = done.fit
     figures = [
@@ -206,7 +206,7 @@ def write_run_index(
         failures: one line for each material that failed.
         summary: description of the common settings of all materials of the run. Default: "".
         inline: True to embed thumbnails in the page, False to link to their files. Default: True.
-        force: whether to replace the file. Default: False.
+        force: True to replace the file. Default: False.
     """
     folder = Path(path).parent
     rows = [
@@ -245,8 +245,6 @@ def _number(value: Any, text: Callable[[float], str]) -> _Cell:
 
 
 def _with_std(value: Any, std: Any, scale: float = 1.0) -> _Cell:
-    """Format a value with its standard deviation, both multiplied by `scale`."""
-
     def text(x: float) -> str:
         error = f" ± {std * scale:.1g}" if isinstance(std, int | float) and math.isfinite(std) else ""
         return f"{x * scale:.4g}{error}"

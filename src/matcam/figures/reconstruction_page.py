@@ -60,7 +60,7 @@ def write_reconstruction_page(
         name: title of the page.
         overview: an image in which the fitted outline and highlights are drawn. Default: None, not drawn.
         exposures: name, relative light and its standard deviation for each exposure. Default: (), not listed.
-        force: whether to replace the file. Default: False.
+        force: True to replace the file. Default: False.
     """
     figures = _of_cylinder(result) if result.sample == "cylinder" else _of_sphere(result, overview)
     solution = result.fit.solution
@@ -112,7 +112,6 @@ def _of_sphere(result: Reconstruction, overview: MergedPicture | None) -> list[t
 
 
 def overview_figure(result: Reconstruction, picture: MergedPicture) -> Figure:
-    """Draw an image of the sphere with the fitted outline and highlights."""
     geometry = result.geometry
     column, row = geometry["centre_px"][0]
     radius = geometry["radius_px"][0]
@@ -153,14 +152,12 @@ def overview_figure(result: Reconstruction, picture: MergedPicture) -> Figure:
 
 
 def reflectance_figure(result: Reconstruction) -> Figure:
-    """Draw the strengths of all images and the fitted curve, by channel."""
     with drawing(7.5, 4.2) as figure:
         draw_reflectance(figure.subplots(), result)
     return figure
 
 
 def draw_reflectance(axes: Axes, result: Reconstruction) -> None:
-    """Draw the strengths of all images and the fitted curve, by channel."""
     fit = result.fit
     theta = fit.solution.theta_d
     units = np.array([one.value for one in result.units])
@@ -180,7 +177,7 @@ def draw_reflectance(axes: Axes, result: Reconstruction) -> None:
 
 
 def lobe_figure(result: Reconstruction) -> Figure:
-    """Draw the reconstructed BRDF over theta_h beside that of the pinhole table.
+    """Draw the reconstructed BRDF and the pinhole table over theta_h.
 
     The angles are several theta_d at phi_d = 90 degrees. The pinhole table is averaged over phi_d.
     """

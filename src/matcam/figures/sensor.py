@@ -42,7 +42,7 @@ def write_sensor_page(path: str | Path, result: SensorCharacteristics, name: str
         path: HTML file to write; it needs no network and no other file.
         result: result of `characterise_sensor`.
         name: title of the page.
-        force: whether to replace the file. Default: False.
+        force: True to replace the file. Default: False.
     """
     content = {
         "name": name,
@@ -60,7 +60,6 @@ def write_sensor_page(path: str | Path, result: SensorCharacteristics, name: str
 
 
 def draw_transfer(axes: Axes, result: SensorCharacteristics) -> None:
-    """Draw the photon transfer curve, and a line of the fitted gain."""
     top = 1.0
     for plane in result.transfers:
         own = plane.variance - plane.dark_variance

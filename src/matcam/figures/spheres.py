@@ -70,7 +70,7 @@ def whole_sphere(values: np.ndarray, size: int) -> np.ndarray:
 def encoded_for_screen(picture: np.ndarray, white: float) -> np.ndarray:
     """Encode a radiance for a screen (sRGB), in [0, 1].
 
-    white: radiance that is white; larger values are clipped.
+    `white` is the radiance that is displayed as white. Larger values are clipped.
     """
     return srgb.encoded(np.clip(picture / max(white, 1e-300), 0, 1))
 

@@ -36,7 +36,6 @@ GREY = "#6E6E6E"
 
 
 def channel_colour(name: str, index: int) -> str:
-    """Select the colour of a channel. Channels whose names are not in `CHANNELS` use the cycle of colours."""
     return CHANNELS.get(name[:1] if name[1:].isdigit() else name, CYCLE[index % len(CYCLE)])
 
 
@@ -61,7 +60,6 @@ _RC: Any = {
 
 
 def styled() -> AbstractContextManager[None]:
-    """Create the style context in which every figure is drawn."""
     return matplotlib.rc_context(_RC)
 
 
@@ -76,9 +74,9 @@ def drawing(width: float, height: float, layout: Any = "constrained", **options:
 
 
 def save(figure: Figure, path: str | Path, *, force: bool = False, dpi: float = 144) -> None:
-    """Write a figure to a file, without a date.
+    """Write a figure to a file, without a date, so that the same data give the same file.
 
-    The same data therefore give the same file. dpi: resolution of a PNG.
+    `dpi` is the resolution of a PNG.
     """
     path = check_picture(path, force=force)
     if path.suffix.lower() == ".png":
@@ -119,7 +117,7 @@ def fit_titles(figure: Figure) -> bool:
 
 
 def _end(figure: Figure, axes: Axes) -> float:
-    """Compute the right end of the space for the title of a panel, dots.
+    """Compute the right limit of a panel's title, dots.
 
     This is the next panel of the row, or the edge of the figure.
     """
@@ -131,7 +129,6 @@ def _end(figure: Figure, axes: Axes) -> float:
 
 
 def _fit(title: Text, room: float) -> bool:
-    """Fit a title into a width in dots. The result is True if the title was changed."""
     width = title.get_window_extent().width
     if width <= room:
         return False
@@ -146,14 +143,12 @@ def _fit(title: Text, room: float) -> bool:
 
 
 def degrees_axis(axes: Axes, label: str) -> None:
-    """Label the x axis with angles in degrees."""
     axes.set_xlabel(f"{label} [degrees]")
     axes.set_xlim(0, 90)
     axes.set_xticks(range(0, 91, 15))
 
 
 def draw_with_std(axes: Axes, x: Any, value: Any, std: Any, colour: Any, **line: Any) -> None:
-    """Draw a curve with a band of width `std` on each side."""
     axes.fill_between(x, value - std, value + std, color=colour, alpha=0.25, lw=0)
     axes.plot(x, value, color=colour, **line)
 
@@ -169,7 +164,6 @@ def mtf_lines(axes: Axes) -> None:
 
 
 def legend_above(axes: Axes, columns: int) -> None:
-    """Extend the range of y, and add a legend above the data."""
     low, high = axes.get_ylim()
     share = 0.04 + 0.08 * -(-len(axes.get_legend_handles_labels()[0]) // columns)
     axes.set_ylim(low, high + (high - low) * share / (1 - share))
@@ -177,12 +171,10 @@ def legend_above(axes: Axes, columns: int) -> None:
 
 
 def inline_png(figure: Figure) -> str:
-    """Encode a figure as a data URL of a PNG image."""
     return data_url(_png(figure, 110))
 
 
 def data_url(png: bytes) -> str:
-    """Encode a PNG image as a data URL."""
     return "data:image/png;base64," + base64.b64encode(png).decode()
 
 
@@ -201,7 +193,6 @@ def _png(figure: Figure, dpi: float) -> bytes:
 
 
 def budget_tables(budgets: Iterable[UncertaintyBudget]) -> list[tuple[str, list[list[Any]]]]:
-    """List uncertainty budgets for `page.html`: the result with its combined uncertainty, and the rows."""
     return [(f"{one.name}: {Quantity(one.name, one.value, one.combined).text}", one.rows()) for one in budgets]
 
 

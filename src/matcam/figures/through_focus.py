@@ -35,7 +35,10 @@ def through_focus_figure(series: Mapping[str, FocusSeries]) -> Figure:
 
 
 def draw_through_focus(axes: Axes, series: Mapping[str, FocusSeries]) -> None:
-    """Draw the values, the fitted curve and the best focus of each series. series: see `through_focus_figure`."""
+    """Draw the values, the fitted curve and the best focus of each series.
+
+    `series` is described in `through_focus_figure`.
+    """
     channels = [label.rsplit(" ", 1)[-1] for label in series]
     by_channel = len(set(channels)) == len(channels)
     for n, (label, (position, mtf50, std, focus)) in enumerate(series.items()):

@@ -118,7 +118,7 @@ def write_bird(path: str | Path, samples: xr.DataArray, *, force: bool = False) 
         path: file to write (.brdf).
         samples: values in 1/sr, such as those returned by `read_samples`, dims (sample, channel), with
             coordinates theta_h, theta_d, phi_d in rad.
-        force: replace an existing file. Default: False.
+        force: True to replace an existing file. Default: False.
 
     Raises:
         ArgumentError: `samples` has wrong dims, units or labels, or more than two million values.
@@ -175,7 +175,6 @@ def _column(path: Path, data: dict[str, Any], name: str, units: dict[str, float]
 
 
 def _channels(path: Path, data: dict[str, Any], count: int) -> list[str]:
-    """Build the name of the channel of each reading from wavelength, polarisation and the variable "channel"."""
     parts: list[list[str]] = []
     if "wavelength_i" in data:
         parts.append([f"{one:g} nm" for one in _column(path, data, "wavelength_i", _NANO)])

@@ -65,7 +65,6 @@ class Capture:
     problems: tuple[Remark, ...] = ()
 
     def of(self, kind: str, lamp: str | None = None, exposure: str | None = None) -> list[CaptureFrame]:
-        """Select frames by kind, and optionally by lamp position and exposure."""
         return [
             frame
             for frame in self.frames
@@ -74,7 +73,6 @@ class Capture:
 
     @property
     def exposures(self) -> list[str]:
-        """Exposures of the sample, in order of their nominal time."""
         times: dict[str, float] = {}
         for frame in self.of("frames"):
             times.setdefault(frame.exposure, frame.time)
@@ -86,12 +84,10 @@ class Capture:
 
     @property
     def profile(self) -> Path | None:
-        """File of the camera profile; None if it is not specified."""
         return self._file("camera", "profile")
 
     @property
     def mask(self) -> Path | None:
-        """File of the mask of the sphere; None if it is not specified."""
         return self._file("outline", "mask")
 
     def _file(self, section: str, field: str) -> Path | None:
@@ -148,7 +144,6 @@ class Capture:
 
     @property
     def reference_apart(self) -> bool:
-        """True if the reference has separate images in reference/."""
         section = self.settings["reference"]
         return section is not None and bool(section["apart"])
 
@@ -245,7 +240,7 @@ def _check_light(folder: Path, settings: dict[str, Any], lamps: dict[str, LampGu
 
 
 def read_settings(path: Path) -> dict[str, Any]:
-    """Read and check a `capture.toml`. A FileFormatError names the invalid field."""
+    """Read and check a `capture.toml`. The message of a FileFormatError contains the invalid field."""
     check_within(path, path.parent)
     document = read_toml(path, _WHAT)
     checked_version(document, path, _WHAT, FORMAT, (VERSION,))
@@ -262,7 +257,6 @@ def read_settings(path: Path) -> dict[str, Any]:
 
 
 def json_schema() -> dict[str, Any]:
-    """Build the JSON Schema of capture.toml."""
     return CaptureSettings.model_json_schema()
 
 

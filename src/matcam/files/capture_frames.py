@@ -57,7 +57,8 @@ class LampGuess(NamedTuple):
 def stated_intensity(path: Path, text: str) -> tuple[float, ...]:
     """Parse the relative intensity of a lamp.
 
-    path: photograph, for messages. text: one positive number, or one per colour, separated by blanks; empty: unknown.
+    `path` is the photograph, for messages. `text` contains one positive number, or one number per colour, separated by
+    blanks. An empty text means that the intensity is unknown.
     """
     try:
         light = tuple(float(part) for part in text.split())

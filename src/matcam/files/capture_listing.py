@@ -50,7 +50,7 @@ class Listing:
 
         Args:
             folder: folder of the capture.
-            force: replace existing files of these names (no unit). Default: False.
+            force: True to replace existing files of these names. Default: False.
 
         Raises:
             OutputError: another file of one of these names exists and `force` is False, or a file cannot be written.

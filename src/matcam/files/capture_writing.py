@@ -71,7 +71,7 @@ def write_template(folder: str | Path, rows: Iterable[Mapping[str, Any]] = (), *
     Args:
         folder: folder of the capture; it is created.
         rows: lines of frames.csv, each with its values by column. Default: no lines.
-        force: replace an existing capture.toml and frames.csv (no unit). Default: False.
+        force: True to replace an existing capture.toml and frames.csv (no unit). Default: False.
 
     Returns:
         Paths of the two files.
@@ -99,7 +99,7 @@ def write_description(
         folder: folder of the capture.
         settings: tables of capture.toml by name. JSON must be able to represent their values.
         rows: lines of frames.csv, each with its values by column; missing cells are empty.
-        force: replace existing files (no unit). Default: False.
+        force: True to replace existing files. Default: False.
     """
     write_text(folder / SETTINGS, as_toml(settings), force=force)
     write_text(folder / LIST, _table(rows), force=force)

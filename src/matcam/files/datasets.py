@@ -36,7 +36,7 @@ def write_netcdf(path: str | Path, data: xr.Dataset, *, force: bool = False, com
     Args:
         path: file to write (.nc).
         data: result with labels and units.
-        force: replace an existing file (no unit). Default: False.
+        force: True to replace an existing file. Default: False.
         compress: compress the arrays losslessly by deflate at level 1, which every reader of NetCDF-4 supports.
             Default: True.
 
@@ -140,7 +140,7 @@ def write_zarr(path: str | Path, data: xr.Dataset, *, force: bool = False) -> No
     Args:
         path: file to write (.zarr.zip).
         data: result with labels and units.
-        force: replace an existing file (no unit). Default: False.
+        force: True to replace an existing file. Default: False.
 
     Raises:
         ArgumentError: `data` is not a Dataset, or zarr is not installed.

@@ -1,8 +1,8 @@
 """Decoders of labelled arrays (NetCDF-4 and Zarr), which run in a separate process (apart.py).
 
-Files are not trusted. The following are rejected before any value is read: links to other files, storage in other files,
-groups, filters and codecs that are not on a short list (HDF5 would load plugins for them), and arrays larger than 16 times
-the file.
+Files are not trusted. Links to other files, storage in other files and groups are rejected before any value is read.
+Filters and codecs must be on a short list, because HDF5 would load plugins for others. Arrays must not be larger than
+16 times the file.
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ _DESCRIPTION_BYTES = 1 << 20
 def check_stored_sizes(path: Path, size: int, variables: Mapping[str, tuple[tuple[int, ...], Any]]) -> None:
     """Check that a file can contain its arrays.
 
-    Raise FileFormatError if a length is not a non-negative integer, or if the arrays together take more than 16 times
-    the bytes of the file, which is then damaged or compressed too strongly.
+    A FileFormatError is raised if a length is not a non-negative integer, or if the arrays take more than 16 times the
+    bytes of the file. Such a file is damaged or compressed too strongly.
     """
     if len(variables) > _MOST_VARIABLES:
         raise FileFormatError(
@@ -71,7 +71,6 @@ def check_lengths(path: Path, name: str, shape: Sequence[Any]) -> None:
 
 
 def decode_netcdf(path: Path) -> dict[str, Any]:
-    """Read the variables and attributes of a NetCDF-4 file as plain arrays."""
     import h5netcdf
     import h5py
 
@@ -156,7 +155,6 @@ def _check_hdf5(path: Path, file: Any) -> None:
 
 
 def decode_zarr(path: Path) -> dict[str, Any]:
-    """Read variables and attributes of a zipped Zarr as plain arrays."""
     checks.extra("Zarr", "scale", "zarr")
     import zarr
     from zarr import storage
@@ -179,7 +177,7 @@ def decode_zarr(path: Path) -> dict[str, Any]:
 def decode_rows(folder: Path, *, arrays: list[str], row: int | None = None) -> dict[str, Any]:
     """Read attributes of a Zarr, and arrays or one row of each.
 
-    arrays: names of the arrays. row: index of the row; None: complete arrays.
+    `arrays` contains the names of the arrays. `row` is the index of the row. None: complete arrays.
     """
     import zarr
 
@@ -191,7 +189,6 @@ def decode_rows(folder: Path, *, arrays: list[str], row: int | None = None) -> d
 
 
 def _check_zarr(path: Path) -> None:
-    """Check the directory of the zip, then every description, before decoding."""
     size = path.stat().st_size
     _check_directory(path, size)
     with zipfile.ZipFile(path) as archive:
@@ -241,7 +238,7 @@ def _check_zarr(path: Path) -> None:
 def check_codecs(path: Path, name: str, document: dict[str, Any]) -> None:
     """Check that the values and codecs of a Zarr array are supported.
 
-    document: description of the array. Raise FileFormatError otherwise.
+    `document` is the description of the array. A FileFormatError is raised if the array is not supported.
     """
     kind = document["data_type"]
     kind = kind["name"] if isinstance(kind, dict) else kind
@@ -264,7 +261,6 @@ def check_codecs(path: Path, name: str, document: dict[str, Any]) -> None:
 
 
 def chunk_shape(document: dict[str, Any]) -> tuple[int, ...]:
-    """Read the shape of the chunks of an array from its description."""
     return tuple(document["chunk_grid"]["configuration"]["chunk_shape"])
 
 

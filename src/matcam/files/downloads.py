@@ -37,7 +37,6 @@ _BLOCK = 1 << 16  # largest piece of a file in memory, bytes
 
 @cache
 def merl_checksums() -> dict[str, str]:
-    """Read the SHA-256 checksums of the 100 published MERL files, by material."""
     lines = resources.files("matcam").joinpath("data/merl_sha256.txt").read_text(encoding="ascii").splitlines()
     return {name.removesuffix(".binary"): sha256 for sha256, _, name in (line.split() for line in lines)}
 
@@ -60,7 +59,7 @@ def fetch_merl(
         source: archive (ending in .zip) or folder on another server. Default: None, the value of `SOURCE_SETTING` if it
             is set, otherwise `MERL_SOURCE`.
         progress: function that is called with (done, total) bytes. Default: None.
-        force: replace an existing file that differs from the published one (no unit). Default: False.
+        force: True to replace an existing file that differs from the published one. Default: False.
 
     Returns:
         Path of the file.
@@ -158,7 +157,7 @@ class _Web:
     def stream(self, address: str, span: tuple[int, int] | None = None) -> Iterator[bytes]:
         """Yield the response of a server in pieces.
 
-        span: first and last byte of a range; None: the whole file.
+        `span` contains the first and the last byte of a range. None: the whole file.
         """
         headers = {"Accept-Encoding": "identity"} | ({"Range": f"bytes={span[0]}-{span[1]}"} if span else {})
         with self.session.get(address, headers=headers, timeout=_TIMEOUT, stream=True) as reply:
@@ -201,7 +200,7 @@ class _Web:
 
 
 class _RemoteFile(io.RawIOBase):
-    """Remote file for zipfile. The end of the file is kept in memory, and the remainder is streamed sequentially.
+    """Remote file for zipfile. The end of the file is in memory, and the remainder is streamed sequentially.
 
     Attributes:
         size: size of the file, bytes.

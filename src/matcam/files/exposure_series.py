@@ -53,7 +53,6 @@ class ExposureSet(NamedTuple):
 
     @property
     def name(self) -> str:
-        """Short description for messages."""
         light = f", {self.photons:g} photons" if math.isfinite(self.photons) and self.lit else ""
         return f"{'flat' if self.lit else 'dark'} frames of {self.time:g} s{light}"
 
@@ -78,10 +77,7 @@ class ExposureSeries:
         return "photons" if all(math.isfinite(one.photons) for one in self.sets if one.lit) else "s"
 
     def light(self, one: ExposureSet) -> float:
-        """Select the measure of the light of an exposure.
-
-        It is the number of photons per pixel, or the exposure time, s (see `light_unit`).
-        """
+        """Return the number of photons per pixel, or the exposure time, s (see `light_unit`)."""
         return one.photons if self.light_unit == "photons" else one.time
 
 

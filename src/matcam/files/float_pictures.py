@@ -71,7 +71,7 @@ def write_float_tiff(path: str | Path, picture: ArrayLike, *, force: bool = Fals
     Args:
         path: file to write (.tif).
         picture: linear values, shape (H, W) or (H, W, channels), row 0 on top; NaN where missing.
-        force: replace an existing file (no unit). Default: False.
+        force: True to replace an existing file. Default: False.
 
     Raises:
         ArgumentError: the image has another shape, or values beyond float32.
@@ -130,7 +130,7 @@ def write_exr(path: str | Path, picture: ArrayLike, *, force: bool = False) -> N
     Args:
         path: file to write (.exr).
         picture: linear values, shape (H, W) or (H, W, channels), row 0 on top; NaN where missing.
-        force: replace an existing file (no unit). Default: False.
+        force: True to replace an existing file. Default: False.
 
     Raises:
         ArgumentError: the image has another shape, or values beyond float32.
@@ -155,7 +155,7 @@ def write_exr_layers(path: str | Path, layers: Mapping[str, ArrayLike], *, force
     Args:
         path: file to write (.exr).
         layers: images of one size by name, (H, W) or (H, W, 3), row 0 on top; NaN where missing.
-        force: replace an existing file (no unit). Default: False.
+        force: True to replace an existing file. Default: False.
     """
     channels: dict[str, np.ndarray] = {}
     for layer, picture in layers.items():
@@ -219,7 +219,6 @@ def _names(channels: int | None) -> tuple[str, ...]:
 
 
 def _checked_header(path: Path) -> tuple[tuple[str, ...], int, int]:
-    """Check the structure of a file, and read its channels, height and width."""
     try:
         with reading(path, "an image"), path.open("rb") as file:
             size = path.stat().st_size
@@ -261,7 +260,6 @@ def _checked_header(path: Path) -> tuple[tuple[str, ...], int, int]:
 
 
 def _attributes(head: bytes) -> tuple[dict[str, bytes], int]:
-    """Parse the attributes of the header by name, and find the byte after them."""
     found, at = {}, 8
     while head[at]:
         name, at = _text(head, at)

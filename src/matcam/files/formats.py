@@ -220,14 +220,13 @@ _HEAD = 4096  # number of bytes at both ends of a file that are searched for mar
 
 
 def format_named(name: str) -> Format:
-    """Look up a format by its short name."""
     return next(form for form in FORMATS if form.name == name)
 
 
 def suffixes_for(*contents: str) -> tuple[str, ...]:
     """List the suffixes of output formats for any of these contents.
 
-    contents: keys of `CONTENTS`. The suffixes are in the order of `FORMATS`.
+    `contents` are keys of `CONTENTS`. The suffixes are in the order of `FORMATS`.
     """
     return tuple(dict.fromkeys(s for form in FORMATS for s in form.suffixes if set(contents) & set(form.written)))
 
@@ -235,7 +234,7 @@ def suffixes_for(*contents: str) -> tuple[str, ...]:
 def titles_for(*contents: str) -> str:
     """List titles and suffixes of input formats, for messages.
 
-    contents: keys of `CONTENTS`; the formats support any of them.
+    `contents` are keys of `CONTENTS`. A format is listed if it supports any of them.
     """
     read = (form for form in FORMATS if set(contents) & set(form.holds) and form.name != "materialx")
     return ", ".join(
@@ -246,7 +245,7 @@ def titles_for(*contents: str) -> str:
 def identify(path: str | Path) -> str:
     """Identify the format of a file by its content.
 
-    The name of the file is used if the content is damaged. Raise FileFormatError for unsupported files.
+    The name of the file is used if the content is damaged. A FileFormatError is raised for unsupported files.
     """
     path = Path(path)
     with reading(path), path.open("rb") as file:
@@ -284,7 +283,7 @@ def identify(path: str | Path) -> str:
 def format_for(path: str | Path, *contents: str) -> Format:
     """Select the format of an output by the suffix of its name.
 
-    contents: keys of `CONTENTS`. The format supports at least one of them. Default: any measurement. An ArgumentError is
+    `contents` are keys of `CONTENTS`. The format supports at least one of them. Default: any measurement. An ArgumentError is
     raised for a name with another suffix.
     """
     name, contents = Path(path).name.lower(), contents or MEASUREMENTS
@@ -314,7 +313,7 @@ _DECODERS = {
 def decoded_by(paths: Iterable[Path]) -> list[str]:
     """List the modules that decode files, by the suffixes of the files.
 
-    paths: files, and folders of files. Missing files are ignored.
+    `paths` are files, and folders of files. Missing files are ignored.
     """
     suffixes = set()
     for path in paths:

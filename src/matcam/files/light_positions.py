@@ -81,7 +81,7 @@ def write_light_positions(path: str | Path, positions: Sequence[LightPosition], 
     Args:
         path: file to write (.lp).
         positions: positions of the lamp in each photograph.
-        force: replace an existing file. Default: False.
+        force: True to replace an existing file. Default: False.
 
     Raises:
         ArgumentError: there is no position, a position is not three finite numbers, or a name has a line break.

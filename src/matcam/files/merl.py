@@ -87,7 +87,7 @@ def write_merl(path: str | Path, brdf: xr.DataArray, *, force: bool = False) -> 
         path: file to write (.binary).
         brdf: table in 1/sr, such as that returned by `read_merl`, shape (90, 90, 180, 3), non-negative, not all missing.
             Labelled channels must be R, G and B.
-        force: replace an existing file (no unit). Default: False.
+        force: True to replace an existing file. Default: False.
 
     Raises:
         ArgumentError: the table does not have three channels, or has negative values or no values.

@@ -53,9 +53,9 @@ class Photograph(NamedTuple):
 def open_photograph(path: str | Path, region: tuple[int, int, int, int] | None = None) -> Photograph:
     """Read an image of any supported format, or a region of it.
 
-    region: first column, first row, width, height, px; None: the whole image. The first two must be even, to preserve
-    the mosaic. Images are cropped during decoding. A FileFormatError is raised if the file is missing, of an unknown
-    format, damaged, smaller than the region, or too large for the memory.
+    `region` contains first column, first row, width and height, px. None: the whole image. The first two must be even,
+    to preserve the mosaic. Images are cropped during decoding. A FileFormatError is raised if the file is missing, of
+    an unknown format, damaged, smaller than the region, or too large for the memory.
     """
     path = Path(path)
     with reading(path, "an image"), path.open("rb") as file:

@@ -1,8 +1,8 @@
 """Decoders of images (TIFF, PNG, JPEG, OpenEXR, camera raw), which run in a separate process (apart.py).
 
-Decoders are tifffile and imagecodecs, which keep 16 bits (Pillow converts a 16-bit colour PNG to 8 bits), OpenEXR, and
-LibRaw (rawpy, extra `raw`), which returns the mosaic of the sensor. `there` is the memory, in bytes, that the calling
-process has for the image and its working copies: a larger image is rejected before decoding.
+Decoders are tifffile, imagecodecs, OpenEXR and LibRaw. tifffile and imagecodecs preserve 16 bits, but Pillow converts a
+16-bit colour PNG to 8 bits. LibRaw (rawpy, extra `raw`) returns the mosaic of the sensor. `there` is the memory, in
+bytes, that the calling process has for the image and its working copies: a larger image is rejected before decoding.
 """
 
 from __future__ import annotations
@@ -90,8 +90,8 @@ def _tiff_size(shape: tuple[int, ...]) -> tuple[int, int, int]:
 def decode_raw(path: Path, *, there: int, region: Sequence[int] | None = None) -> dict[str, Any]:
     """Decode the mosaic of a camera raw file, or a region of it.
 
-    The result has `values`, float32 counts above the black level, `cfa`, the colours of the first 2 x 2 px row by row
-    ("RGGB"), and `saturation`, the counts of a saturated pixel.
+    The result has three entries. `values` are float32 counts above the black level. `cfa` are the colours of the first
+    2 x 2 px row by row ("RGGB"). `saturation` is the number of counts of a saturated pixel.
     """
     import rawpy
 
@@ -122,7 +122,6 @@ def decode_raw(path: Path, *, there: int, region: Sequence[int] | None = None) -
 
 
 def decode_float_tiff(path: Path, *, there: int) -> np.ndarray:
-    """Decode a TIFF of 32-bit floats."""
     import tifffile
 
     size = path.stat().st_size

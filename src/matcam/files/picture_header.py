@@ -2,10 +2,10 @@
 
 The size is read from the first bytes, before memory is allocated for the image.
 
-Maker, model, f-number and exposure time are in the TIFF or Exif directory. Exif is a TIFF directory at the start of a
-TIFF and of most camera raw files, in the APP1 segment of a JPEG, or in the eXIf chunk of a PNG (CIPA DC-008-2023, 4.6).
-A directory has a uint16 count and entries of 12 bytes: uint16 tag, uint16 type, uint32 count, and the value or its
-offset. A damaged directory is treated as absent.
+Maker, model, f-number and exposure time are in the TIFF or Exif directory. Exif is a TIFF directory (CIPA DC-008-2023,
+4.6). It is at the start of a TIFF and of most camera raw files, in the APP1 segment of a JPEG, or in the eXIf chunk of
+a PNG. A directory has a uint16 count and entries of 12 bytes: uint16 tag, uint16 type, uint32 count, and the value or
+its offset. A damaged directory is treated as absent.
 """
 
 from __future__ import annotations
@@ -48,8 +48,9 @@ def picture_memory() -> int:
 def check_memory(path: Path, height: int, width: int, channels: int, depth: int, there: int) -> None:
     """Check that an image and its working copies fit into memory.
 
-    Raise FileFormatError otherwise. Unless files are trusted, a large image of more than 100 times the size of its file is
-    also rejected. depth: bytes per sample. there: available memory, bytes.
+    `depth` is the number of bytes per sample, and `there` the available memory, bytes. A FileFormatError is raised if
+    the image does not fit. Unless files are trusted, a large image of more than 100 times the size of its file is also
+    rejected.
     """
     decoded = height * width * channels * depth
     # a plane of float64, its mask, and two temporary copies take 24 bytes per pixel
@@ -70,8 +71,8 @@ def check_memory(path: Path, height: int, width: int, channels: int, depth: int,
 def cut(picture: np.ndarray, region: Sequence[int] | None, path: Path) -> np.ndarray:
     """Crop an image to a region.
 
-    region: first column, first row, width, height, px; None: the whole image. Raise FileFormatError if the region is not
-    within the image.
+    `region` contains first column, first row, width and height, px. None: the whole image. A FileFormatError is raised
+    if the region is not within the image.
     """
     if region is None:
         return picture
@@ -87,7 +88,8 @@ def cut(picture: np.ndarray, region: Sequence[int] | None, path: Path) -> np.nda
 def check_promised(path: Path, height: int, width: int, channels: int, size: int) -> None:
     """Check that a file can contain its image, before memory is allocated.
 
-    Raise FileFormatError if the image is implausibly large, or `size` bytes cannot represent it with any compression.
+    A FileFormatError is raised if the image is implausibly large, or `size` bytes cannot represent it with any
+    compression.
     """
     values = height * width * channels
     if min(height, width, channels) < 1 or values > LARGEST or 4 * values > DEFLATE_LIMIT * size:
@@ -100,7 +102,7 @@ def check_promised(path: Path, height: int, width: int, channels: int, size: int
 def png_size(start: bytes) -> tuple[int, int, int, int]:
     """Read height, width, channels and bytes per sample of a PNG.
 
-    start: the first 26 bytes of the file.
+    `start` contains the first 26 bytes of the file.
     """
     width, height, bits, colours = struct.unpack_from(">IIBB", start, 16)
     # a PNG specifies its number of channels by a colour type

@@ -108,7 +108,7 @@ def write_rgl(path: str | Path, fields: xr.Dataset, *, force: bool = False) -> N
     Args:
         path: file to write (.bsdf).
         fields: Dataset returned by `read_rgl` or `adaptive_grid`.
-        force: replace an existing file (no unit). Default: False.
+        force: True to replace an existing file. Default: False.
 
     Raises:
         ArgumentError: the fields do not define a BRDF; the message names the field.
@@ -154,7 +154,7 @@ def write_rgl(path: str | Path, fields: xr.Dataset, *, force: bool = False) -> N
 def check_fields(fields: xr.Dataset) -> xr.Dataset:
     """Check the fields of a BRDF, and label their dimensions.
 
-    An ArgumentError names the wrong field.
+    The message of an ArgumentError contains the wrong field.
     """
     return _checked({str(name): field.values for name, field in fields.variables.items()})
 

@@ -3,10 +3,10 @@
     theta_h_rad,theta_d_rad,phi_d_rad,R_per_sr,G_per_sr,B_per_sr
     0.0123,0.5,1.2,0.31,0.30,0.28
 
-The first line names the columns, in any order. Names of angles end in _deg or _rad. The angles are either theta_h,
-theta_d and phi_d (half and difference angles), or theta_i, phi_i, theta_o and phi_o (directions of light and view
-relative to the surface normal). Every other column is a channel of the BRDF, and its name must end in _per_sr. An empty
-value is missing. Values are written with all digits.
+The first line names the columns, in any order. Names of angles end in _deg or _rad. There are two choices of angles:
+half and difference angles (theta_h, theta_d, phi_d), or the directions of light and view relative to the surface normal
+(theta_i, phi_i, theta_o, phi_o). Every other column is a channel of the BRDF, and its name must end in _per_sr. An
+empty value is missing. Values are written with all digits.
 """
 
 from __future__ import annotations
@@ -122,7 +122,7 @@ def write_samples(path: str | Path, samples: xr.DataArray, *, force: bool = Fals
         path: file to write (.csv).
         samples: values in 1/sr, such as those returned by `read_samples`, dims (sample, channel), shape (n, channels), with the
             coordinates theta_h, theta_d and phi_d in rad.
-        force: replace an existing file (no unit). Default: False.
+        force: True to replace an existing file. Default: False.
 
     Raises:
         ArgumentError: `samples` has wrong dims, units or labels.
@@ -190,7 +190,8 @@ def read_samples(path: str | Path) -> xr.DataArray:
 def samples_from(values: np.ndarray, angles: list[np.ndarray], channels: list[str]) -> xr.DataArray:
     """Build samples of a BRDF from arrays.
 
-    values: BRDF, 1/sr, (n, channels). angles: theta_h, theta_d and phi_d, rad, (n,) each. channels: labels.
+    `values` is the BRDF, 1/sr, (n, channels). `angles` contains theta_h, theta_d and phi_d, rad, (n,) each. `channels`
+    contains the labels of the channels.
     """
     coords = {name: ("sample", angle, {"units": "rad"}) for name, angle in zip(_HALF, angles, strict=True)}
     attrs = {"units": "1/sr", "long_name": "BRDF"}

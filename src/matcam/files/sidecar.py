@@ -162,7 +162,7 @@ def write_sidecar(
         exposure: electrons per unit of radiance, times in s, seed; None: without noise.
         material: free description of the material.
         notes: free text. Default: "".
-        force: replace an existing file (no unit). Default: False.
+        force: True to replace an existing file. Default: False.
 
     Raises:
         ArgumentError: a field is missing, unknown or out of its range; the message names the field.
@@ -233,5 +233,4 @@ def read_sidecar(path: str | Path) -> dict[str, Any]:
 
 
 def json_schema() -> dict[str, Any]:
-    """Build the JSON Schema of the sidecar."""
     return _Sidecar.model_json_schema()

@@ -34,7 +34,7 @@ _MOST_FIELDS, _MOST_DIMENSIONS, _LONGEST_NAME = 64, 8, 64
 def decode_csv(path: Path) -> dict[str, Any]:
     """Decode a CSV file of BRDF samples.
 
-    The result has `names` of the columns, `scale`, the factors to rad or 1/sr, and `values`, (lines, columns).
+    The result has `names` of the columns, their factors `scale` to rad or 1/sr, and `values` of shape (lines, columns).
     """
     names, scale = _columns(path)
     _check_lines(path)
@@ -57,7 +57,6 @@ def _check_lines(path: Path) -> None:
 
 
 def _columns(path: Path) -> tuple[list[str], list[float]]:
-    """Read the name of each column, and its factor to rad or 1/sr."""
     with path.open("rb") as file:
         head = file.readline(_LONGEST_HEAD)
     try:
@@ -128,7 +127,6 @@ def _values(path: Path, columns: int) -> np.ndarray:
 
 
 def decode_rgl(path: Path) -> dict[str, np.ndarray]:
-    """Decode all fields of an RGL file, and check their extents."""
     content = path.read_bytes()
     start = len(RGL_MAGIC) + len(RGL_VERSION)
     if content[:start] != RGL_MAGIC + RGL_VERSION:

@@ -26,7 +26,7 @@ _DEEPEST = 65535  # largest code of an image of 16 bits
 
 
 def encoded(light: ArrayLike) -> np.ndarray:
-    """Convert linear values to sRGB codes; white is 1 in both.
+    """Convert linear values to sRGB codes. White is 1 on both scales.
 
     Negative values continue the linear segment of the curve.
     """
@@ -58,8 +58,8 @@ def read_tone_curve(path: str | Path) -> np.ndarray:
 def read_numbers(path: str | Path, columns: int | None = None) -> np.ndarray:
     """Read the numbers of a text file, (lines, columns).
 
-    Comments and empty lines are skipped. columns: count of numbers in every line; None: one to three, the same in all
-    lines. The message of a FileFormatError contains the file and the line.
+    Comments and empty lines are skipped. `columns` is the count of numbers in every line. None: one to three, the same
+    in all lines. The message of a FileFormatError contains the file and the line.
     """
     path = Path(path)
     lines = read_lines(path, "a tone curve")
@@ -81,7 +81,7 @@ def read_numbers(path: str | Path, columns: int | None = None) -> np.ndarray:
 def checked_curve(values: np.ndarray) -> np.ndarray:
     """Check a table of linear values by code.
 
-    Raise ArgumentError if it is too short, or if its values are not finite, decrease or are all equal.
+    An ArgumentError is raised if the table is too short, or if its values are not finite, decrease or are all equal.
     """
     if values.ndim not in (1, 2) or len(values) < 2 or (values.ndim == 2 and values.shape[1] != 3):
         raise ArgumentError(
@@ -101,8 +101,8 @@ def checked_curve(values: np.ndarray) -> np.ndarray:
 def curve_through(codes: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Interpolate a tone curve, (codes,), through points of code and linear value.
 
-    The curve is extrapolated linearly to code 0. Raise ArgumentError if the codes do not increase strictly within 0 to
-    65535, or the values decrease.
+    The curve is extrapolated linearly to code 0. An ArgumentError is raised if the codes do not increase strictly
+    within 0 to 65535, or the values decrease.
     """
     from scipy.interpolate import PchipInterpolator
 

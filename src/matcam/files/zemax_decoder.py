@@ -22,8 +22,8 @@ _CHANNELS = {"Monochrome": "Y", "TristimulusX": "X", "TristimulusY": "Y", "Trist
 def decode_zemax(path: Path) -> dict[str, Any]:
     """Decode a BSDF file of Zemax.
 
-    The result has the angles of each axis, degrees, the names of the channels, and `values`, 1/sr, (channels, incidence,
-    azimuth, radial).
+    The result has the angles of each axis (degrees), the names of the channels, and `values` (1/sr) of shape (channels,
+    incidence, azimuth, radial).
     """
     if path.stat().st_size > _LARGEST:
         raise FileFormatError(
@@ -51,7 +51,6 @@ def decode_zemax(path: Path) -> dict[str, Any]:
 
 
 def _head(path: Path, words: list[str]) -> tuple[dict[str, str], dict[str, np.ndarray], int]:
-    """Parse settings and axes before the first block of data, and find the index of this block among the words."""
     settings: dict[str, str] = {}
     axes: dict[str, np.ndarray] = {"SampleRotation": np.zeros(1)}
     at = 0

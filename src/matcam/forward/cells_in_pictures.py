@@ -1,4 +1,4 @@
-"""Positions of the cells of a table in the images of a sphere, and the pixels of each cell (docs/model.md 3)."""
+"""Positions and pixels of table cells in images of a sphere (docs/model.md 3)."""
 
 from __future__ import annotations
 
@@ -29,7 +29,6 @@ _POINTS: dict[CellValue, tuple[float, ...]] = {
 
 
 def cell_sampling(cell_value: CellValue) -> Sampling:
-    """Select the position in each cell at which a table is sampled, "centre" or "edge"."""
     return "edge" if cell_value == "edge" else "centre"
 
 
@@ -82,19 +81,19 @@ class CellChoice(NamedTuple):
 
 
 class TableCells(NamedTuple):
-    """Cells of a table in one of the two reciprocal directions: arrays over (theta_d, theta_h, phi_d, point, point).
+    """Cells of a table in one of the two reciprocal directions, as arrays over (theta_d, theta_h, phi_d, point, point).
 
-    If the lamp is in the x direction of the sensor, the image at phi_d + pi is the mirror image of that at pi - phi_d.
-    Reversing the order of phi_d, and of the points along phi_d, therefore yields the other direction. For any other
-    azimuth of the lamp, or if the kernel of the lens is not symmetric, phi_d covers the full turn.
+    If the lamp is in the x direction of the sensor, the positions at phi_d + pi are mirror images of the positions at
+    pi - phi_d. Reversing the order of phi_d, and of the points along phi_d, therefore yields the other direction. For
+    any other azimuth of the lamp, or if the kernel of the lens is not symmetric, phi_d covers the full turn.
 
     Attributes:
-        positions: positions of the visible points that are not on rings, followed by those from which rings are
+        positions: positions of the visible points that are not on rings, followed by the positions from which rings are
             interpolated.
         flat_index: indices of the visible points that are not on rings, in the flattened arrays.
         rings: rings of cells that are interpolated.
-        irradiance: irradiance of the surface at each point, relative to that of a surface at the centre of the sample that
-            faces the lamp, no unit.
+        irradiance: irradiance at each point divided by the irradiance of a surface that faces the lamp at the centre of
+            the sample, no unit.
         weight: weight of each point in the value of its cell, no unit; 0 for invisible points.
         pixels: number of pixels of each cell, (theta_h, theta_d, phi_d).
         mirrored: True if reversing the order of phi_d yields the other direction.
@@ -248,7 +247,6 @@ def _joined(parts: list[AnyArray], axis: int = 0) -> AnyArray:
 
 
 def _summed(size: int, index: AnyArray, values: AnyArray) -> AnyArray:
-    """Sum values, (positions, channels), by index, into an array of shape (size, channels)."""
     if not isinstance(values, np.ndarray):
         return jnp.zeros((size, values.shape[1])).at[index].add(values)
     return np.stack([np.bincount(index, column, size) for column in values.T], axis=-1)

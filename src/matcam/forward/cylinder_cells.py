@@ -1,9 +1,9 @@
 """Record of the cells of a table on a cylinder, whose normals lie in one plane (docs/model.md 3).
 
-In general, the normal of a cell lies outside the plane of camera and lamp. A sphere has such a normal. A cylinder has it
-only if the lamp is rotated about the optical axis until the normal is perpendicular to the axis of the cylinder. Each
-cell therefore has its own lamp azimuth, and is recorded on the line through the optical axis that is perpendicular to the
-axis of the cylinder. In a near rig, the angles of the cell occur only on that line.
+In general, the normal of a cell lies outside the plane of camera and lamp. A sphere has such a normal. A cylinder has
+it only if the lamp is rotated about the optical axis until the normal is perpendicular to the axis of the cylinder.
+Each cell therefore has a separate lamp azimuth. It is recorded on the line through the optical axis, perpendicular to
+the axis of the cylinder. In a near rig, the angles of the cell occur only on that line.
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ _AT_ONCE = 1 << 17
 
 
 class CylinderCells(NamedTuple):
-    """Cells of a table on a cylinder. Arrays over (theta_h, theta_d, phi_d, direction).
+    """Cells of a table on a cylinder, as arrays over (theta_h, theta_d, phi_d, direction).
 
     Attributes:
         positions: positions of the visible cells.
         flat_index: indices of the visible cells in the flattened arrays.
-        irradiance: irradiance of the surface at each cell, relative to that of a surface at the centre that faces the lamp,
-            no unit.
+        irradiance: irradiance at each cell divided by the irradiance of a surface that faces the lamp at the centre, no
+            unit.
         seen: True for visible cells.
     """
 
@@ -51,7 +51,7 @@ class CylinderCells(NamedTuple):
 
 
 def check_cylinder(rig: Rig, azimuth: float = 0.0) -> None:
-    """Check that a rig with a cylinder can record a table; ArgumentError otherwise.
+    """Raise ArgumentError if a rig with a cylinder cannot record a table.
 
     azimuth: requested azimuth of the lamp, rad.
     """
@@ -94,7 +94,6 @@ def record_cells(material: Material, rig: Rig, positions: RecordPositions) -> ja
 
 
 def cylinder_cells(rig: Rig) -> CylinderCells:
-    """Compute the cells of a table on the cylinder of a rig."""
     grid = merl_grid(cell_sampling(rig.cell_value))
     angles = np.meshgrid(*grid, [0.0, np.pi], indexing="ij")
     theta_h, theta_d, phi_d = angles[0], angles[1], angles[2] + angles[3]
@@ -109,9 +108,10 @@ def cylinder_cells(rig: Rig) -> CylinderCells:
 
 
 def line_positions(rig: Rig, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> RecordPositions:
-    """Compute the positions of half and difference angles, rad, on the cylinder of a rig, and the lamp of each position.
+    """Compute the image position and the lamp of cells on the cylinder of a rig.
 
-    Distance and lamp angle of each position, measured from the optical axis, are those on a sphere of the same radius.
+    The angles are in rad. Distance and lamp angle of each position, measured from the optical axis, are those on a
+    sphere of the same radius.
     """
     sample: Cylinder = rig.sample  # type: ignore[assignment]
     sphere = Sphere(float(sample.radius), float(sample.distance))

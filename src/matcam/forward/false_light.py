@@ -1,4 +1,4 @@
-"""Apparent haze and apparent diffuse part that glare of a lens adds to a record."""
+"""Apparent haze and apparent diffuse part that the glare of a lens adds to a record."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ _NAMES = {
 def false_light(material: Material, rig: Rig, theta_d: float = np.pi / 8) -> xr.Dataset:
     """Predict the haze and the diffuse part that a halo adds.
 
-    Both are veiling glare of the highlight (docs/model.md 2). The normals are tilted perpendicularly to the plane of camera
-    and lamp (phi_d = pi / 2), where the directions to lamp and camera are far from the horizon.
+    Both are veiling glare of the highlight (docs/model.md 2). The normals are tilted perpendicularly to the plane of
+    camera and lamp (phi_d = pi / 2). The directions to lamp and camera are then far from the horizon.
 
     Args:
         material: the material.
@@ -43,7 +43,8 @@ def false_light(material: Material, rig: Rig, theta_d: float = np.pi / 8) -> xr.
 
     Returns:
         Dataset over theta_h (rad) and channel, 1/sr: `true` BRDF, `recorded` BRDF, and `added`, the recorded BRDF minus
-            that without the halo. `false_diffuse` over channel is the albedo of the Lambertian part that would explain
+        the BRDF recorded without the halo. `false_diffuse` over channel is the albedo of the Lambertian part that would
+        explain
             `added` far from the highlight: pi times the mean of `added` for theta_h of at least 30 degrees.
 
     Raises:

@@ -4,7 +4,7 @@ An image with a given error is computed exactly only where required, because mos
 than the highlight. The value of a pixel lies between the smallest and the largest radiance within the support of its
 kernel. Where these differ by less than the error, the radiance at the centre of the pixel suffices. A highlight may lie
 between the centres, so all pixels around a highlight are computed exactly. A lit crescent or its tips may also lie
-between the centres, so the radiance is evaluated along the limb, too.
+between the centres, so the radiance is also evaluated along the limb.
 """
 
 from __future__ import annotations

@@ -2,9 +2,9 @@
 
 One image of a sphere, with an angle of 2 theta_d between lamp and camera, contains one theta_d slice of a table. Each
 cell occurs twice in this image: at the azimuth pi - phi_d about the half vector, and at the opposite azimuth. The value
-of a cell is the mean of both records, each divided by the cosine of the angle of incidence at its position. Positions
-and quadrature nodes depend only on the rig, so a workspace stores the plan for further materials. Cells on the same
-pixel have the same noise (docs/model.md 8).
+of a cell is the mean of both records, each divided by cos theta_i at its position. Positions and quadrature nodes
+depend only on the rig, so a workspace stores the plan for further materials. Cells on the same pixel have the same
+noise (docs/model.md 8).
 """
 
 from __future__ import annotations
@@ -65,19 +65,19 @@ def measure(
 ) -> xr.DataArray:
     """Simulate the BRDF table that a rig records of a material.
 
-    The value of a cell comes from a pixel centred on the point of the cell that `cell_value` of the rig specifies;
+    The value of a cell comes from a pixel centred on the point of the cell that `cell_value` of the rig specifies.
     "mean" is the mean over the pixels inside the cell. For "nearest" and "bilinear", and for "mean" if the rig has a
-    `pixel_phase`, the value comes from the pixels of a real grid. Several cells near the peak then have the value of the
-    same pixel. The record is divided by the cosine of the angle of incidence at the centre of the pixel, and averaged
-    over the two positions of the cell (reciprocity). The radiance of a flat sample is uniform, so blur does not change
-    its record.
+    `pixel_phase`, the value comes from the pixels of a real grid. Several cells near the peak then have the value of
+    the same pixel. The record is divided by cos theta_i at the centre of the pixel, and averaged over the two positions
+    of the cell (reciprocity). The radiance of a flat sample is uniform, so blur does not change its record.
 
     In a near rig, each cell is recorded in the image in which its angles occur, and the record is divided by the
     irradiance at its position. The computing time is proportional to the number of points of the lamp; a source disc has
     at least 20 points. For derivatives see `table_values`.
 
-    On a cylinder, cells are recorded on the line at height 0 that is perpendicular to the axis of the cylinder. Each cell
-    has its own image, whose lamp is rotated about the optical axis until the normal of the cell occurs on that line.
+    On a cylinder, cells are recorded on the line at height 0 that is perpendicular to the axis of the cylinder. Each
+    cell has a separate image, whose lamp is rotated about the optical axis until the normal of the cell occurs on that
+    line.
 
     Args:
         material: material to record, such as `Microfacet(GGX(0.1), 0.9)`, with one channel (grey) or three.
@@ -220,7 +220,7 @@ def _by_frequencies(
 
 
 def _azimuth(rig: Rig, azimuth: ArrayLike | None) -> float:
-    """Choose the azimuth of the lamp, rad: the given azimuth, otherwise that of the rig, otherwise 0."""
+    """Choose the azimuth of the lamp, rad: the given azimuth, else the azimuth of the rig, else 0."""
     return float(checks.scalar("azimuth", rig.azimuths(azimuth)))
 
 
@@ -279,7 +279,7 @@ def _table_plan(imaging: Imaging, chosen: CellChoice, lobe: tuple[float, float],
 def _flat_values(material: Material, rig: Rig) -> jax.Array:
     """Compute the table of a flat sample, the mean of both directions, 1/sr, (90, 90, 180, channels).
 
-    The sample is assumed to be tilted such that each cell is visible. Blur does not change its uniform radiance.
+    The sample is assumed to be tilted so that each cell is visible. Blur does not change its uniform radiance.
     """
     if rig.cell_value not in ("centre", "edge", UNKNOWN):
         raise ArgumentError(
@@ -371,7 +371,10 @@ class CellPixels(NamedTuple):
 
 
 def cell_pixels(sphere: Sphere, sampling: Sampling, azimuth: float = 0.0) -> CellPixels:
-    """Compute the numbers of the pixels of all cells in the images of a sphere. azimuth: azimuth of the lamp, rad."""
+    """Number the pixels of all cells in the images of a sphere.
+
+    azimuth: azimuth of the lamp, rad.
+    """
     grid = merl_grid(sampling)
     theta_h, theta_d, phi_d = grid.theta_h[:, None], grid.theta_d[:, None, None], grid.phi_d
     positions = (positions_of(sphere, theta_h, theta_d, phi_d + turn) for turn in (0, np.pi))
@@ -381,9 +384,9 @@ def cell_pixels(sphere: Sphere, sampling: Sampling, azimuth: float = 0.0) -> Cel
 def simulated_chromium() -> xr.DataArray:
     """Simulate the table of an ideal chromium sphere on the MERL rig.
 
-    The lobe is Gaussian, 0.002 rad wide; n and k are those of Rakic et al. (1998). Noise is 1 % per pixel, without a
-    floor, because a MERL file cannot contain negative values. The truth is known, so the table is useful for
-    demonstrations and tests of the installation. The tests of the method are in tests/oracle.
+    The lobe is Gaussian, 0.002 rad wide; n and k are from Rakic et al. (1998). Noise is 1 % per pixel, without a floor,
+    because a MERL file cannot contain negative values. The truth is known, so the table is useful for demonstrations
+    and tests of the installation. The tests of the method are in tests/oracle.
     """
     return default_workspace().remember("simulated chromium", (), _noisy_chromium, most=1).copy()
 

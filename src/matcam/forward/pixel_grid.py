@@ -1,10 +1,9 @@
 """Pixels of a real image that determine the values of the cells of a table (docs/model.md 3, *Cells on real pixels*).
 
 In a measured image of a distant sphere, the centres of the pixels do not coincide with the positions of the cells. The
-value of a cell is that of the nearest pixel, the bilinear interpolation between four pixels, or the mean of all pixels with
-directions inside the cell. Near the peak, many cells have the value of the same pixel. The value of a
-pixel is its radiance divided by the cosine of the angle of incidence at its centre, so these cells have exactly equal
-values.
+value of a cell is the value of the nearest pixel, an interpolation between four pixels, or the mean of all pixels with
+directions inside the cell. Near the peak, many cells have the value of the same pixel. The value of a pixel is its
+radiance divided by the cosine of the angle of incidence at its centre, so these cells have exactly equal values.
 
 The phase of the grid specifies the positions of the pixels: relative to the centre of the sphere, the coordinates of
 their centres are integers plus the phase, px.
@@ -45,7 +44,10 @@ class PixelGrid(NamedTuple):
     azimuth: float = 0.0
 
     def of_slices(self, slices: np.ndarray) -> np.ndarray:
-        """Select the phase of the image of each slice, (slices, 2), px; 0 if it is unknown. slices: indices of the slices."""
+        """Select the phase of the image of each slice, (slices, 2), px; 0 if the phase is unknown.
+
+        slices: indices of the slices.
+        """
         return phase_of_slices(self.phase or (0.0, 0.0))[slices]
 
 
@@ -55,7 +57,7 @@ def phase_of_slices(phase: PixelPhase) -> np.ndarray:
 
 
 def grid_of(rig: Rig) -> PixelGrid | None:
-    """Build the real pixel grid of the cells of a rig; None if each cell has its own pixel or if the grid is unknown."""
+    """Build the real pixel grid of the cells of a rig; None if each cell has a separate pixel or if the grid is unknown."""
     if rig.cell_value == "mean" or (rig.cell_value in ON_REAL_PIXELS and rig.pixel_phase is not None):
         return PixelGrid(rig.cell_value, rig.pixel_phase, rig.lamp_azimuth or 0.0)
     return None
@@ -98,8 +100,8 @@ def looked_up(rule: CellValue, phase: ArrayLike, x: np.ndarray, y: np.ndarray) -
 
     Args:
         rule: "nearest" or "bilinear".
-        phase: phase of the pixel grid, px, shape (2,), or (..., 2) if it depends on the position; the leading axes are those
-            of the positions.
+        phase: phase of the pixel grid, px, shape (2,), or (..., 2) if it depends on the position; it then has the
+            leading axes of the positions.
         x: positions along the rows of the sensor, px from the centre of the sphere.
         y: positions along the columns of the sensor, px from the centre of the sphere.
     """
@@ -166,7 +168,7 @@ def slice_pixels(
 ) -> SlicePixels:
     """Find the pixels that determine the values of all cells of a slice.
 
-    The pixels of a cell are those at both of its positions.
+    A cell has pixels at both of its positions.
 
     Args:
         rule: "nearest", "bilinear" or "mean".

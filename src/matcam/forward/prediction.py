@@ -41,7 +41,6 @@ class Prediction(NamedTuple):
 
     @property
     def relative_response(self) -> np.ndarray:
-        """Response relative to the response at theta = 0, no unit."""
         return self.response / self.response[:, :1]
 
     def columns(self) -> dict[str, Sequence[Any]]:
@@ -57,7 +56,6 @@ class Prediction(NamedTuple):
         return {name: array.tolist() for name, array in arrays.items()}
 
     def dataset(self) -> xr.Dataset:
-        """Build a dataset of the values over (roughness, theta), with units."""
         import xarray as xr
 
         from matcam.core.results.labelled import named
@@ -122,7 +120,6 @@ def predict(rig: Rig, ndfs: NDF | Sequence[NDF], *, dims: int = 2, exact: bool =
 
 
 def prediction_summary(data: xr.Dataset) -> Summary:
-    """Summarise a result of `predict`."""
     kept, angles = data["response"].values[:, 0], np.degrees(data["loss_angle"].values)
     names = [f"roughness {value:g}" for value in data["roughness"].values]
     losses = [f"{angle:.1f}°" if angle < 90 else "none below 90°" for angle in angles]
@@ -168,7 +165,7 @@ def predicted(rig: Rig, ndfs: Sequence[NDF], dims: int = 2, exact: bool = False,
 def loss_angle(rig: Rig, ndf: NDF, dims: int = 2) -> float:
     """Compute the smallest viewing angle with a relative loss above 5 %.
 
-    The loss is that of the peak in the tangent plane, relative to theta = 0 (see `peak_response`).
+    The loss refers to the peak in the tangent plane, relative to theta = 0 (see `peak_response`).
 
     Args:
         rig: camera, sample and lamp.

@@ -41,15 +41,15 @@ _STEEPEST = 1.56
 _LARGEST = 4096
 """Largest number of values along the side of a preview."""
 _FAR = 1e8
-"""Distance that replaces an infinite one, in radii, so that near and distant rigs share a program."""
+"""Distance that replaces an infinite distance, in radii, so that near and distant rigs share a program."""
 
 
 def response_preview(rig: Rig, ndf: NDF, theta: ArrayLike) -> jax.Array:
     """Compute an approximate response at the peak, for interactive use.
 
-    The result is that of `peak_response` in the tangent plane, with the lens approximated by a sum of Gaussians. The
-    error is 1e-6 for a Gaussian lens with or without a halo, and 0.5 % for other lenses. A source disc is
-    approximated by a Gaussian, with an error of 2 % for a disc as wide as the blur.
+    `peak_response` is evaluated in the tangent plane, with the lens approximated by a sum of Gaussians. The error is
+    1e-6 for a Gaussian lens with or without a halo, and 0.5 % for other lenses. A source disc is approximated by a
+    Gaussian, with an error of 2 % for a disc as wide as the blur.
 
     Args:
         rig: camera, `Sphere` and lamp.
@@ -82,8 +82,8 @@ def highlight_preview(
 ) -> xr.Dataset:
     """Simulate a close-up of the highlight, with and without the camera.
 
-    The lobe is computed in the tangent plane. On a sphere of 60 px, the error is 1 % of the peak of the exact image for
-    lobes up to 0.05 rad and angles up to 60 degrees, if neither limb nor terminator is in the image.
+    The lobe is computed in the tangent plane. On a sphere of 60 px, the error is 1 % of the peak for lobes up to 0.05
+    rad and angles up to 60 degrees. The error is larger if limb or terminator is in the image.
 
     Args:
         material: a metal or dielectric whose lobe is a sum of Gaussians: ggx, beckmann or gaussian.
@@ -121,9 +121,9 @@ def highlight_preview(
 def sphere_preview(material: Microfacet, rig: Rig, theta_d: float, side: int = 192) -> xr.Dataset:
     """Simulate a sphere under the lamp, with and without the camera.
 
-    On a sphere of 60 px, the error away from limb and terminator is 1 % of the peak of the exact image for lobes up to
-    0.1 rad and angles up to 60 degrees. For lobes of 0.3 rad it is 3 %. A halo of 2 % of the light spreads limb and terminator
-    far into the image; the error is then 1.5 %.
+    On a sphere of 60 px, the error away from limb and terminator is 1 % of the peak for lobes up to 0.1 rad and angles
+    up to 60 degrees. For lobes of 0.3 rad it is 3 %. A halo of 2 % of the light spreads limb and terminator far into
+    the image; the error is then 1.5 %.
 
     Args:
         material: a metal or dielectric whose lobe is a sum of Gaussians: ggx, beckmann or gaussian.
@@ -252,7 +252,7 @@ def _sum_of_gaussians(rig: Rig, ndf: MixtureNDF, theta: jax.Array) -> _SumOfGaus
 def _recorded_lines(rig: Rig, std: jax.Array, spread: jax.Array, at: jax.Array) -> jax.Array:
     """Compute the one-dimensional records of the Gaussians of a lobe, whose peaks are 1, (..., k, n).
 
-    k is the number of Gaussians of the lens, and n that of the lobe.
+    The lens has k Gaussians, and the lobe has n.
 
     Args:
         rig: the rig.

@@ -1,7 +1,7 @@
 """Small images of many single highlights: elliptical Gaussians through a Gaussian lens and a box pixel.
 
-Lens and highlight combine to one Gaussian. If its axes are parallel to the pixel grid, its mean over a pixel is a product
-of two differences of erf, and neighbouring pixels share their edges. For any other orientation, the Gaussian is the
+Lens and highlight combine to one Gaussian. If its axes are parallel to the pixel grid, its mean over a pixel is a
+product of two differences of erf. Neighbouring pixels share their edges. For any other orientation, the Gaussian is the
 product of a Gaussian in y and the conditional Gaussian in x, whose mean depends on y. The integral over x is again a
 difference of erf. The integral over the height of the pixel is computed numerically, because its integrand is smooth.
 """
@@ -104,9 +104,9 @@ def rig_highlights(
 ) -> Highlights:
     """Compute the highlights of a lobe on the sphere of a rig.
 
-    The lobe is Gaussian, and the sphere is replaced by its tangent plane. The results include the dependence of the
-    irradiance on the distance of a near lamp, and the variation of the half vector due to a near lamp or camera. The
-    source disc, defocus and registration jitter are replaced by Gaussians of the same variance. Masking is neglected.
+    The lobe is Gaussian, and the sphere is replaced by its tangent plane. The results include the effects of a near
+    lamp or camera on irradiance and half vector. The source disc, defocus and registration jitter are replaced by
+    Gaussians of the same variance. Masking is neglected.
 
     Args:
         rig: camera, sample and lamp; the sample is a `Sphere`. Lens and pixel do not affect the result.
@@ -208,7 +208,7 @@ class _PixelEdges(eqx.Module):
         return jnp.concatenate([centres - self.half_width, centres + self.half_width])
 
     def differences(self, at_edges: jax.Array) -> jax.Array:
-        """Compute the value of a function at the right edge minus that at the left edge of each pixel (last axis)."""
+        """Subtract the values at the left edges of pixels from the values at their right edges, on the last axis."""
         if self.shared:
             return at_edges[..., 1:] - at_edges[..., :-1]
         return at_edges[..., self.size :] - at_edges[..., : self.size]

@@ -236,7 +236,7 @@ def _drawn(sample: SyntheticSample, material: Material, lamp: dict[str, Any], er
 
 
 def _mosaic(sensor: Sensor, radiance: np.ndarray) -> np.ndarray:
-    """Select the radiance in the colour of each pixel, or compute the mean of all channels for a grey sensor."""
+    """Select the radiance in the colour of each pixel, or compute the mean of all channels for a monochrome sensor."""
     if sensor.cfa is None:
         return radiance.mean(2)
     three = np.broadcast_to(radiance, (*radiance.shape[:2], 3)) if radiance.shape[2] == 1 else radiance
@@ -253,7 +253,7 @@ def _exposed(sensor: Sensor, electrons: np.ndarray, rng: np.random.Generator) ->
 
 
 def _patch_radiance(patch: WhitePatch, rig: Rig, lamp: dict[str, Any], shape: tuple[int, int]) -> np.ndarray:
-    """Compute the radiance of a white patch under unit irradiance at the centre of the sphere (docs/model.md 10), 1/sr."""
+    """Compute the radiance of a white patch, 1/sr, for unit irradiance at the centre of the sphere (docs/model.md 10)."""
     column, row, width, height = _REFERENCE
     x, y = np.meshgrid(
         np.arange(column, column + width) - (shape[1] - 1) / 2, (shape[0] - 1) / 2 - np.arange(row, row + height)

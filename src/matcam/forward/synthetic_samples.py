@@ -84,7 +84,7 @@ def synthetic_sample(rig: Rig, shape: tuple[int, int] | None, seed: int) -> Synt
 
     Args:
         rig: camera, sample and lamp.
-        shape: (height, width) of the images, px; None: that of the sample. For flat samples only.
+        shape: (height, width) of the images, px; None: the shape of the sample. For flat samples only.
         seed: seed of a flat sample's textures.
 
     Raises:
@@ -177,7 +177,10 @@ class _SphereSample(_CurvedSample):
         super().__init__(rig, (side, side))
 
     def before_field(self, shift: np.ndarray) -> np.ndarray:
-        """Compute the share of the field. The limb is treated as straight, because its radius is hundreds of pixels."""
+        """Compute the share of each pixel that the bright field covers.
+
+        The limb is treated as straight, because its radius is hundreds of pixels.
+        """
         x, y = self._from_centre(shift)
         return self._past_edge(np.hypot(x, y) - self.radius, np.arctan2(y, x))
 

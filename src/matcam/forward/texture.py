@@ -1,7 +1,7 @@
 """Texture of a flat sample: its recorded contrast after tilt and blur (paper (4)), and its image.
 
 A texture is periodic, so its image is a sum of waves. The tilt along x changes the frequency of each wave on the
-sensor, and the wave is multiplied by the transfer function of the camera at this frequency. The sum is evaluated at the
+sensor. The wave is multiplied by the transfer function of the camera at this frequency. The sum is evaluated at the
 centres of pixels, without resampling.
 """
 

@@ -1,8 +1,7 @@
 """View of a sample by a rig, and the exact record of its pixels.
 
 For a lens that is a sum of Gaussians, every pixel is computed separately by quadrature (`integral/`, `sampler/`). For a
-band-limited lens, the radiance of the whole image is computed at several positions per pixel, and filtered
-(`frequencies/`).
+band-limited lens, the radiance of all pixels is computed at several positions per pixel, and filtered (`frequencies/`).
 """
 
 from __future__ import annotations

@@ -168,7 +168,7 @@ def plan_capture(
 
 
 def _enlarged(rig: Rig, radius: float) -> Rig:
-    """Replace the radius of the sphere in the image, px, at constant distances in units of the radius."""
+    """Replace the radius of the sphere in the image, px. Distances in units of the radius are constant."""
     assert isinstance(rig.sample, Sphere)
     distance = np.inf if rig.sample.distant else rig.sample.distance
     return eqx.tree_at(lambda r: r.sample, rig, Sphere(radius, distance))

@@ -14,7 +14,6 @@ _ANGLES = (5, 15, 30, 45, 60, 75)
 
 
 def fresnel_summary(data: xr.Dataset) -> Summary:
-    """Summarise a result of `fresnel`."""
     theta, channels = data["theta_d"].values, [str(name) for name in data["channel"].values]
     middle = len(channels) // 2
     rows = [int(np.argmin(np.abs(theta - np.radians(angle)))) for angle in _ANGLES]
@@ -71,7 +70,6 @@ def corrected_summary(data: xr.Dataset) -> Summary:
 
 
 def bounds_summary(data: xr.Dataset) -> Summary:
-    """Summarise a result of `limits`."""
     columns = {
         "Bound of ln roughness, lens exact": "width_std",
         "Bound of ln roughness, lens as specified by its profile": "width_std_stated",

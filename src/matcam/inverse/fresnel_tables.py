@@ -1,4 +1,4 @@
-"""Comparison of a measured Fresnel term with those of metals and dielectrics from published tables."""
+"""Comparison of a measured Fresnel term with the Fresnel terms of metals and dielectrics."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _NAMES = {
 
 
 def check_fresnel_result(result: xr.Dataset) -> None:
-    """Raise an ArgumentError, which lists the missing variables, unless a result is a Dataset from `fresnel`."""
+    """Raise ArgumentError if a result is not a Dataset from `fresnel`."""
     checks.instance("result", result, xr.Dataset)
     dims = {"theta_d": ("theta_d",), "raw": _DIMS, "corrected": _DIMS, "supported_angle": _DIMS[1:]}
     lacking = [name for name, wanted in dims.items() if name not in result.variables or result[name].dims != wanted]
@@ -52,7 +52,7 @@ def known_wavelengths(table: xr.DataArray | xr.Dataset) -> tuple[float, ...] | N
 def tabulated_fresnel(
     result: xr.Dataset, metal: str | None = None, wavelengths: Sequence[float] | None = None
 ) -> xr.Dataset:
-    """Compare a measured Fresnel term with those of metals and dielectrics.
+    """Compare a measured Fresnel term with metals and dielectrics.
 
     The Fresnel terms of metals are computed from published optical constants.
 

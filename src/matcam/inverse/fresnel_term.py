@@ -1,5 +1,6 @@
-"""Fresnel term of a measured material, with and without camera correction: equation (13) and Figure 6 of
-Holzschuch & Pacanowski (2017).
+"""Fresnel term of a measured material, with and without camera correction.
+
+The source is equation (13) and Figure 6 of Holzschuch & Pacanowski (2017).
 """
 
 from __future__ import annotations
@@ -247,7 +248,7 @@ class PeakFresnel(NamedTuple):
 
     Attributes:
         raw: F without correction for the camera, with the same factor as `corrected`, (channels, slices).
-        corrected: F divided by the response at the peak relative to that at theta_d = 0, (channels, slices).
+        corrected: F divided by the response at the peak, relative to the response at theta_d = 0, (channels, slices).
         masking: G in the mirror direction, (slices,).
     """
 
@@ -319,7 +320,7 @@ def fresnel_budget(result: xr.Dataset, theta_d: float, channel: str | None = Non
 
 
 def _peak_responses(rig: Rig, found: MaterialFit, masking: Masking, angles: np.ndarray, store: Workspace) -> np.ndarray:
-    """Compute the ratio of recorded to true peak at angles theta_d, rad, through the fitted lens, (n,)."""
+    """Compute the ratio of recorded to true peak for the fitted lens, (n,), at angles theta_d, rad, (n,)."""
     cells, at = peak_cells(sample_view(rig), angles), found.coordinates
     recorded = operator_in(rig, cells, at.axes, repr(("peaks", rig_key(rig), at.axes, angles.tobytes())), store)
     recorded = recorded.leaning(found.log_slope(angles))
@@ -338,7 +339,7 @@ def _mirror_masking(ndf: NDF, theta_d: jax.Array, masking: Masking) -> tuple[jax
 
 
 def _check_highlight(brdf: xr.DataArray, normalise: tuple[float, float]) -> None:
-    """Raise FitError for a table without a highlight, or without values in the range in which F is normalised."""
+    """Raise FitError for a table without a highlight, or without values in the range of normalisation."""
     quiet = brdf.values[merl_grid(sampling_of(brdf)).index(theta_d=_QUIET)]
     there = np.isfinite(quiet)
     rings = np.where(there, quiet, 0).sum(axis=2) / np.maximum(there.sum(axis=2), 1)

@@ -59,12 +59,18 @@ class NormalisedFresnel:
         self.absolute_std = np.where(resolved, std, np.nan)
 
     def _normalised_std(self, covariance: np.ndarray) -> np.ndarray:
-        """Compute the standard deviation of the normalised term from the covariance of ln F, (channels, slices, slices)."""
+        """Compute the standard deviation of the normalised term, (channels, slices).
+
+        covariance: covariance of ln F, (channels, slices, slices).
+        """
         variance = np.einsum("cst,ctu,csu->cs", self._off_mean, covariance, self._off_mean)
         return self.normalised * np.sqrt(np.clip(variance, 0, None))
 
     def with_gain(self, gain: float) -> NormalisedFresnel:
-        """Add the variance of an image gain of relative standard deviation `gain` to that of the noise."""
+        """Add the variance due to the image gain to the variance due to noise.
+
+        gain: relative standard deviation of the image gain.
+        """
         one = gain**2 * np.eye(self.normalised.shape[1])
         own = self._normalised_std(np.broadcast_to(one, self.relative.shape))
         self.std_noise = np.hypot(self.std_noise, own)
@@ -124,7 +130,6 @@ def averaged(
 
 
 def budget_variables(term: NormalisedFresnel) -> dict[str, tuple[Any, ...]]:
-    """Convert the sources of uncertainty to variables of a Dataset."""
     parts = term.parts
     std = np.sqrt(np.stack([np.maximum(part.variance, 0.0) for part in parts]))
     own = [np.nan if part.uncertainty is None else part.uncertainty for part in parts]
@@ -172,7 +177,6 @@ def budget_parts(result: xr.Dataset) -> list[VariancePart]:
 
 
 def nothing_to_normalise_by(normalise: tuple[float, float]) -> FitError:
-    """Build the error for a range of normalisation without values of F. normalise: range of theta_d, rad."""
     low, high = np.degrees(normalise)
     return FitError(
         f"no theta_d between {low:g} and {high:g} degrees has a value of F in every channel; give other angles to normalise"

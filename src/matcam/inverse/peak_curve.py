@@ -1,4 +1,4 @@
-"""Estimate of the Fresnel term from the peaks of a table, without a fit or a camera, and Fresnel term of a metal."""
+"""Fresnel term from the peaks of a table, without a fit or a camera, and Fresnel term of a conductor."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ def recorded_peak(brdf: xr.DataArray, theta_d: np.ndarray) -> np.ndarray:
     """Average the cells nearest to the highlight in each slice, 1/sr.
 
     The result has shape (channels, slices). It is NaN where these cells are missing or their mean is not positive.
+
     theta_d: theta_d of the slices, rad, (slices,).
     """
     ring = brdf.values[merl_grid(sampling_of(brdf)).index(theta_h=0.0, theta_d=theta_d)]

@@ -1,9 +1,9 @@
 """Standard deviation of the image gain, from the scatter of the Fresnel term between slices that exceeds the noise.
 
 A smooth F is removed by its projection onto polynomials in cos theta_d. The remainders are assumed to be normally distributed.
-Their covariance is the sum of those of the noise and of independent gains. The variance of the gains is averaged over its
-posterior: ten slices determine this variance to a factor of two, and the most probable variance alone would result in
-standard deviations that are too small.
+The covariance of the remainders is the sum of the covariances of the noise and of independent gains. The variance of the gains
+is averaged over its posterior, because ten slices determine this variance only to a factor of two. The most probable variance
+alone would result in standard deviations that are too small.
 """
 
 from __future__ import annotations
@@ -73,7 +73,6 @@ def strengths_gain(
 
 
 def gain_remarks(gain: float) -> tuple[Remark, ...]:
-    """Build the remark on an image gain."""
     if round(gain, 3) == 0:
         return ()
     text = f"F varies between images by {gain:.1%} in addition to its noise; the standard deviation of F includes this gain"
@@ -81,7 +80,7 @@ def gain_remarks(gain: float) -> tuple[Remark, ...]:
 
 
 def _likelihood(theta_d: np.ndarray, curve: np.ndarray, covariance: np.ndarray) -> tuple[float, np.ndarray] | None:
-    """Compute the mean variance of the noise, and the log likelihood without a gain and with each gain of `_GRID`.
+    """Compute the mean variance of the noise, and the log likelihoods of a gain of 0 and of the gains of `_GRID`.
 
     The result is None if there are too few slices.
     """

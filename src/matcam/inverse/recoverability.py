@@ -274,7 +274,10 @@ def _exact_and_free(information: _Information) -> tuple[float, float]:
 
 
 def _signature(own: _Information, field: str, size: float) -> tuple[float, float, float]:
-    """Compute correlation, smallest size and bias of one blur, as in `limits`. The blur is `field` = `size` of the rig."""
+    """Compute correlation, smallest size and bias of one blur, as in `limits`.
+
+    `field` is the field of `Rig` that causes the blur, and `size` is its value.
+    """
     blurred = rig_with(own.view.rig, {field: size})
     other = _Information(own.view._replace(rig=blurred), own.roughness)
     change = own.free(other.record - own.record).ravel()

@@ -79,7 +79,7 @@ class Rivals(NamedTuple):
 
     @property
     def verdict(self) -> str:
-        """Statement of the better explanation and of the noise that each requires."""
+        """Statement of the better explanation, and of the pixel noise for each explanation."""
         noise = (
             f"the noise of a pixel would be {self.camera.fit.noise.relative:.2%} with the camera and "
             f"{self.shadowing.fit.noise.relative:.2%} with free shadowing"

@@ -1,8 +1,8 @@
 """Lamps: distance and size of the source disc (docs/model.md 10).
 
-Each image has its own position of the lamp: the angle between lamp and optical axis, and the azimuth about that axis. A
-lamp is isotropic. Its irradiance is 1 at the sample's centre, on a surface that faces the lamp. Lengths are in radii of
-the sample.
+The position of the lamp in an image is the angle between lamp and optical axis, and the azimuth about that axis. A lamp
+is isotropic. Its irradiance is 1 at the sample's centre, on a surface that faces the lamp. Lengths are in radii of the
+sample.
 
 The light of a disc is the mean of the light of its points. Each point is a lamp (`lamp_points`).
 """
@@ -27,9 +27,7 @@ if TYPE_CHECKING:
 _LARGEST_DISC = np.pi / 8
 """Largest angular radius of a source disc, rad."""
 STEEPEST = 0.1
-"""Smallest cosine of theta_d by which the image of a source disc is stretched. At this cosine the image is as long as the
-sample.
-"""
+"""Lower limit of cos theta_d in the stretch of the image of a source disc. At this limit the image is as long as the sample."""
 _TURNS = 2 * np.pi
 _AT_CAMERA = 1e-6
 """Distance of a lamp from the camera, relative to the camera's distance, below which the lamp is inside the camera."""
@@ -146,8 +144,8 @@ class NearLamp(Lamp):
 def closeness(lamp_nearness: ArrayLike | None, cos_i: jax.Array) -> jax.Array:
     """Compute the ratio of the lamp's distance from the centre of the sample to its distance from the surface.
 
-    The ratio is 1 for a distant lamp. Its square is the irradiance of a surface that faces the lamp, relative to that at
-    the centre.
+    The ratio is 1 for a distant lamp. Its square is the irradiance of a surface that faces the lamp, relative to the
+    irradiance at the centre.
 
     Args:
         lamp_nearness: inverse of the lamp's distance from the centre, 1/radii; None: a distant lamp.
@@ -160,12 +158,12 @@ def closeness(lamp_nearness: ArrayLike | None, cos_i: jax.Array) -> jax.Array:
 
 
 class LampPoint(NamedTuple):
-    """One point of a lamp in some images, seen from the sample's centre.
+    """Point of a lamp in several images, seen from the sample's centre.
 
     Attributes:
         angle: angle between the point and the optical axis in each image, rad.
         azimuth: azimuth of the point about the axis, from +x towards +y, rad; the same shape as `angle`.
-        distance: distance of the point relative to that of the lamp's centre, no unit.
+        distance: distance of the point divided by the distance of the lamp's centre, no unit.
         weight: share of the lamp's irradiance at the sample's centre, no unit.
     """
 
@@ -214,36 +212,42 @@ def lamp_points(lamp: Lamp, lamp_angle: np.ndarray, azimuth: np.ndarray | float,
 
 
 def rings_and_spokes(fineness: float) -> tuple[int, int]:
-    """Compute the number of rings, and the number of points per ring, for a uniform disc; see `lamp_points`."""
+    """Compute the number of rings and the number of points per ring of `lamp_points`."""
     return int(np.ceil(1.3 + 1.1 * fineness)), int(np.ceil(6.5 + 4.2 * fineness))
 
 
 def disc_of(lamp: Lamp) -> float:
-    """Compute the angular radius of a source disc, rad. It must be concrete, because it determines the number of points."""
+    """Compute the angular radius of a source disc, rad.
+
+    The lamp must be concrete, because the radius determines the number of points.
+    """
     return checks.outside_jit(lamp.angular_radius, "the lamp's parameters")
 
 
 def checked_azimuth(azimuth: ArrayLike, name: str = "azimuth") -> float:
-    """Check one azimuth in [-2 pi, 2 pi] rad. Larger values are probably in degrees. name: name of the argument."""
+    """Check one azimuth in [-2 pi, 2 pi], rad; see `checked_azimuths`."""
     return float(checks.scalar(name, checked_azimuths(azimuth, name)))
 
 
 def checked_azimuths(azimuth: ArrayLike, name: str = "azimuth") -> jax.Array:
-    """Check azimuths in [-2 pi, 2 pi] rad, any shape. name: name of the argument, for the message."""
+    """Check azimuths in [-2 pi, 2 pi], rad, any shape.
+
+    Larger values are probably in degrees. name: name of the argument, for the message.
+    """
     what = "rad (2 pi is a turn)"
     return checks.within(name, azimuth, -_TURNS, _TURNS, what)
 
 
 def checked_lamp_angle(lamp_angle: ArrayLike, lamp: Lamp, camera_distance: ArrayLike) -> float:
-    """Check one angle between lamp and optical axis, rad, for which the lamp lights a visible surface."""
+    """Check one angle between lamp and optical axis, rad; see `checked_lamp_angles`."""
     return float(checks.scalar("lamp_angle", checked_lamp_angles(lamp_angle, lamp, camera_distance)))
 
 
 def checked_lamp_angles(lamp_angle: ArrayLike, lamp: Lamp, camera_distance: ArrayLike) -> jax.Array:
-    """Check angles between lamp and optical axis, rad, for which the lamp lights a visible surface.
+    """Check that the lamp lights a part of the visible surface.
 
     Args:
-        lamp_angle: the angles, rad, any shape.
+        lamp_angle: angles between lamp and optical axis, rad, any shape.
         lamp: the lamp.
         camera_distance: distance of the camera from the sample's centre, radii.
 

@@ -1,10 +1,10 @@
-"""Smith's Lambda of a lobe in many directions, from a table with the same directions for all lobes.
+"""Table of Smith's Lambda of a lobe, for evaluation in many directions.
 
-The position of a direction in the table depends neither on the lobe nor on the number of entries. A fit evaluates
-successive lobes in the same directions, so it computes each position once. An entry is ln(cot theta (1 + Lambda)), which is
-finite at the horizon. The entries are equally spaced in asinh(cot theta / 1e-5). 1 / (1 + Lambda) is accurate to 3e-6 with 187
-entries and to 1e-9 with 2400, for roughnesses from 1e-4 to 1. For lobes as steep as an EPD with a power of 1.8, 187 entries
-are accurate to 1e-5.
+The directions of the table are the same for all lobes. The position of a direction depends neither on the lobe nor on
+the number of entries. A fit evaluates successive lobes in the same directions, so it computes each position once. An
+entry is ln(cot theta (1 + Lambda)), which is finite at the horizon. The entries are equally spaced in asinh(cot theta /
+1e-5). 1 / (1 + Lambda) is accurate to 3e-6 with 187 entries and to 1e-9 with 2400, for roughnesses from 1e-4 to 1. For
+lobes as steep as an EPD with a power of 1.8, 187 entries are accurate to 1e-5.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def position_of(cos: AnyValues) -> AnyValues:
 
 
 def lambda_at(table: jax.Array, position: jax.Array) -> jax.Array:
-    """Interpolate Lambda at positions of a table by cubics through four entries."""
+    """Interpolate Lambda at positions (`position_of`) by cubics through four entries."""
     log = between_entries(table, position * (table.size - 1))
     return xp.maximum(xp.exp(log) / (_KNEE * xp.sinh(_END * position)) - 1, 0.0)
 
@@ -86,7 +86,7 @@ class TabulatedDirections(NamedTuple):
         return np.asarray(np.exp(log))
 
     def by_tables(self, by_log: np.ndarray, tables: np.ndarray) -> np.ndarray:
-        """Differentiate the sum of each cell along changes of the table, (changes, cells).
+        """Differentiate a sum over each cell with respect to changes of the table, (changes, cells).
 
         by_log: derivatives of the sum with respect to ln(1 + Lambda) in each direction, (cells, ...). tables: changes of the
             table, (changes, entries).

@@ -99,7 +99,7 @@ def g2(masking: Masking, lambda_i: Any, lambda_o: Any, azimuth: Any) -> Any:
 def height_correlated(lambda_i: jax.Array, lambda_o: jax.Array, azimuth: jax.Array) -> jax.Array:
     """Compute the height-correlated masking, 1 / (1 + L_i + L_o).
 
-    The heights of the surface mask both directions (Ross et al. 2005; Heitz 2014, (99)).
+    The masking of both directions depends on the height of a facet (Ross et al. 2005; Heitz 2014, (99)).
     """
     return 1 / (1 + lambda_i + lambda_o)
 

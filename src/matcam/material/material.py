@@ -94,7 +94,7 @@ def shading_at(theta_h: ArrayLike, theta_d: ArrayLike, phi_d: ArrayLike, phi_h: 
 
 
 def cell_values(material: Material, sampling: Sampling) -> jax.Array:
-    """Evaluate a BRDF at the cells of the MERL grid, mean of both reciprocal directions.
+    """Evaluate a BRDF at the cells of the MERL grid, as the mean of both reciprocal configurations.
 
     The result has shape (90, 90, 180, channels), unit 1/sr, and is NaN below the horizon.
     """
@@ -155,7 +155,7 @@ def albedo(material: Material, theta: ArrayLike) -> np.ndarray:
 def albedo_and_missing(material: Material, theta: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
     """Compute the directional albedo, and the share of the light whose values are missing.
 
-    The arguments are those of `albedo`. The share is that of diffuse light, no unit, (n, channels).
+    The arguments are those of `albedo`. The share refers to diffuse light, no unit, (n, channels).
     """
     angles = np.atleast_1d(np.asarray(checks.viewing_angle("theta", theta)))
     if angles.ndim != 1 or not angles.size:

@@ -4,8 +4,8 @@ A table is interpolated linearly, and missing values stay missing. The adaptive 
 Jakob (2018); files/rgl.py describes its fields.
 
 The half vector m is a point u_m = (u, v) of the unit square: theta = u^2 pi / 2, phi = (2 v - 1) pi. For an isotropic
-material the azimuth is relative to that of the light. A map that flattens the density `vndf` maps the point u_m to the
-point s at which `rgb` is tabulated:
+material the azimuth is relative to the azimuth of the light. A map that flattens the density `vndf` maps the point u_m
+to the point s at which `rgb` is tabulated:
 
     BRDF cos theta_o = rgb(s) ndf(u_m) / (4 sigma(u_i))           with `jacobian`; otherwise rgb(s) alone.
 
@@ -13,8 +13,8 @@ point s at which `rgb` is tabulated:
 
 Densities are tabulated for some directions of light, and are bilinear between the nodes of a grid. The map consists of
 two cumulative distributions (section 4): the marginal distribution of the rows maps y, and the conditional distribution
-within a row maps x. Between the directions of light, both the densities and their integrals are interpolated linearly,
-as in Mitsuba's `Marginal2D`, so that positions on the flattened square agree with that renderer.
+within a row maps x. Between the directions of light, densities and their integrals are interpolated linearly, as in
+Mitsuba's `Marginal2D`. Positions on the flattened square therefore agree with Mitsuba.
 """
 
 from __future__ import annotations
@@ -149,7 +149,7 @@ class Blend(NamedTuple):
     weight: jax.Array
 
     def of(self, grids: jax.Array, *at: jax.Array) -> jax.Array:
-        """Compute the sum of weight * grids[slices, ..., *at], of shape (points,) and the remaining axes of the grid."""
+        """Compute the sum of weight * grids[slices, ..., *at], (points, ...)."""
         values = entries(grids, self.slices, *(a[:, None] for a in at))
         return xp.sum(self.weight.reshape(*self.weight.shape, *(1,) * (values.ndim - 2)) * values, axis=1)
 

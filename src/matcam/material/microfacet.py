@@ -28,7 +28,7 @@ class Microfacet(Material):
             single value or one per channel.
         diffuse: albedo of the Lambertian part, no unit, [0, 1], a single value or one per channel. Default: 0.
         masking: name of the model of G: "smith" (height-correlated), "smith-separable", "van-ginneken"; None: no
-            masking, G = 1. Default: "smith". Renderers use different models; for a comparison, choose that of the
+            masking, G = 1. Default: "smith". Renderers use different models; for a comparison, choose the model of the
             renderer.
 
     Raises:

@@ -106,7 +106,6 @@ def metal(name: str, wavelength: ArrayLike, source: str | None = None) -> MetalI
 
 @cache
 def _files() -> list[tuple[str, str]]:
-    """List (metal, source) of every table."""
     names = [entry.name for entry in resources.files("matcam").joinpath("data/metals").iterdir()]
     return sorted(tuple(name.split(".")[:2]) for name in names if name.endswith(".csv"))  # type: ignore[misc]
 

@@ -148,8 +148,8 @@ class Dielectric(Reflectance):
     """Transparent medium, seen from outside.
 
     Args:
-        eta: refractive index divided by that of the outside, no unit, above 1; shape () or (channels,). It is about 1.5
-            for glass.
+        eta: refractive index divided by the index of the surrounding medium, no unit, above 1; shape () or (channels,).
+            It is about 1.5 for glass.
 
     Raises:
         ArgumentError: eta is out of range, or neither a single value nor one per channel.
@@ -267,7 +267,6 @@ class Sampled(Reflectance):
 
 
 def as_reflectance(value: Reflectance | ArrayLike) -> Reflectance:
-    """Convert a constant to a `Reflectance`, and return a `Reflectance` unchanged."""
     return value if isinstance(value, Reflectance) else Constant(value)
 
 

@@ -25,12 +25,10 @@ COTS = cots_of_table(187)
 
 
 def has_closed_lambda(ndf: NDF) -> bool:
-    """Check whether Lambda of a lobe has a closed form."""
     return isinstance(ndf, GGX | Beckmann | ShadowedNDF)
 
 
 def lobe_table(ndf: NDF) -> jax.Array:
-    """Compute the table of Lambda of a lobe (`table_of`)."""
     return table_of(jnp.asarray(ndf.smith_lambda(COTS / np.sqrt(1 + COTS**2))))
 
 
@@ -65,22 +63,19 @@ class TabulatedMasking(SlopeDistribution):
     table: jax.Array
 
     def density(self, along: jax.Array, across: jax.Array) -> jax.Array:
-        """Compute P22 of the distribution."""
         return self.ndf.density(along, across)
 
     def lambdas(self, shading: Shading) -> tuple[jax.Array, jax.Array]:
-        """Interpolate Smith's Lambda of light and view in the table."""
         first, second = (lambda_at(self.table, position_of(cos)) for cos in (shading.cos_i, shading.cos_o))
         return first, second
 
     @property
     def finest(self) -> jax.Array:
-        """Narrowest scale on which P22 changes, a slope."""
         return self.ndf.finest
 
 
 def with_tabulated_masking(material: Material) -> Material:
-    """Replace the quadrature of Lambda by a table, in a material that is evaluated in many directions."""
+    """Replace the quadrature of Lambda in a material by a table, for evaluation in many directions."""
     if not isinstance(material, Microfacet) or material.masking is None:
         return material
     if not isinstance(material.ndf, NDF) or has_closed_lambda(material.ndf):

@@ -47,5 +47,4 @@ class AndersonMixing:
         return step - (positions + steps) @ share
 
     def forget(self) -> None:
-        """Discard the earlier steps, before the iteration changes."""
         self._positions, self._steps = [], []

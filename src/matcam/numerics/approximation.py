@@ -21,7 +21,8 @@ AnyValues = TypeVar("AnyValues", bound=Any)
 def nodes_between(low: AnyValues, high: AnyValues, order: int) -> tuple[AnyValues, AnyValues]:
     """Compute Gauss-Legendre nodes and weights on [low, high].
 
-    The nodes and the weights have a trailing axis. They are NumPy arrays if the limits are NumPy arrays.
+    The last axis of the results contains the nodes or weights. The results are NumPy arrays if the limits are NumPy
+    arrays.
     """
     unit, weight = np.polynomial.legendre.leggauss(order)
     half = (high - low)[..., None] / 2
@@ -31,7 +32,8 @@ def nodes_between(low: AnyValues, high: AnyValues, order: int) -> tuple[AnyValue
 def nodes_in_panels(cuts: AnyValues, order: int) -> tuple[AnyValues, AnyValues]:
     """Compute Gauss-Legendre nodes and weights on panels between neighbouring cuts.
 
-    The last axis of `cuts` has the limits of the panels. The last axis of the results has the nodes of all panels.
+    The last axis of `cuts` contains the limits of the panels. The last axis of the results contains the nodes of all
+    panels.
     """
     nodes, weights = nodes_between(cuts[..., :-1], cuts[..., 1:], order)
     return nodes.reshape(*nodes.shape[:-2], -1), weights.reshape(*nodes.shape[:-2], -1)
@@ -47,7 +49,7 @@ def between_entries(table: jax.Array, position: jax.Array) -> jax.Array:
 
 
 def four_about(position: Any, entries: int) -> tuple[Any, list[Any]]:
-    """Compute the first index and the weights of the four entries about positions."""
+    """Compute the first index and the Lagrange weights of the four entries about each position."""
     left = constant(xp.clip(xp.floor(position), 1, entries - 3))
     return left.astype(int) - 1, lagrange_basis(np.arange(-1.0, 3.0), position - left)
 
@@ -69,7 +71,7 @@ def lagrange_basis(points: Any, at: Any) -> list[Any]:
 
 
 def lagrange_slopes(points: np.ndarray, at: float) -> np.ndarray:
-    """Differentiate the Lagrange basis polynomials of points at a position, (n,); see `lagrange_basis`."""
+    """Compute the derivatives of the polynomials of `lagrange_basis` at a position, (n,)."""
     n = points.size
     own = np.eye(n, dtype=bool)
     others = ~own[:, None] & ~own  # the product rule: term m of polynomial k lacks the factors k and m
@@ -127,7 +129,6 @@ def cubic_sums(position: jax.Array, weights: jax.Array, count: int, axes: int = 
 
 
 def combined(coefficients: jax.Array, basis: jax.Array) -> jax.Array:
-    """Compute the linear combination sum_k coefficient_k basis_k."""
     return xp.tensordot(coefficients, basis, 1)
 
 
@@ -135,13 +136,14 @@ def smoothness(count: int) -> np.ndarray:
     """Build the smoothness penalty of a spline, (rows, count).
 
     The products of the rows with the coefficients of the spline are penalised. The rows are second differences, first
-    differences times 1/3, and the mean with a small factor. Another parameter absorbs the mean.
+    differences times 1/3, and the mean times 0.1. The penalty of the mean is small, because another parameter absorbs
+    the mean.
     """
     unit = np.eye(count)
     return np.concatenate([np.diff(unit, 2, axis=0), np.diff(unit, axis=0) / 3, np.full((1, count), 0.1 / count)])
 
 
 def _cubic(x: jax.Array) -> jax.Array:
-    """Evaluate the cardinal cubic B-spline."""
+    """Evaluate the cardinal cubic B-spline, which is non-zero for |x| < 2."""
     x = xp.abs(x)
     return xp.maximum(2 - x, 0.0) ** 3 / 6 - 4 * xp.maximum(1 - x, 0.0) ** 3 / 6

@@ -1,4 +1,7 @@
-"""Programs over any number of rows, in arrays of few shapes, because each shape requires a compilation."""
+"""Application of compiled programs to any number of rows.
+
+The rows are split into arrays of few shapes, because each shape requires a compilation.
+"""
 
 from __future__ import annotations
 
@@ -91,16 +94,16 @@ def in_calls(program: Callable[..., tuple[Any, ...]], rows: tuple[np.ndarray, ..
 
 
 def pad_indices(index: np.ndarray) -> np.ndarray:
-    """Pad indices with the last index to one of few lengths (`few_lengths`)."""
+    """Pad indices to a length of `few_lengths` by repeating the last index."""
     return np.pad(index, (0, few_lengths(index.size) - index.size), mode="edge") if index.size else index
 
 
 def few_lengths(size: int) -> int:
     """Round a length up to one of few lengths.
 
-    Each length requires a compilation, and a program of 10 to 20 MB. A compilation takes longer than the computation
-    of a thousand positions, so up to this number each length is four times the previous length. Above, there are two
-    lengths per power of two, and eight above several thousand positions.
+    Each length requires a compilation and a program of 10 to 20 MB. A compilation takes longer than the computation of
+    a thousand positions, so up to 1024 each length is four times the previous length. Above, there are two lengths per
+    power of two, and eight above 8192.
     """
     length = _SHORTEST
     while length < min(size, _SHORT):

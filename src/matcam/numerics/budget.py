@@ -245,8 +245,8 @@ def write_budgets(path: str | Path, budgets: Sequence[UncertaintyBudget], *, for
 def check_budget(path: str | Path, *, force: bool, inputs: Sequence[str | Path] = ()) -> None:
     """Check in advance that `write_budgets` can write a file.
 
-    inputs: files that are read, which must not be replaced. An ArgumentError is raised if the name does not end in .json
-    or .csv, and an OutputError if the file cannot be written.
+    inputs: input files, which must not be replaced. An ArgumentError is raised if the name does not end in .json or
+    .csv, and an OutputError if the file cannot be written.
     """
     _check_name(path)
     check_output(path, force=force, inputs=inputs)

@@ -1,8 +1,8 @@
 """Uniform disc as chords: positions, lengths, and shares of the light.
 
-The distance of a chord from the centre of the disc is sin t, with Gauss-Legendre nodes in t. The integrand is smooth in t
-for chords that are longer or shorter than the blur. The few chords of a small disc are Gauss nodes for the disc itself
-(Chebyshev polynomials of the second kind), which preserve the total light and its variance.
+The distance of a chord from the centre of the disc is sin t, with Gauss-Legendre nodes in t. The integrand is smooth in
+t for chords that are longer or shorter than the blur. The few chords of a small disc are Gauss nodes of the disc
+(Chebyshev polynomials of the second kind). They preserve the total light and its variance.
 """
 
 from __future__ import annotations
@@ -37,7 +37,10 @@ class Chords(NamedTuple):
 
 
 def chords_of(count: int) -> Chords:
-    """Build the chords of the unit disc. count: number of chords, one of `COUNTS`."""
+    """Build the chords of the unit disc.
+
+    count: number of chords, one of `COUNTS`.
+    """
     if count == COUNTS[0]:
         at, weight = 2 * np.arange(1, count + 1) / (count + 1) - 1, np.full(count, 2 / (count + 1))
     else:
@@ -47,7 +50,10 @@ def chords_of(count: int) -> Chords:
 
 
 def half_of(chords: Chords) -> Chords:
-    """Select the chords on one side of the centre. Each chord represents itself and its mirror image."""
+    """Select the chords on one side of the centre.
+
+    Each chord represents itself and its mirror image.
+    """
     side = chords.at > -1e-12
     at, half, share = (a[side] for a in chords)
     return Chords(at, half, np.where(at < 1e-12, share / 2, share))

@@ -1,8 +1,8 @@
 """Small uniform disc as a sum of few Gaussians, some of them negative.
 
-After a Gaussian blur, low moments determine the image of a small disc. The sum has the total light, the variance and
-the fourth moment of the disc. The other parameters minimise the error of the blurred disc, which is 2e-4 of its value,
-down to values of 1e-5 of the central value.
+After a Gaussian blur, the image of a small disc depends only on the low moments of the disc. The sum has the total
+light, the variance and the fourth moment of the disc. The other parameters minimise the relative error of the blurred
+disc. The error is at most 2e-4 where the blurred disc exceeds 1e-5 of its central value.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Elementary functions of arrays: sine, arcsine and error function, and the length of a vector with a derivative at zero.
 
-For a sine of doubles, XLA calls a scalar library function, which takes 15 to 30 times as long as a polynomial and
-would take a third of the time of an integral. For an error function, XLA evaluates three rational functions and uses one of
+For a sine of doubles, XLA calls a scalar library function. It takes 15 to 30 times as long as a polynomial, and would
+take a third of the time of an integral. For an error function, XLA evaluates three rational functions and uses one of
 the results.
 """
 
@@ -89,7 +89,8 @@ def _compiled_erfc() -> Callable[[jax.Array], jax.Array]:
 def plane_length(x: jax.Array, y: jax.Array) -> jax.Array:
     """Compute sqrt(x^2 + y^2), with derivative zero at zero.
 
-    `xp.hypot` of JAX 0.12 and later has no derivative there, so smooth functions of the squared length would have none.
+    `xp.hypot` of JAX 0.12 and later has no derivative at zero, so a smooth function of the squared length would have
+    none.
     """
     square = x * x + y * y
     nowhere = square == 0
@@ -97,12 +98,11 @@ def plane_length(x: jax.Array, y: jax.Array) -> jax.Array:
 
 
 def _odd(coefficients: tuple[float, ...], x: jax.Array, square: jax.Array) -> jax.Array:
-    """Compute x times a polynomial in its square."""
     return _polynomial(coefficients, square) * x
 
 
 def _polynomial(coefficients: tuple[float, ...], x: jax.Array) -> jax.Array:
-    """Compute a polynomial. coefficients: lowest power first."""
+    """Evaluate a polynomial, whose coefficients begin with the lowest power."""
     total = xp.full_like(x, coefficients[-1])
     for coefficient in coefficients[-2::-1]:
         total = total * x + coefficient

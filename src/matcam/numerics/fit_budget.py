@@ -1,4 +1,4 @@
-"""Uncertainty budgets of the results of fits, computed from the covariance of the fit (JCGM 100:2008, 5).
+"""Uncertainty budgets of fitted results, computed from the covariance of the fit (JCGM 100:2008, 5).
 
 A least-squares fit with priors is linear at its solution: p = C (J' W y + L m). Here C is the covariance of the
 parameters, W the weights of the readings y, and m the specified values with information L. The readings and the
@@ -122,11 +122,10 @@ class VariancePart(NamedTuple):
     degrees: float = math.inf
 
     def scaled(self, factor: np.ndarray | float) -> Self:
-        """Multiply the variances by a factor."""
         return self._replace(variance=self.variance * factor)
 
     def source(self, at: Any) -> UncertaintySource:
-        """Build the source of one result. at: index of the result."""
+        """Convert the part to a source of the result at index `at`."""
         std = math.sqrt(max(float(self.variance[at]), 0.0))
         if not self.uncertainty:
             return UncertaintySource(self.name, self.value, std, 1.0, self.kind, self.degrees)
@@ -136,7 +135,6 @@ class VariancePart(NamedTuple):
 
 
 def scaled_parts(parts: Sequence[VariancePart], factor: np.ndarray | float) -> tuple[VariancePart, ...]:
-    """Multiply the variances of all sources by a factor."""
     return tuple(part.scaled(factor) for part in parts)
 
 
@@ -147,7 +145,7 @@ def statement_parts(
     variance: np.ndarray,
     readings: Readings,
 ) -> tuple[VariancePart, ...]:
-    """Split variances of fitted results into parts of priors and readings.
+    """Split variances of fitted results into the parts due to priors and readings.
 
     Args:
         statements: prior knowledge.
@@ -217,7 +215,7 @@ def posterior_budget(
 def stated_parameters(
     name: str, information: np.ndarray, stated: Sequence[StatedParameter], *, least: float = 0.0
 ) -> list[Statement]:
-    """Describe the prior knowledge of parameters, by groups of correlated parameters.
+    """Build one `Statement` for each group of correlated parameters.
 
     Args:
         name: name of a group of several parameters.

@@ -1,6 +1,6 @@
 """Variances of frames in time and over the pixels, and departures from a straight line (EMVA Standard 1288, release 4).
 
-`matcam sensor`, the dark frames of a capture and its check of linearity use these estimators.
+`matcam sensor` uses these estimators. `reconstruct` uses them for dark frames and for its check of linearity.
 """
 
 from __future__ import annotations

@@ -49,7 +49,7 @@ def scaled_inverse(information: AnyMatrix, undetermined: float = 0.0) -> AnyMatr
 
 
 def lifted_inverse(information: AnyMatrix, undetermined: float = 0.0) -> AnyMatrix:
-    """Invert one NumPy or JAX matrix as `scaled_inverse` inverts JAX arrays."""
+    """Invert one matrix by Cholesky decomposition, as `scaled_inverse` does for JAX arrays."""
     diagonal = xp.diagonal(information)
     scale = 1 / xp.sqrt(xp.where(diagonal > 0, diagonal, xp.inf))
     units = scale[:, None] * scale

@@ -1,4 +1,4 @@
-"""The normal distribution: its density, the scatter of values with outliers, and linear least squares without outliers."""
+"""Normal distribution: density, scatter of values with outliers, and linear least squares without outliers."""
 
 from __future__ import annotations
 

@@ -140,7 +140,6 @@ def chosen_fit(
         return other if less and _likelier(other, best) else best
 
     def rivalled(best: SphereFit) -> SphereFit:
-        """Fit the other candidates if noise alone does not explain a fit, and select the most probable fit."""
         for name in CANDIDATES:
             if family != AUTO or name == best.kind.family or _explained(best):
                 continue
@@ -159,7 +158,6 @@ def chosen_fit(
     splines: list[SphereFit] = []
 
     def with_spline(best: SphereFit, share: float) -> SphereFit:
-        """Fit a spline modification, and select that fit if it reduces the unexplained share below `share` of its value."""
         name = f"{best.kind.family}, spline-modified"
         if (
             family != AUTO
@@ -203,7 +201,7 @@ def chosen_fit(
         )
 
     def final(best: SphereFit) -> SphereFit:
-        """Complete the fit, with a wider prior of the gain for images that deviate strongly."""
+        """Refit with a wider prior of the gain for images that deviate strongly."""
         odd = _odd_pictures(best)
         if odd:
             gains = np.array(np.broadcast_to(scene.gain_std, len(pictures)), dtype=float)
@@ -271,7 +269,6 @@ def chosen_fit(
 
 
 def _odd_pictures(fit: SphereFit) -> dict[int, float]:
-    """Compute the unexplained share of the light of each image with an exceptional chi squared, by index of the image."""
     solution = fit.solution
     usual = max(float(np.median(solution.chi2)), 1.0)
     odd = np.flatnonzero(solution.chi2 > _ODD * usual).tolist()
@@ -312,12 +309,10 @@ def _with_its_lens_open(fit: SphereFit) -> SphereFit:
 
 
 def _explained(fit: SphereFit) -> bool:
-    """Check whether photon and read noise explain the images, so that no other lobe is required."""
     return fit.solution.unexplained < _NOISE_ALONE or float(np.median(fit.solution.chi2)) < _AS_NOISE
 
 
 def _diffuse_pixels(fit: SphereFit) -> float:
-    """Compute the share of the pixels in which more than half of the light is diffuse."""
     problem, p = fit.solution.problem, fit.solution.p
     more = []
     for k, pixels in enumerate(problem.pixels):
@@ -329,7 +324,10 @@ def _diffuse_pixels(fit: SphereFit) -> float:
 
 
 def _likelier(one: SphereFit, other: SphereFit) -> bool:
-    """Check whether a fit has the larger likelihood, with the smaller of the two unexplained shares for both fits."""
+    """Check whether a fit has the larger likelihood.
+
+    Both likelihoods use the smaller of the two unexplained shares.
+    """
     judge = Likelihood(max(min(one.solution.unexplained, other.solution.unexplained), 1e-3))
 
     def surprise(fit: SphereFit) -> float:
@@ -344,9 +342,9 @@ def _likelier(one: SphereFit, other: SphereFit) -> bool:
 def _preferred(one: SphereFit, other: SphereFit) -> bool:
     """Check whether a fit is preferred to another.
 
-    The more probable fit is preferred. If the lobe of exactly one fit has a parameter at a bound, that fit is preferred only if
-    its unexplained share is smaller by more than 10 %. The width of a lobe at a bound is meaningless, because its family does
-    not suit the material.
+    The more probable fit is preferred. If exactly one fit has a lobe parameter at a bound, this fit must have a clearly
+    smaller unexplained share (`_CLEARLY`) to be preferred. The width of a lobe at a bound is meaningless, because its
+    family does not suit the material.
     """
     if _at_bound(one) == _at_bound(other):
         return _likelier(one, other)

@@ -70,7 +70,7 @@ class _Blame(NamedTuple):
     def holds(self, fit: SphereFit) -> bool:
         """Check the predicted decrease of chi squared along the step.
 
-        If each image has a free value of its own, these values are poorly determined, and the first-order prediction is
+        A source with one value per image is poorly determined once it is freed, so the first-order prediction is
         inaccurate.
         """
         if self.source not in _IN_EACH:
@@ -109,12 +109,18 @@ def contradiction(fit: SphereFit, scene: SphereScene) -> tuple[str, float, Remar
 
 
 def times_off(pull: float) -> str:
-    """Format a distance in standard deviations. Large values are first-order estimates without significant digits."""
+    """Format a distance in standard deviations.
+
+    Large values are first-order estimates without significant digits.
+    """
     return f"off by more than {_FAR:.0f} times" if pull > _FAR else f"off by about {pull:.0f} times"
 
 
 def _blamed(fit: SphereFit, scene: SphereScene) -> list[_Blame]:
-    """Compute the decrease of chi squared by freeing each source, to first order, less `_EACH` per specified value."""
+    """Compute the first-order decrease of chi squared when each source is freed.
+
+    The expected decrease by chance, `_EACH` per specified value, is subtracted.
+    """
     solution, problem = fit.solution, fit.solution.problem
     away = problem.prior_rows @ solution.p - problem.prior_values
     pictures = problem.layout.pictures
@@ -149,7 +155,10 @@ def _blamed(fit: SphereFit, scene: SphereScene) -> list[_Blame]:
 
 
 def _rows_of(name: str, sources: Sequence[str]) -> np.ndarray:
-    """Select the rows of a prior that belong to a source; shifts of the sphere are part of the outline."""
+    """Select the rows of the prior that belong to a source.
+
+    Shifts of the sphere belong to the outline.
+    """
     return np.array([one == ("outline" if name == "shift" else name) for one in sources])
 
 

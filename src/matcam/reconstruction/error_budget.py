@@ -53,16 +53,14 @@ class Inseparable(NamedTuple):
 
     @property
     def text(self) -> str:
-        """Both parameters and their correlation, for a sentence."""
         return f"{self.names[0]} from {self.names[1]} (correlation {self.correlation:.3f})"
 
     def to_dict(self) -> dict[str, object]:
-        """Convert to a dictionary of plain types."""
         return {"names": list(self.names), "correlation": self.correlation}
 
 
 class Ratio(NamedTuple):
-    """Ratio of F at theta_d, rad, to the mean of F from 10 to 45 degrees, with its standard deviation."""
+    """Ratio of F(theta_d) to the mean of F from 10 to 45 degrees, and its standard deviation; theta_d is in rad."""
 
     theta_d: float
     value: float
@@ -83,7 +81,6 @@ class FitReading(NamedTuple):
     more: tuple[UncertaintySource, ...] = ()
 
     def std(self, covariance: np.ndarray) -> float:
-        """Compute the standard deviation of the value. covariance: covariance of the parameters of the fit."""
         own = sum(source.contribution**2 for source in self.more)
         return float(np.sqrt(max(float(self.slope @ covariance @ self.slope) + own, 0.0)))
 
@@ -106,7 +103,10 @@ def ratio_reading(fit: SphereFit, curve: ReflectanceCurve, channel: int, theta_d
 
 
 def _level_reading(fit: SphereFit, curve: ReflectanceCurve, channel: int, unit: float) -> FitReading:
-    """Derive the mean of F from 10 to 45 degrees. unit: strength that corresponds to F = 1."""
+    """Derive the mean of F from 10 to 45 degrees.
+
+    `unit` is the strength that corresponds to F = 1.
+    """
     at = _normal_angles(fit)
     level = float(curve.at(at).mean()) / unit
     return _of_curve(fit, curve, channel, level, curve.slopes(at).mean(axis=0) / unit)
@@ -249,11 +249,10 @@ def parameter_readings(
 def reflectance_readings(
     fit: SphereFit, curves: Sequence[ReflectanceCurve], units: Sequence[Stated], theta_d: float
 ) -> dict[str, FitReading]:
-    """Derive the ratio of F at an angle to its mean, by channel.
+    """Derive the ratio of F at an angle to its mean from 10 to 45 degrees, by channel.
 
-    The mean is that from 10 to 45 degrees. If F is absolute, the mean itself is also derived.
-
-    `curves` and `units` are those of `parameter_readings`. `theta_d` is the difference angle, rad.
+    If F is absolute, the mean itself is also derived. `curves` and `units` are those of `parameter_readings`. `theta_d`
+    is the difference angle, rad.
     """
     found = {}
     for index, (channel, curve, unit) in enumerate(zip(fit.channels, curves, units, strict=True)):
@@ -273,7 +272,7 @@ def reflectance_readings(
 
 
 def length_readings(fit: SphereFit) -> dict[str, FitReading]:
-    """Derive the radius of the outline, px, and the distances of camera and lamp, radii of the sample, from a fit.
+    """Derive the outline radius (px) and the distances of camera and lamp (radii of the sample) from a fit.
 
     A distance that the images do not determine is omitted.
     """
@@ -287,7 +286,10 @@ def length_readings(fit: SphereFit) -> dict[str, FitReading]:
 
 
 def reading_budget(fit: SphereFit, name: str, reading: FitReading) -> UncertaintyBudget:
-    """Build the uncertainty budget of a value derived from a fit (GUM). name: name of the value, with its unit."""
+    """Build the uncertainty budget (GUM) of a value derived from a fit.
+
+    `name` is the name of the value with its unit.
+    """
     solution = fit.solution
     unstated = float(reading.slope @ (solution.covariance - solution.fitted) @ reading.slope)
     more = list(reading.more)
@@ -353,7 +355,10 @@ def _lobe_readings(fit: SphereFit) -> dict[str, FitReading]:
 
 
 def _of_curve(fit: SphereFit, curve: ReflectanceCurve, channel: int, value: float, row: np.ndarray) -> FitReading:
-    """Build a value derived from the curve of a channel. row: derivatives with respect to the coefficients."""
+    """Build a value derived from the curve of a channel.
+
+    `row` contains the derivatives of the value with respect to the coefficients of the curve.
+    """
     slope = row @ curve.gain @ fit.strengths_rows()[channel :: fit.layout.channels]
     by_scale, by_misfit = (float(np.sqrt(max(row @ part @ row, 0.0))) for part in (curve.by_scale, curve.by_misfit))
     degrees = max(float(fit.layout.pictures - len(row)), 1.0)

@@ -38,11 +38,11 @@ def reconstruct(
 ) -> Reconstruction | FlatReconstruction:
     """Reconstruct a material from photographs of a sample under a moved lamp.
 
-    The sample is a sphere, a cylinder or flat. Frames are merged, with exposures, noise and clipping estimated
-    from them. Outline and highlights give a first estimate of the geometry. Then lobe, reflectance, diffuse part, lens,
-    outline, lamps and distances are fitted to the pixels of all images jointly, with the specified values of the
-    capture as priors. Standard deviations include the uncertainty of all these quantities, and the unexplained
-    residual. For a flat sample, maps are estimated at each frequency of its texture.
+    The sample is a sphere, a cylinder or flat. Frames are merged, with exposures, noise and clipping estimated from
+    them. Outline and highlights give a first estimate of the geometry. Then lobe, reflectance, diffuse part, lens,
+    outline, lamps and distances are fitted jointly to the pixels of all images. The specified values of the capture are
+    the priors. Standard deviations include the uncertainty of all these quantities, and the unexplained residual. For a
+    flat sample, maps are estimated at each frequency of its texture.
 
     Args:
         capture: capture, as returned by `files.capture.read_capture`, or its folder.

@@ -36,7 +36,7 @@ tangents, rad.
 
 
 class LampFrame(NamedTuple):
-    """Base direction of the lamp of an image, and two tangents: unit vectors, (3,) each."""
+    """Base direction to the lamp of an image and two tangents, unit vectors of shape (3,)."""
 
     base: np.ndarray
     first: np.ndarray
@@ -85,7 +85,6 @@ class KernelSlopes(NamedTuple):
 
 
 def lamp_frame(direction: np.ndarray) -> LampFrame:
-    """Build the frame of a lamp from its direction, (3,)."""
     direction = unit(direction)
     helper = np.eye(3)[np.argmin(np.abs(direction))]
     first = unit(np.cross(direction, helper))
@@ -148,7 +147,6 @@ class PictureModel(eqx.Module):
 
     @property
     def size(self) -> int:
-        """Number of parameters of one image: lobe, scene, diffuse part, own parameters."""
         return self.kind.size + len(SCENE) + self.shape + len(OWN)
 
     def window(
@@ -376,7 +374,6 @@ def _compiled(method: str) -> Callable[..., tuple[Recorded, Recorded | None]]:
 
 
 def widened(blur: Blur, lens: jax.Array) -> Blur:
-    """Scale the lens of a blur. lens: ln of the scale."""
     return eqx.tree_at(lambda b: b.stds, blur, blur.stds * jnp.exp(lens))
 
 

@@ -1,8 +1,8 @@
 """Integration nodes in an image of a sphere, dense about a sharp highlight.
 
 Positions on the disc of the outline are p = (cos v sin u, sin v). In u and v a lobe has similar widths along the plane
-of incidence and across it, independent of foreshortening, and all functions are smooth at the outline (u = pi / 2). A
-product of nodes in u and v therefore suits a highlight at any position. Their spacing follows the lobe near its
+of incidence and across it, independent of foreshortening. All functions of u and v are smooth at the outline (u = pi /
+2). A product of nodes in u and v therefore suits a highlight at any position. Their spacing follows the lobe near its
 peak, and is half a pixel elsewhere.
 """
 
@@ -162,7 +162,7 @@ def through_lens(window: Window, field: LensField, highlight: tuple[float, float
 
 
 def _tilt(field: LensField, highlight: tuple[float, float], turned: bool) -> float:
-    """Compute the rotation of the nodes that aligns those of equal v with lines of pixels, rad."""
+    """Compute the rotation of the nodes, rad, that aligns nodes of equal v with lines of pixels."""
     stretch = field.stretch(*highlight)
     if turned:
         stretch = stretch[::-1, ::-1]

@@ -61,7 +61,7 @@ class Reconstruction(Summarised):
             deviation. Without a reference, the standard deviation is NaN, and F is relative.
         budget: source -> result -> standard deviation.
         not_determined: parameters that the images alone do not distinguish.
-        tried: unexplained share of the light by lobe.
+        tried: unexplained share of the light for each lobe.
         remarks: remarks on the result.
         captured: data of the capture before the fit.
         sample: kind of the sample, "sphere" or "cylinder".
@@ -108,8 +108,7 @@ class Reconstruction(Summarised):
         reduction of the uncertainty if one source were exact.
 
         Args:
-            name: name of the result: one of `parameters`, of the lengths in radii or px, or of F, as `uncertainty_budgets`
-                lists them.
+            name: name of the result, as in `uncertainty_budgets`.
 
         Raises:
             ArgumentError: there is no result of this name.
@@ -214,7 +213,7 @@ class Reconstruction(Summarised):
         ]
 
     def ratio(self, theta_d: float, channel: int = 0) -> Ratio:
-        """Compute F at an angle over its mean from 10 to 45°.
+        """Divide F at an angle by its mean from 10 to 45°.
 
         Args:
             theta_d: angle, rad.
@@ -425,5 +424,4 @@ def reconstructed(
 
 
 def _least_distance(value: float, std: float) -> str:
-    """Format the lower limit of a distance that may be infinite within two standard deviations."""
     return "not determined" if np.isinf(value) else f"at least {value / (1 + 2 * std / value):.3g}"

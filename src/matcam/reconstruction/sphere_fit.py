@@ -73,7 +73,6 @@ class SphereFit:
 
     @property
     def layout(self) -> JointLayout:
-        """Order of the parameters of the fit."""
         return self.solution.problem.layout
 
     @property
@@ -274,7 +273,11 @@ def _searched(
     widths: np.ndarray,
     observe: Observe,
 ) -> tuple[float, np.ndarray]:
-    """Find the cost and the coordinates of the lobe of a lattice that fits a few images best, with strengths solved for."""
+    """Find the lobe of a lattice that fits a few images best, with the strengths solved for.
+
+    Returns:
+        Cost and coordinates of the lobe.
+    """
     few = evenly(len(pictures), _FEW)
     some = [pictures[k] for k in few]
     part = part_of(scene, few.tolist())
@@ -298,7 +301,6 @@ def _searched(
 
 
 def _lattice(kind: LobeKind, widths: np.ndarray) -> list[tuple[float, ...]]:
-    """Build the lattice of lobes. For two roughnesses, only every second width is used."""
     if kind.stretched:
         return [(along, across) for along in widths[::2] for across in widths[::2]]
     if kind.family in WITH_POWER:

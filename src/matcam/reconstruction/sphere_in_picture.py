@@ -23,8 +23,8 @@ _LEAST = 1e-9  # smallest cosine of the angles of incidence and view: on the out
 def normal_at(p_x: jax.Array, p_y: jax.Array, depth: jax.Array, camera_nearness: jax.Array) -> Vector:
     """Compute the normal at the point where a line of sight meets the sphere.
 
-    The line through p has the lateral slope m = |p| / sqrt(1 - w^2), w = 1 / D, and meets the sphere where
-    z = (m^2 w + depth) / (1 + m^2 w^2).
+    The line through p has the lateral slope m = |p| / sqrt(1 - w^2) with w = 1 / D. It meets the sphere at z = (m^2 w +
+    depth) / (1 + m^2 w^2).
 
     Args:
         p_x: position on the disc of the outline, to the right, no unit.

@@ -88,7 +88,7 @@ class SphereScene:
 
 
 def mirror_ball(layout: JointLayout, p: np.ndarray, k: int) -> tuple[MirrorBall, float]:
-    """Build the sphere in image k, and compute the distance of the lamp, radii, from the parameters p."""
+    """Derive the sphere in image k and the distance of the lamp (radii) from the parameters p."""
     column, row = map(float, p[layout.centre(k)])
     _, radius, *nearness = map(float, p[layout.scene])
     distance, far = (1 / one if one > 0 else np.inf for one in nearness)
@@ -96,7 +96,6 @@ def mirror_ball(layout: JointLayout, p: np.ndarray, k: int) -> tuple[MirrorBall,
 
 
 def part_of(scene: SphereScene, pictures: Sequence[int]) -> SphereScene:
-    """Select the prior knowledge of some of the images, by index."""
     count, keep = len(scene.lamps), list(pictures)
     return replace(
         scene,
@@ -111,7 +110,6 @@ def part_of(scene: SphereScene, pictures: Sequence[int]) -> SphereScene:
 
 
 def unstated_distortion(ball: MirrorBall) -> LensField:
-    """Build the prior of the distortion near a sphere for a capture that does not specify the distortion."""
     return LensField((ball.column, ball.row), ball.radius, Coefficient(0.0, _UNSTATED_DISTORTION))
 
 

@@ -1,4 +1,7 @@
-"""Curved samples. The image of a sphere contains every visible normal, that of a cylinder the normals of one plane."""
+"""Sphere and cylinder.
+
+The image of a sphere contains all visible normals. The image of a cylinder contains the normals of one plane.
+"""
 
 from __future__ import annotations
 

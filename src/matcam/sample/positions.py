@@ -1,4 +1,4 @@
-"""Image positions of many directions on a sphere or cylinder."""
+"""Image positions for many half and difference angles on a sphere or cylinder."""
 
 from __future__ import annotations
 
@@ -17,7 +17,10 @@ def positions_of(
     phi_d: np.ndarray,
     lamp_nearness: jax.Array | np.ndarray | None = None,
 ) -> tuple[np.ndarray, ...]:
-    """Compute x, y and lamp angle of `Curved.position` for many directions, in the shape to which the angles broadcast."""
+    """Evaluate `Curved.position` for many angles.
+
+    The results are x, y and lamp angle, in the shape to which the angles broadcast.
+    """
     angles = np.broadcast_arrays(theta_h, theta_d, phi_d)
     rows, shape = tuple(angle.ravel() for angle in angles), angles[0].shape
     found = in_calls(_position_blocks, rows, sample, lamp_nearness) if rows[0].size else rows

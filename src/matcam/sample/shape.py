@@ -257,9 +257,9 @@ class Curved(Sample):
         return xp.full_like(v, xp.pi / 2) if self.distant else self._seen_from(v, self.nearness)
 
     def _seen_from(self, v: jax.Array, nearness: jax.Array) -> jax.Array:
-        """Compute the largest angle of u from a point at which the surface at v is visible from the point, rad.
+        """Compute the largest visible |u - u_0| at v for an observer at the angle u_0, rad.
 
-        The point is in the plane of x and the axis. nearness: inverse of its distance, 1/radii.
+        The observer is a camera or a lamp in the plane of x and the axis. nearness: inverse of its distance, 1/radii.
         """
         section = self.section(v)
         cosine = nearness / xp.where(section > 0, section, 1.0)
@@ -357,7 +357,10 @@ class Curved(Sample):
 
     @staticmethod
     def _half_vector_turn(theta_d: jax.Array, lamp_nearness: ArrayLike | None) -> tuple[jax.Array, jax.Array]:
-        """Compute the rotation of the half vector by a near lamp per rotation of the normal, along and across."""
+        """Compute the rotation of the half vector divided by the rotation of the normal, along and across.
+
+        The rotation is due to a near lamp; it is 0 for a distant lamp.
+        """
         if lamp_nearness is None:
             return xp.zeros(()), xp.zeros(())
         w = xp.asarray(lamp_nearness)
@@ -391,7 +394,6 @@ class Curved(Sample):
 
 
 def checked_radius(radius: ArrayLike) -> jax.Array:
-    """Check the radius of the limb of a sample, px."""
     return checks.scalar("radius", checks.within("radius", radius, 0, _LARGEST, "px", open_low=True))
 
 
@@ -402,5 +404,4 @@ def checked_distance(distance: ArrayLike) -> jax.Array:
 
 
 def is_infinite(distance: ArrayLike) -> bool:
-    """Check whether a distance is concrete and infinite."""
     return is_concrete(distance) and bool(np.isinf(np.asarray(distance, dtype=np.float64)))

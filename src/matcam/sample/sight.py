@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def highlight_between(lamp_angle: jax.Array, camera: ArrayLike, lamp: ArrayLike) -> jax.Array:
-    """Compute the angle from the optical axis at which the normal is the half vector of a near camera and lamp, rad.
+    """Compute the angle between optical axis and normal at the highlight of a near camera and lamp, rad.
 
     Args:
         lamp_angle: angle between lamp and optical axis, rad.

@@ -60,7 +60,7 @@ def flat_remarks(capture: Capture) -> list[Remark]:
 def sample_tilts(capture: Capture) -> np.ndarray:
     """Return the specified tilt of a flat sample at each lamp position, rad.
 
-    An ArgumentError is raised if their number is wrong.
+    An ArgumentError is raised if the number of specified tilts is wrong.
     """
     stated, count = capture.settings["sample"]["tilt_deg"] or [0.0], len(capture.lamps)
     if len(stated) not in (1, count):

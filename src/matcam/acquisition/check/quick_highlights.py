@@ -119,7 +119,6 @@ def _without_reference(capture: Capture, codes: np.ndarray) -> np.ndarray:
 
 
 def _clip_threshold(reader: MosaicReader, radiometry: Radiometry | None) -> float:
-    """Determine the smallest code of a clipped pixel, DN, from the clip level of the frames and that of the file format."""
     if radiometry is None or not radiometry.clip.pixels:
         return reader.saturation
     return min(reader.saturation, radiometry.clip.threshold)
@@ -149,7 +148,6 @@ def _position(
     outline: QuickOutline | None,
     camera: float,
 ) -> Seen | None:
-    """Find the highlight of one frame; None if there is no bright spot."""
     origin = origin_of(capture.region)
     if capture.settings["sample"]["kind"] == "cylinder":
         return _bright_line(codes, origin[1], outline)

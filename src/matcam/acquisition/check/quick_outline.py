@@ -100,7 +100,6 @@ def quick_outline(capture: Capture, black: float, sigma: float) -> tuple[QuickOu
 def _measured(
     capture: Capture, reader: MosaicReader, frame: CaptureFrame, black: float, sigma: float
 ) -> tuple[QuickOutline | None, list[Remark]]:
-    """Measure the outline in one frame (None if there is no outline), and collect remarks on the frame."""
     path = capture.folder / frame.file
     try:
         codes = reader.read(frame, capture.region)

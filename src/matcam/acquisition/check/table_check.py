@@ -1,9 +1,9 @@
 """Comparison of the lamp table with the highlights: a rotated table, a wrong radius, single wrong lamps.
 
 The unknowns are a rotation of the axes of the table relative to the camera, and the outline of the sample in the frame.
-If an outline was measured, its centre and radius are known and the rotation is free. Without an outline, a rotation about
-an axis in the image plane is indistinguishable from a shift of the sphere, so only the rotation about the optical axis is
-fitted.
+If an outline was measured, its centre and radius are known and the rotation is free. Without an outline, a rotation
+about an axis in the image plane is indistinguishable from a shift of the sphere. In this case only the rotation about
+the optical axis is fitted.
 """
 
 from __future__ import annotations

@@ -18,7 +18,6 @@ separated.
 
 
 def unmeasured_lens() -> str:
-    """Describe the treatment of a lens without a profile in a reconstruction."""
     return (
         f"the blur of the lens is assumed to be {GUESSED_LENS.value:g} ± {GUESSED_LENS.std:g} px and is fitted; if no lobe "
         f"explains the images to {BY_SHAPE:.0%}, the blur keeps this error, which adds to that of the roughness; to avoid it, "

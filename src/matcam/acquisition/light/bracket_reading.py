@@ -78,7 +78,10 @@ class BracketReading:
         self._about = "" if self.kept is None else fingerprint(*about, *levels)
 
     def read(self, numbered: tuple[int, str]) -> ReadBracket:
-        """Read the frames of a lamp position, given its index and name."""
+        """Read the frames of a lamp position, or load the result from the cache.
+
+        `numbered` contains the index and the name of the lamp position.
+        """
         if self.kept is None:
             return self._read(numbered)
         frames = self.capture.of("frames", lamp=numbered[1])
@@ -119,7 +122,6 @@ class BracketReading:
         return ReadBracket(tuple(f for f, _ in bracket), lacking, sample, largest, smallest, tuple(remarks))
 
     def _bracket(self, lamp: str, remarks: list[Remark]) -> list[tuple[CaptureFrame, np.ndarray]]:
-        """Read the usable frames of one lamp position, with their codes, in the order of `names`."""
         found: dict[str, tuple[CaptureFrame, np.ndarray]] = {}
         for frame in self.capture.of("frames", lamp=lamp):
             path = self.capture.folder / frame.file

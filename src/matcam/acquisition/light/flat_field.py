@@ -1,9 +1,9 @@
 """Vignetting and pixel response non-uniformity, from frames of a uniform field.
 
-For each colour the mean of the flat frames, less the dark signal, is a smooth field (vignetting, shadows of dust) times
-the deviation of each pixel. The deviation is shrunk according to the noise of the flat frames (James and Stein, as in
-darkness.py): two frames of 15,000 electrons determine a pixel to 0.6 %, and the pixels of a sensor differ by 1 %. The
-remaining uncertainty widens the errors of the merged values.
+For each colour the dark-subtracted mean of the flat frames is a smooth field times the deviation of each pixel. The
+smooth field contains vignetting and shadows of dust. The deviation is shrunk according to the noise of the flat frames
+(James and Stein, as in darkness.py): two frames of 15,000 electrons determine a pixel to 0.6 %, and the pixels of a
+sensor differ by 1 %. The remaining uncertainty widens the errors of the merged values.
 """
 
 from __future__ import annotations

@@ -1,8 +1,9 @@
 """Cache on disk of results from the frames of a capture, so that an interrupted computation resumes.
 
-The key of a file contains the frames (name, size, time of change, first and last 64 KiB of each), the settings, and the
-version of the package. Only complete files are used (core/sealed.py). A successful computation removes its files, and files of
-other computations that are older than two weeks.
+The key of a file contains the settings, the version of the package, and a fingerprint of the frames. The fingerprint
+consists of name, size, time of change, and first and last 64 KiB of each frame. Only complete files are used
+(core/sealed.py). A successful computation removes its files, and files of other computations that are older than two
+weeks.
 """
 
 from __future__ import annotations
@@ -53,7 +54,6 @@ class KeptWork:
         return Workspace(self.folder, files=_MOST).store(description, make)
 
     def clear(self) -> None:
-        """Remove the files of this computation, and old files of others."""
         since = time.time() - _OLD
         old = [
             one.name for one in sealed_files(self.folder) if one.status.st_mtime < since and one.name.endswith(".npz")
@@ -79,7 +79,6 @@ def identity(paths: Iterable[Path]) -> str:
 
 
 def fingerprint(*values: object) -> str:
-    """Compute a hash of arrays and of plain values."""
     digest = hashlib.sha256()
     for value in values:
         if isinstance(value, np.ndarray):

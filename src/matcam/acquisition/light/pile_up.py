@@ -1,9 +1,9 @@
 """Pixels that pile up at the largest code of a frame: clipping below the largest code that the file can hold.
 
-Noise spreads the codes of equally bright pixels. Let sigma be the noise of a pixel at the largest code. A normal
-variable that exceeds a code exceeds it by less than w with a probability of at most 1 - exp(-z w / sigma), where z is
-the hazard rate of the normal distribution, in inverse standard deviations (at most `_HAZARD` in frames of 10^7 pixels).
-The n largest pixels of a frame therefore lie within w of each other with probability
+Noise spreads the codes of equally bright pixels. Let sigma be the noise of a pixel at the largest code. If a normal
+variable exceeds a code, the excess is less than w with a probability of at most 1 - exp(-z w / sigma). Here z is the
+hazard rate of the normal distribution, in inverse standard deviations. It is at most `_HAZARD` in frames of 10^7
+pixels. The n largest pixels of a frame therefore lie within w of each other with probability
 
     p <= (1 - exp(-z w / sigma))^(n - 1),
 
@@ -172,8 +172,8 @@ def _least_gain(light: np.ndarray, below: float, step: int, noise: float) -> flo
     """Compute a lower bound of the ratio of photon noise variance to light, DN; NaN if too few pixels are lit.
 
     Second differences in both directions have 36 times a pixel's variance and vanish for light that is quadratic in
-    position. Structure only increases them, so the smallest value among bins of brightness is a lower bound in frames
-    with smooth parts, and 0 in frames without noise.
+    position. Structure only increases them. The smallest value among bins of brightness is therefore a lower bound in
+    frames with smooth parts. It is 0 in frames without noise.
 
     Args:
         light: part of a dark-subtracted frame, DN.

@@ -1,8 +1,8 @@
 """Light of the reference patch in the frames of the sample, or in separate images (reference/).
 
 A separate image is taken before or after that of the sample, and the light of the lamp may change in between. The
-change is specified, or estimated from repeated images of one lamp position, or from the changes of light between lamp
-positions, which are further apart in time.
+change is specified, or estimated from repeated images of one lamp position. Without repeated images it is estimated
+from the changes between lamp positions, which are further apart in time.
 """
 
 from __future__ import annotations
@@ -189,7 +189,7 @@ def _unseen(lamp: str, channels: int) -> SeenReference:
 
 
 def _uneven(capture: Capture, frame: CaptureFrame, light: np.ndarray, region: Region) -> list[Remark]:
-    """Report light that varies over the region by more than that of a near lamp on one patch."""
+    """Report light that varies more over the region than the light of a near lamp on one patch."""
     half = light.shape[0] // 2, light.shape[1] // 2
     parts = [light[: half[0]], light[half[0] :], light[:, : half[1]], light[:, half[1] :]]
     levels = [float(part.mean()) for part in parts if part.size]

@@ -48,7 +48,7 @@ def reference_light(
 def _merged(
     light: np.ndarray, relative: np.ndarray, scale: float, noise: float, pixels: np.ndarray | int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Merge mean values over pixels from several exposures on the first axis, DN, with their noise."""
+    """Merge mean values (DN) of several exposures, which are on the first axis, and compute the noise of the result."""
     total = relative.sum()
     variance = (np.maximum(light, 0) * scale + noise**2).sum(0) / pixels
     return light.sum(0) / total, np.sqrt(variance) / total

@@ -4,7 +4,7 @@ The patch is beside the sphere, or in separate images.
 
 A patch of reflectance R at p, with normal n, has the radiance R/pi E g under a lamp with the irradiance E at the centre
 of the sphere: g = n.w / |w|^3 with w = l - p/Q, where l is the direction of the lamp and Q its distance (docs/model.md
-10). The recorded value is U G R/pi g, where U is the value per radiance under unit irradiance, and G the light of the
+10). The recorded value is U G R/pi g. U is the value per radiance under unit irradiance, and G is the light of the
 image relative to the mean. The prior of ln G is 0, with the specified stability of the lamp. The errors of position and
 tilt of the patch are common to all images; those of the directions of the lamps are independent.
 """

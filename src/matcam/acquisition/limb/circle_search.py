@@ -119,7 +119,6 @@ def _edges(picture: np.ndarray, noise: float, bright_inside: bool) -> tuple[np.n
 
 
 def _best(position: np.ndarray, inwards: np.ndarray, rng: np.random.Generator, largest: float) -> FoundCircle | None:
-    """Find the circle with the greatest length of edges along its circumference."""
     i, j = rng.integers(0, len(position), (2, _PAIRS))
     apart, turned = position[j] - position[i], inwards[i] - inwards[j]
     size = (turned**2).sum(1)

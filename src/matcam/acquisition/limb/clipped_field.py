@@ -19,8 +19,9 @@ _PIXEL = 0.29
 def field_is_clipped(codes: np.ndarray, saturation: float) -> bool:
     """Detect a clipped bright field.
 
-    Many pixels of a clipped field have the largest code of the frame, and this is the largest code of the file, or the
-    dark pixels of the frame show noise. A frame without noise is a render, whose uniform field has a single code.
+    Many pixels of a clipped field have the largest code of the frame. In addition, this code is the largest that the
+    file can hold, or the dark pixels of the frame show noise. A frame without noise is a render, whose uniform field
+    has a single code.
 
     Args:
         codes: frame of the sample in front of a bright field, (height, width).
@@ -37,10 +38,10 @@ def field_is_clipped(codes: np.ndarray, saturation: float) -> bool:
 def hidden_by_clipping(path: Path, sigma: float) -> tuple[float, Remark]:
     """Compute the apparent shrinkage of the sample by a clipped field, px, and build a remark.
 
-    The blurred edge of a field B has the value B / 2 at the true edge. If it is clipped at C, the edge appears where the
-    value is C / 2. This is a distance s z inside the true edge, where s is the standard deviation of the blur of lens and
-    pixel and z the normal quantile of 1 - C / (2 B), 0 to 1.6 for fields of 1 to 10 times C. The standard deviation of
-    the shrinkage is assumed to be equal to the shrinkage.
+    The blurred edge of a field B has the value B / 2 at the true edge. If it is clipped at C, the edge appears where
+    the value is C / 2. This position is a distance s z inside the true edge. Here s is the standard deviation of the
+    blur of lens and pixel, and z is the normal quantile of 1 - C / (2 B). For fields of 1 to 10 times C, z is 0 to 1.6.
+    The standard deviation of the shrinkage is assumed to be equal to the shrinkage.
 
     Args:
         path: path of the frame or the frames, for the remark.

@@ -25,7 +25,9 @@ whose axes differ by 22 %, 2.3 % for a square.
 def given_outline(
     capture: Capture, sighting: Sighting, sigma: float, shape: tuple[int, int] | None = None
 ) -> Outline | None:
-    """Determine the outline of a sphere from a specified circle, or else from a mask; None: neither is specified.
+    """Determine the outline of a sphere from a specified circle or, without a circle, from a mask.
+
+    The result is None if neither is specified.
 
     Args:
         capture: capture of a sphere.

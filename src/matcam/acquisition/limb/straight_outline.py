@@ -115,7 +115,10 @@ def _levelled(codes: np.ndarray, channel: np.ndarray) -> np.ndarray:
 
 
 def _edge(levels: np.ndarray, start: float, side: int) -> float:
-    """Measure the position of an edge in a block of rows, px. side: -1 if the right side is dark, otherwise 1."""
+    """Measure the position of an edge in a block of rows, px.
+
+    `side` is -1 if the right side is dark, otherwise 1.
+    """
     first = int(np.floor(start)) - _ABOUT
     columns = np.arange(max(first, 0), min(first + 2 * _ABOUT + 2, levels.shape[1]))
     profile = levels[:, columns].mean(axis=0)

@@ -86,11 +86,9 @@ class ExploreView:
         self.layout = row(self._knobs(), self._plots(), sizing_mode="stretch_width", spacing=8, name="explore")
 
     def start(self) -> None:
-        """List the opened materials, and show the first one."""
         self._slow.ask(self._listed, self._offer)
 
     def close(self) -> None:
-        """Stop computing and remove the uploaded files."""
         for work in (self._fast, self._slow, self._shots):
             work.close()
         self._upload.close()
@@ -100,7 +98,6 @@ class ExploreView:
         self._complain(line)
 
     def refresh(self) -> None:
-        """Update the plots from the controls, for tables that have been read."""
         tables = [self._read.get(self._index(select)) for select in self._chosen]
         if tables[0] is not None:
             angles = {name: control.value for name, control in self._controls.items()}
@@ -296,7 +293,6 @@ class ExploreView:
         self.refresh()
 
     def _go_back(self, index: int) -> None:
-        """Restore the previous selection if a material cannot be read."""
         for select, before in zip(self._chosen, self._before, strict=True):
             if self._index(select) == index and before != select.value:
                 select.value = before
@@ -319,7 +315,6 @@ class ExploreView:
             sphere.show(light, name, found["exposure"])
 
     def _indices(self, name: str) -> tuple[float, float]:
-        """Look up n and k of a metal in the chosen channel, no unit."""
         from matcam.core.grid import CHANNEL_WAVELENGTHS
         from matcam.material.optical_constants import metal
 

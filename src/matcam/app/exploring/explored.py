@@ -78,7 +78,8 @@ def range_of(curves: dict[str, np.ndarray]) -> tuple[float, float]:
 def sphere_of(data: xr.DataArray, lamp: float, azimuth: float, size: int = SIDE) -> np.ndarray:
     """Compute the radiance of a sphere, (size, size, channel), 1/sr.
 
-    `data` is the table of the material, `lamp` the angle between lamp and camera, and `azimuth` that of the lamp, rad.
+    `data` is the table of the material. `lamp` is the angle between lamp and camera, rad. `azimuth` is the azimuth of
+    the lamp, rad.
     """
     from matcam.figures.spheres import table_sphere
 
@@ -134,7 +135,10 @@ def fresnel_of(table: OpenedTable, channel: int) -> dict[str, np.ndarray]:
 
 
 def as_csv(columns: dict[str, np.ndarray], first: str) -> bytes:
-    """Format columns as CSV, as the commands do. first: name of the coordinate."""
+    """Format columns as CSV, as the commands do.
+
+    `first` is the name of the coordinate.
+    """
     from matcam.core.io import write_columns
 
     data = xr.Dataset(
@@ -144,7 +148,6 @@ def as_csv(columns: dict[str, np.ndarray], first: str) -> bytes:
 
 
 def as_exr(light: np.ndarray) -> bytes:
-    """Encode a radiance as OpenEXR."""
     from matcam.files.float_pictures import write_exr
 
     return _written(lambda path: write_exr(path, light), ".exr")

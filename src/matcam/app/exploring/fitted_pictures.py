@@ -84,7 +84,6 @@ def fitted_pictures(name: str, data: xr.Dataset) -> list[FittedPicture]:
 
 
 def is_capture(path: Path) -> bool:
-    """Check whether a folder is a capture."""
     return is_file(path / SETTINGS) and is_file(path / LIST)
 
 

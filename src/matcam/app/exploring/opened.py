@@ -47,7 +47,6 @@ class OpenedTable:
 
     @property
     def best(self) -> xr.DataArray | None:
-        """Corrected table, or the recorded table if the corrected table is missing."""
         return self.recorded if self.corrected is None else self.corrected
 
 
@@ -165,7 +164,6 @@ def _record(path: Path) -> dict[str, Any]:
 
 
 def _label(name: str, record: dict[str, Any]) -> str:
-    """Format the name of a material with a short summary of its result in a run."""
     fit = record.get("fit")
     params = (
         fit.get("params") if isinstance(fit, dict) else record.get("parameters")
@@ -195,6 +193,5 @@ def _rows(store: Path) -> list[Openable]:
 
 
 def parameters(table: OpenedTable) -> str:
-    """Format the fit of a material as JSON. The result is "" if there is no fit."""
     fit = table.record.get("fit")
     return json.dumps(fit, indent=2) if isinstance(fit, dict) else ""

@@ -48,11 +48,9 @@ class PhotographsPanel:
         )  # fmt: skip
 
     def open(self, captures: Sequence[Capture]) -> None:
-        """Set the captures whose photographs may be read."""
         self._captures = captures
 
     def show(self, pictures: Sequence[FittedPicture]) -> None:
-        """Show the images of another reconstruction."""
         if pictures is self._pictures:
             return
         self._pictures = pictures

@@ -37,8 +37,8 @@ class Executor(ABC):
 def one_core_environment() -> dict[str, str]:
     """List the environment variables that restrict a new process to one core.
 
-    Settings of the user for XLA and memory are kept. Without this restriction, each parallel worker would start a thread
-    for every core.
+    Settings of the user for XLA and memory have priority. Without this restriction, each parallel worker would start a
+    thread for every core.
     """
     # workers compute on their cores; if the user selected a GPU, the first worker must not allocate all of it
     platforms = os.environ.get(_PLATFORMS, "cpu")

@@ -6,8 +6,8 @@ Messages of Dask are pickles: anyone with access to a scheduler or a worker can 
 workers listen on this machine alone; an address tls://... uses the certificates of Dask's configuration
 (docs/batch.md).
 
-Workers must be able to access the folder of the run and the inputs under the same names, and have the same versions of
-numerical packages; both are checked before any work.
+Workers must be able to access the folder of the run and the inputs under the same names. They must have the same
+versions of numerical packages. Both conditions are checked before any work.
 """
 
 from __future__ import annotations
@@ -157,7 +157,6 @@ def _is_loopback(host: str) -> bool:
 
 
 def versions() -> dict[str, str]:
-    """List the versions that must be the same on all machines, by name."""
     found = {"python": platform.python_version().rpartition(".")[0]}
     # packages whose versions affect results, or the serialisation of jobs
     for name in ("matcam", "jax", "jaxlib", "numpy", "scipy", "xarray", "distributed"):
@@ -180,7 +179,6 @@ def _task_outcome(future: Any, job: Job) -> Outcome:
 
 
 def _check_workers(client: Any, folder: Path) -> int:
-    """Check that the workers can run the jobs, and return the number of workers."""
     try:
         client.wait_for_workers(1, timeout=_PATIENCE)
     except TimeoutError:
@@ -221,7 +219,6 @@ def _with_absolute_paths(job: Job) -> Job:
 
 
 def _attempt_on_worker(job: Job) -> Outcome:
-    """Run a job on a worker, which may have started after the check of the workers."""
     use_compilation_cache()
     try:
         return attempt(job, Workspace.user())

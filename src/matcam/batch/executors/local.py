@@ -1,6 +1,6 @@
 """Executor on this machine: processes of one core each.
 
-Each worker process has its own pipe, so that a worker that is killed during a message does not affect others, and its
+Each worker process has its own pipe. A worker that is killed during a message therefore does not affect others, and its
 job is known. The workers of `pebble.ProcessPool` share a pipe, so that some kills break or block the entire pool.
 """
 
@@ -84,7 +84,6 @@ class ProcessExecutor(Executor):
                 worker.end()
 
     def _next_events(self, workers: list[_Worker]) -> list[_Worker]:
-        """Wait for messages or ends of workers, and kill workers whose job exceeds the time limit."""
         limits = {worker: self._limit_of(worker) for worker in workers}
         ends = [worker.started + limit for worker, limit in limits.items() if limit is not None]
         ready = connection.wait(
@@ -114,13 +113,12 @@ class _Worker:
         self._why_killed = ""
 
     def send(self, job: Job | None) -> None:
-        """Send a job to the worker. None ends the worker."""
+        """Send a job to the worker, or None to end the worker."""
         self.job, self.started = job, time.monotonic()
         with contextlib.suppress(OSError):  # it has died, and the end of its pipe reports it
             self.pipe.send(job)
 
     def receive(self) -> Any:
-        """Receive a message of the worker. The result is None if the worker has ended."""
         try:
             return self.pipe.recv()
         except (EOFError, OSError):

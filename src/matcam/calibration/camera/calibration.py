@@ -1,4 +1,4 @@
-"""Calibration of a camera: one fit per colour to all measurements of all photographs, with standard deviations."""
+"""Calibration of a camera: one fit per colour to the measurements of all photographs."""
 
 from __future__ import annotations
 
@@ -199,7 +199,7 @@ def calibrate(
         ArgumentError: if an argument is out of range, or the images are of different cameras.
         FitError: if measurements contradict one another, or do not determine the requested parameters. Without other targets,
             also if there are fewer than 8 edges, all edges have one direction, or more than 30 % are sharpened or saturated.
-        MatcamError: the error of the first image, if no image can be used.
+        MatcamError: if no image can be used; the message contains the error of the first image.
 
     Source:
         docs/model.md 7; docs/calibrate.md.
@@ -285,7 +285,7 @@ class _Pictures:
     cameras: dict[str, str] = field(default_factory=dict)
 
     def add(self, picture: Any, name: str, f_number: float | None, measure: Callable[..., Any]) -> None:
-        """Measure an image, or record its error. `name` is used for an image without a name of its own."""
+        """Measure an image, or record its error. `name`: name for an image without a file name."""
         if isinstance(picture, str | Path):
             name = str(picture)
         elif isinstance(picture, LinearImage):
@@ -314,10 +314,10 @@ class _Pictures:
             self.remarks += [remark.about(short) for remark in remarks]
 
     def check(self) -> None:
-        """Raise an error if the images do not determine one camera.
+        """Check that the images determine one camera.
 
-        An ArgumentError is raised if they are of different cameras. If no image could be used, the error of the first
-        image is raised.
+        An ArgumentError is raised if they are of different cameras. If no image could be used, the error of the first image is
+        raised; for several images, a FitError quotes that error.
         """
         if len(self.cameras) > 1:
             listed = ", ".join(f"{camera} ({file})" for camera, file in self.cameras.items())
@@ -338,7 +338,6 @@ class _Pictures:
 
 
 def _checked_f_numbers(f_numbers: Any, count: int) -> list[float | None]:
-    """Check the f-numbers and list one for each image. None selects the f-number in the file."""
     if f_numbers is None:
         return [None] * count
     numbers = np.asarray(checks.within("f_numbers", f_numbers, 0.3, 200.0), dtype=float)

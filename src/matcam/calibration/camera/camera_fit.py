@@ -1,8 +1,8 @@
 """Fit of the camera of one colour: lens and pixel, fitted to all measurements of the colour.
 
 A lens model is fitted to all measurements jointly. The result is compared with the model-free mean MTF of the edges, which
-can also be used as the lens itself ("measured"). If the pixel is fitted as well and diffraction is included, the lens is
-returned as a tabulated MTF, because the product of core and diffraction is not one of the lens models.
+can also be used as the lens itself ("measured"). A fit of the pixel that includes diffraction returns the lens as a tabulated
+MTF. The product of core and diffraction is not one of the lens models.
 """
 
 from __future__ import annotations
@@ -84,8 +84,8 @@ class CameraFit(Summarised):
 
     Attributes:
         camera: lens and pixel, with their uncertainty.
-        names: names of the fitted parameters, as in the profile; "gaussian.sigma_px" is the lens width of the best Gaussian
-            that accompanies a measured curve.
+        names: names of the fitted parameters, as in the profile. For a measured curve, "gaussian.sigma_px" is the lens width of
+            the best-fitting Gaussian.
         values: (k,) fitted parameters, in the units of their names.
         covariance: (k, k) covariance of `values`; increased if the measurements scatter more than their noise.
         chi2: chi-square of all samples for the given noise (no unit).
@@ -203,7 +203,7 @@ class CameraFit(Summarised):
             provenance: source, date and software, for the profile of the camera.
 
         Returns:
-            The fit, whose camera has the provenance.
+            The fit with the provenance in its camera.
         """
         return replace(self, camera=replaced(self.camera, "provenance", provenance))
 
@@ -301,7 +301,7 @@ class _FittedLens:
 
 
 def _within_the_pitch(parameters: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """Compute the most probable parameters with a pixel that is not wider than the pitch."""
+    """Compute the most probable parameters for a pixel that is not wider than the pitch."""
     over = parameters[1] - 0.5
     return parameters - covariance[:, 1] / covariance[1, 1] * over if over > 0 else parameters
 
@@ -322,9 +322,10 @@ def _refuse_unseparated(found: _FittedLens, table: EdgeTable | None) -> None:
 def _mean_curve(
     found: _FittedLens, edges: EdgeMeasurements | None, table: EdgeTable | None
 ) -> tuple[MeanCurve, np.ndarray]:
-    """Compute the mean MTF of edges and camera, and the derivative of the latter with respect to ln(blur).
+    """Compute the mean MTFs of edges and camera.
 
-    The standard deviation follows from the scatter of the edges.
+    The second result is the derivative of the MTF of the camera with respect to ln(blur). The standard deviation is derived
+    from the scatter of the edges, and is not smaller than their noise.
     """
     theta, half = jnp.asarray(found.parameters), jnp.asarray(found.half)
     if table is None:
@@ -346,7 +347,10 @@ def _mean_curve(
 
 @kept_program(returns=tuple[jax.Array, jax.Array])
 def _edge_curves(edges: Any, theta: jax.Array, half: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Evaluate the signed MTF of the camera, and its derivative with respect to ln(blur), both (edges, frequencies)."""
+    """Evaluate the signed MTF of the camera, and its derivative with respect to ln(blur).
+
+    Both have the shape (edges, frequencies).
+    """
 
     def one(edge: Any) -> tuple[jax.Array, jax.Array]:
         lens, angle = edge
@@ -393,7 +397,7 @@ def _measured_camera(found: _FittedLens, table: EdgeTable, curve: MeanCurve, shi
 
 
 def _separated_camera(found: _FittedLens) -> Camera:
-    """Create a camera from core and pixel.
+    """Create a camera from the fitted core and pixel.
 
     If the lens has an f-number, core and diffraction are combined in one tabulated MTF.
     """

@@ -1,4 +1,4 @@
-"""Selection of the edges that agree with each other, and check of their number.
+"""Selection of the edges that agree with each other, and a check of their number.
 
 Any image contains edges, for example of a printed page or a shadow. A single such edge does not determine a camera. Edges
 whose blur differs from that of the others, or whose levels are impossible, are excluded. Enough edges must remain to

@@ -1,7 +1,7 @@
 """Measurements that disagree with the blur of the edges: their exclusion, and the uncertainty that they add.
 
-Noise explains neither other kinds of targets that differ nor another shape of the MTF. The cause is the print, the tone curve
-or the lens model, and it also changes the blur of the edges.
+Noise explains neither differences between kinds of targets nor a wrong shape of the model MTF. The cause is the print, the
+tone curve or the lens model. It also changes the blur of the edges.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ def without_disagreeing(
 ) -> tuple[JointFit, dict[str, float]]:
     """Fit without the targets that contradict the edges of their chart.
 
-    The result contains the fit, and the relative difference of the blur of each excluded group by name. A FitError is raised
-    if measurements contradict one another, and no edges determine which are wrong. `channel`: name for the message.
+    The second result maps the name of each excluded group to the relative difference of its blur. A FitError is raised if
+    measurements contradict one another, and no edges determine which are wrong. `channel`: name for the message.
     """
     groups, replaceable, disagreeing = measurements.groups, measurements.replaceable, dict[str, float]()
     while True:
@@ -75,7 +75,6 @@ def blur_disagreement(
 
 
 def widened_remarks(share: float, channel: str) -> tuple[Remark, ...]:
-    """Create the remark that the standard deviation of the blur is increased. `share`: result of `blur_disagreement`."""
     if not share:
         return ()
     text = (

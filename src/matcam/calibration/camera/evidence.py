@@ -255,7 +255,7 @@ def measure_picture(
 
 
 def _without_waves(plane: LinearImage, chart: Chart, registration: Projection) -> LinearImage:
-    """Remove gratings and stars from a plane, because their finest waves would increase the noise estimate."""
+    """Mask gratings and stars in a plane, because their finest waves would increase the noise estimate."""
     values, turn = plane.values.copy(), np.linspace(0, 2 * np.pi, 33)
     rim = np.stack([np.cos(turn), np.sin(turn)], axis=-1)
     for element in chart.elements:
@@ -279,7 +279,6 @@ def _nothing_measured(chart: Chart, registration: Projection) -> FitError:
 
 
 def dot_positions(grids: Sequence[DotGrid]) -> tuple[BlurSamples, ...]:
-    """List the positions of all measured dots in the image and on the page as one group; empty without grids."""
     columns = [(np.column_stack([grid.x, grid.y]), grid.sigma, grid.sigma_std, grid.printed) for grid in grids]
     return (BlurSamples(*map(np.concatenate, zip(*columns, strict=True))),) if columns else ()
 
@@ -300,13 +299,12 @@ class Evidence:
 
     @property
     def f_numbers(self) -> list[float | None]:
-        """F-number of the image of every measurement."""
         return [f_number for _, _, f_number in self._stacks] + [s.f_number for s in self._samples]
 
     def check(self, channel: str, failed: Iterable[str], *, accept_sharpened: bool) -> list[Remark]:
         """List remarks on edges that were excluded.
 
-        A FitError is raised if edges are the only measurements, and insufficient for a camera. `failed`: names of the images
+        A FitError is raised if edges are the only measurements and are insufficient for a camera. `failed`: names of the images
         in which nothing was measured.
         """
         edges = [stack for stack, _, _ in self._stacks]
@@ -318,7 +316,6 @@ class Evidence:
         return [Remark("no-consensus", text)] if lost else []
 
     def measurements(self, lens_at: LensAt) -> Measurements:
-        """Convert all measurements to the form of the joint fit."""
         groups = [f"{source} (edges)" for edges, source, _ in self._stacks for _ in edges.good]
         groups += [_group(samples) for samples in self._samples]
         # Targets in images that also have edges may be excluded, because edges are more reliable.
@@ -333,11 +330,9 @@ class Evidence:
 
     @property
     def software(self) -> list[Processed]:
-        """Processing that was found in the images."""
         return [f.software for f in self._findings if f.software is not None]
 
     def field(self) -> LensField | None:
-        """Estimate the change of the lens over the field from edges and dots; None if it is unknown."""
         shapes = {f.shape for f in self._findings if f.shape is not None}
         if len(shapes) != 1:
             return None
@@ -349,7 +344,6 @@ class Evidence:
         return lens_over_field(positions, *shapes)
 
     def table(self) -> EdgeTable | None:
-        """Collect all edges without problems; None if there are no edges."""
         tables = []
         for edges, source, _ in self._stacks:
             fit, good = edges.parametric, edges.good

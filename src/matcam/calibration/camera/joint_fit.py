@@ -87,7 +87,6 @@ class Measurements(NamedTuple):
     replaceable: frozenset[str] = frozenset()
 
     def without(self, names: Collection[str]) -> Measurements:
-        """Set the weight of the named groups to 0."""
         if self.values is None or not names:
             return self
         out = np.array([group in names for group in self.groups[len(self.groups) - len(self.values.mtf) :]])
@@ -150,7 +149,7 @@ class JointFit(NamedTuple):
         return (grown + grown.T) / 2
 
     def differences(self, groups: Sequence[str], trusted: Collection[str]) -> dict[str, tuple[float, float]]:
-        """Compute the relative difference of the blur of each group from the other trusted groups.
+        """Compute the relative difference of the blur between each group and the other trusted groups.
 
         The result maps the name of each group to the difference and its standard deviation.
         `groups`: image and kind of every measurement. `trusted`: names of the groups to compare with.
@@ -169,7 +168,10 @@ class JointFit(NamedTuple):
         return found
 
     def _of_group(self, members: np.ndarray) -> tuple[float, float]:
-        """Compute the difference of the blur of a group from the fit, with the standard deviation from noise and scatter."""
+        """Compute the relative difference between the blur of a group and that of the fit.
+
+        The standard deviation includes the noise and the scatter of the group.
+        """
         information = np.maximum(self.shares.information[members, 0, 0], 1e-300)
         score, total = self.shares.score[members, 0], float(information.sum())
         shift = float(score.sum()) / total
@@ -242,7 +244,6 @@ def edge_measurements(stacks: Sequence[tuple[EdgeStack, LensModel]]) -> EdgeMeas
 
 
 def value_measurements(sets: Sequence[tuple[MTFSamples, LensModel]]) -> ValueMeasurements | None:
-    """Combine sets of MTF values, each with its lens model; None if there are no sets."""
     if not sets:
         return None
     most = program_size(max(samples.frequency.size for samples, _ in sets))
@@ -269,7 +270,7 @@ def _after_step(
 
 @kept_program(returns=tuple[Shares, tuple[jax.Array, jax.Array]])
 def _edge_shares(edges: EdgeMeasurements, theta: Any, half_width: Any) -> tuple[Shares, tuple[jax.Array, jax.Array]]:
-    """Compute the contributions of the edges, and the response of the parameters of each edge to the common parameters."""
+    """Compute the contributions of the edges, and the response of their linear parameters to the common parameters."""
 
     def one(edge: EdgeMeasurements) -> Any:
         profile = edge.lens.profile(jnp.asarray(edge.angle), half_width)
@@ -326,7 +327,7 @@ def _stack_lenses(lenses: Sequence[LensModel]) -> LensModel:
 
 
 def _with_empty_edges(edges: EdgeMeasurements) -> EdgeMeasurements:
-    """Add empty edges up to one of a few sizes, so that one compiled program serves many calls."""
+    """Pad with empty edges to one of a few sizes, so that one compiled program serves many calls."""
     more = program_size(len(edges.angle)) - len(edges.angle)
     full = jax.tree.map(lambda a: np.concatenate([a, np.repeat(a[:1], more, axis=0)]), edges)
     if not more:

@@ -85,7 +85,10 @@ def lateral_colour(of: EdgeTable, reference: EdgeTable, shape: tuple[int, int]) 
 
 
 def lateral_remark(found: LateralColour, channel: str, reference: str) -> Remark | None:
-    """Create a remark if two colours differ by at least 0.1 px and 5 standard deviations in the corners, else None."""
+    """Create a remark if the corners of two colours differ by at least 0.1 px and 5 standard deviations.
+
+    Otherwise the result is None.
+    """
     if abs(found.corner) < max(_REMARKABLE, SIGNIFICANT * found.corner_std):
         return None
     where = "further out" if found.corner > 0 else "further in"

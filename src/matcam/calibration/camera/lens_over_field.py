@@ -64,7 +64,10 @@ def lens_over_field(positions: Sequence[BlurSamples], shape: tuple[int, int]) ->
 
 
 def _growth(groups: Sequence[BlurSamples], middle: np.ndarray, unit: float) -> tuple[Coefficient | None, float]:
-    """Estimate the relative growth of the blur with rho^2, and the distance from the centre to which it refers, px."""
+    """Estimate the growth of the blur with rho^2, relative to the blur at a reference distance from the centre.
+
+    The second result is the reference distance, px.
+    """
     if not groups:
         return None, 0.0
     member = np.repeat(np.eye(len(groups)), [len(one.seen) for one in groups], axis=0)

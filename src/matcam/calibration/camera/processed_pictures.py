@@ -43,7 +43,7 @@ class Processed(NamedTuple):
     noise: FlatNoise | None
 
     def share(self, sigma: float) -> float:
-        """Estimate the relative standard deviation of the blur due to the processing; `sigma`: lens width, px."""
+        """Estimate the relative standard deviation of the blur due to the processing. `sigma`: lens width, px."""
         if self.noise is None:
             return 0.0
         blur = np.hypot(sigma, np.sqrt(_PIXEL))
@@ -83,7 +83,6 @@ def processed(plane: LinearImage, *, accept: bool) -> Processed:
 
 
 def picture_noise(values: np.ndarray) -> FlatNoise:
-    """Measure the noise in the uniform areas of an image; `values`: (height, width)."""
     top, left = (max(size - _LARGEST, 0) // 2 for size in values.shape)
     middle = values[top : top + _LARGEST, left : left + _LARGEST]
     known = np.isfinite(middle)
@@ -96,6 +95,6 @@ def picture_noise(values: np.ndarray) -> FlatNoise:
 
 
 def processing_std(pictures: Iterable[Processed], sigma: float) -> float:
-    """Estimate the standard deviation of the lens width due to the processing of the images, px; `sigma`: lens width, px."""
+    """Estimate the standard deviation of the lens width, px, due to the processing. `sigma`: lens width, px."""
     share = max((one.share(sigma) for one in pictures), default=0.0)
     return share * (sigma + _PIXEL / sigma)

@@ -126,12 +126,10 @@ def is_description_of(path: Path, chart: Chart) -> bool:
 
 
 def description_path(page: str | Path) -> Path:
-    """Derive the path of the description from that of the printed page: "chart.pdf" -> "chart.json"."""
     return Path(page).with_suffix(".json")
 
 
 def chart_schema() -> dict[str, Any]:
-    """Create the JSON Schema of the description of a chart."""
     schema: dict[str, Any] = _Document.model_json_schema()
     return schema
 

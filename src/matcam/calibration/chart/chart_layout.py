@@ -1,4 +1,4 @@
-"""Layout of a chart: panels on a page, whose elements are sized in pixels of the camera."""
+"""Layout of a chart: panels on a page, with elements sized in pixels of the camera."""
 
 from __future__ import annotations
 
@@ -134,7 +134,7 @@ def _patches(left: float, top: float, width: float, height: float) -> Iterator[P
 
 
 def _positions(corner: Point, size: Point, pitch: float) -> Iterator[Point]:
-    """Yield the centres of the cells of a regular grid that fills the panel and is centred in it."""
+    """Yield the cell centres, mm, of a regular grid that is centred in the panel."""
     columns, rows = (int(side / pitch + 1e-9) for side in size)
     # More than 200,000 elements in a panel are assumed to be a mistake.
     if columns * rows > 200_000:
@@ -148,9 +148,9 @@ def _positions(corner: Point, size: Point, pitch: float) -> Iterator[Point]:
 
 
 def _fitting_side(size: Point, usual: float, pitch: float, least: int) -> float:
-    """Compute the side of the squares in a panel.
+    """Compute the side of the squares in a panel, mm.
 
-    The side is `usual` if `least` squares fit, else one with which two fit.
+    The side is `usual` if `least` squares fit. Otherwise it is reduced until two squares fit, but not below half of `usual`.
     `pitch`: distance between neighbours relative to the side.
     """
     if math.prod(int(side / (pitch * usual)) for side in size) >= least:

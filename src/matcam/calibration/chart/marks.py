@@ -1,9 +1,9 @@
-"""Detection of the fiducials of a chart (dark discs in concentric dark rings), and their assignment to the description.
+"""Detection of the fiducials of a chart in an image, and their assignment to the description.
 
-Four marks determine a pinhole view, and a fifth must agree. All quadruples of marks are compared with all quadruples of
-fiducials in the same cyclic order, for several barrel distortions. If the mark with two rings is visible, it is the first
-of a quadruple; otherwise all starting points are tested. If only four marks are visible, any quadruple is consistent, and
-the printed elements between them are compared with the image.
+Fiducials are dark discs in concentric dark rings. Four marks determine a pinhole view, and a fifth must agree. All quadruples
+of marks are compared with all quadruples of fiducials in the same cyclic order, for several barrel distortions. If the mark
+with two rings is visible, it is the first of a quadruple; otherwise all starting points are tested. If only four marks are
+visible, any quadruple is consistent, and the printed elements between them are compared with the image.
 """
 
 from __future__ import annotations
@@ -39,7 +39,14 @@ _LEVEL = 0.5
 
 
 class Mark(NamedTuple):
-    """Position of a fiducial, px, the number of its rings, and the radius of its disc, px."""
+    """Fiducial detected in an image.
+
+    Attributes:
+        x: column of the centre, px.
+        y: row of the centre, px.
+        rings: number of rings.
+        radius: radius of the disc, px.
+    """
 
     x: float
     y: float
@@ -48,7 +55,6 @@ class Mark(NamedTuple):
 
 
 def balanced(mosaic: ArrayLike) -> FloatArray:
-    """Scale the four planes of a mosaic to the same bright level."""
     even = np.array(mosaic, dtype=np.float64)
     for row, column in itertools.product((0, 1), repeat=2):
         plane = even[row::2, column::2]
@@ -112,11 +118,11 @@ class _Views(NamedTuple):
     """Pinhole views of the page, and the marks that they explain.
 
     Attributes:
-        matrix: (n, 3, 3) homographies from mm to undistorted px from the middle of the image.
+        matrix: (n, 3, 3) homographies from the page, mm, to undistorted positions, px from the middle of the image.
         barrel: (n,) distortion coefficients.
         nearest: (n, fiducials) index of the nearest mark; -1 if none is near.
         explained: (n,) number of marks at the expected positions of fiducials.
-        off: (n,) mean distance of these marks relative to the size of the chart.
+        off: (n,) mean distance of these marks from the expected positions, relative to the size of the chart.
     """
 
     matrix: FloatArray
@@ -130,10 +136,11 @@ class _Views(NamedTuple):
 
 
 def match_marks(chart: Chart, marks: list[Mark], smooth: FloatArray) -> list[tuple[int, int]]:
-    """Match marks to the fiducials of a chart, as pairs of indices of fiducial and mark.
+    """Match marks to the fiducials of a chart.
 
-    The match explains the most marks, and agrees best with the image. It is empty unless more than four marks agree, or
-    the image agrees with the printed elements. `smooth`: (height, width) image with little noise, without missing pixels.
+    The result lists pairs (index of the fiducial, index of the mark). It explains the most marks, and agrees best with the
+    image. It is empty unless more than four marks agree, or the image agrees with the printed elements. `smooth`: (height,
+    width) image with little noise, without missing pixels.
     """
     similar_marks = _similar_marks(marks)
     positions = np.array([fiducial.centre for fiducial in chart.fiducials])
@@ -175,7 +182,10 @@ def match_marks(chart: Chart, marks: list[Mark], smooth: FloatArray) -> list[tup
 
 
 def _similar_marks(marks: list[Mark]) -> list[int]:
-    """Sort the indices of marks by similarity of size to the largest group of similar marks."""
+    """Sort the indices of marks by the difference of their radius from the most common radius.
+
+    Marks with two rings are preferred.
+    """
     radii = np.array([mark.radius for mark in marks])
     near = np.array([(np.maximum(radii / r, r / radii) < _SIMILAR_SIZE).sum() for r in radii])
     middle = radii[near == near.max()]
@@ -184,7 +194,7 @@ def _similar_marks(marks: list[Mark]) -> list[int]:
 
 
 def _quads(positions: FloatArray, begin: list[int]) -> np.ndarray:
-    """List quadruples of points in cyclic order, (n, 4). The first point of each is one of `begin`."""
+    """List quadruples of point indices in cyclic order, (n, 4). Each quadruple starts with an index of `begin`."""
     rows = [(start, *three) for start in begin for three in itertools.combinations(_in_turn(positions, start), 3)]
     return np.array(rows, dtype=int).reshape(-1, 4)
 
@@ -192,7 +202,7 @@ def _quads(positions: FloatArray, begin: list[int]) -> np.ndarray:
 def _views(
     positions: FloatArray, quads: np.ndarray, seen: FloatArray, starts: list[int], barrel: float, *, pinned: bool
 ) -> _Views:
-    """Compute the views that quadruples of marks and of fiducials define.
+    """Compute the view of each pair of a quadruple of marks and a quadruple of fiducials.
 
     If `pinned`, the first point of a quadruple is known. Otherwise each quadruple of marks is used with one starting point.
     """
@@ -220,7 +230,10 @@ def _views(
 
 
 def _best(found: list[_Views]) -> _Views:
-    """Select the most accurate view of each match with the most marks, at least four, in order of accuracy."""
+    """Select the views that explain the most marks, at least four, in order of accuracy.
+
+    Only the most accurate view of each match is selected.
+    """
     views = _Views(*(np.concatenate(column) for column in zip(*found, strict=True)))
     views = views.subset(views.explained == max(int(views.explained.max(initial=0)), 4))
     views = views.subset(np.argsort(views.off, kind="stable"))
@@ -262,7 +275,10 @@ def _in_turn(points: FloatArray, start: int) -> list[int]:
 
 
 def _bases(points: FloatArray) -> FloatArray:
-    """Compute maps (m, 3, 3) from the projective basis to four points (n, 4, 2), without those of collinear points."""
+    """Compute homographies (m, 3, 3) from the projective basis to quadruples of points (n, 4, 2).
+
+    Quadruples with collinear points are omitted.
+    """
     whole = np.concatenate([points, np.ones((*points.shape[:2], 1))], axis=2)
     # By Cramer's rule, the weight of each of the first three points is the determinant in which the fourth point replaces it,
     # divided by the determinant of the three. The divisor is omitted, because the scale of a map is arbitrary.

@@ -51,7 +51,6 @@ class PrintedLevels:
     std: FloatArray
 
     def __call__(self, level: FloatArray | float) -> FloatArray:
-        """Interpolate the printed levels for described levels (no unit)."""
         at, known = np.log(np.append(self.described, 1.0)), np.log(np.append(self.printed, 1.0))
         wanted = np.log(np.maximum(np.asarray(level, float), 1e-4))
         curve = PchipInterpolator(at, known, extrapolate=False)
@@ -79,9 +78,10 @@ class PrintedLevels:
         return float(np.hypot(0.004, np.median(self.std)))
 
     def of(self, element: Element) -> Element:
-        """Replace the levels of a target by its printed levels.
+        """Replace the described levels of a target by its printed levels.
 
-        The levels of a sine are those of the first harmonic of the print; the dark level may then be negative.
+        For a star or a sine, they are the mean of the print plus and minus the amplitude of its first harmonic. The dark level
+        may then be negative.
         """
         if isinstance(element, Grating) and element.profile != "sine":
             return replace(element, dark=float(self(element.dark)), bright=float(self(element.bright)))
@@ -94,7 +94,7 @@ class PrintedLevels:
 
 
 def printed_levels(values: FloatArray, chart: Chart, projection: Projection) -> PrintedLevels | None:
-    """Measure the levels of the patches of a chart; None if too few are visible.
+    """Measure the printed levels of the tone patches of a chart; None if too few patches are usable.
 
     `values`: (height, width) linear, NaN for missing data. `projection`: map from the page, mm, to the image, px.
     """
@@ -118,7 +118,10 @@ def printed_levels(values: FloatArray, chart: Chart, projection: Projection) -> 
 
 
 def _over_paper(values: FloatArray, patch: Patch, projection: Projection) -> tuple[float, float] | None:
-    """Measure the level of a patch relative to the paper, with its relative standard deviation; None if they are uneven."""
+    """Measure the level of a patch relative to the paper, with its relative standard deviation.
+
+    The result is None if patch or paper is uneven, or too few of their pixels are known.
+    """
     corners = np.array(patch.corners)
     centre, across, along = corners.mean(0), (corners[1] - corners[0]) / 2, (corners[3] - corners[0]) / 2
     line = np.linspace(-1, 1, _GRID)

@@ -36,20 +36,20 @@ _FEWEST_SIDES = 0.3
 
 @dataclass(frozen=True, eq=False)
 class Registration:
-    """Map from points of a chart's page to positions in a photograph.
+    """Map from the page of a chart to positions in a photograph.
 
     A call with points (n, 2) on the page, mm, returns their positions (n, 2) in the image, px. Pixel centres have integer
     coordinates.
 
     Attributes:
-        homography: (3, 3) matrix from mm to px from the middle of the image, before distortion.
+        homography: (3, 3) matrix from the page, mm, to undistorted positions, px from the middle of the image.
         distortion: a and b of the distorted radius r (1 + a r^2 + b r^4), r in half diagonals of the image (no unit).
         shape: height and width of the image, px.
         residual: root mean square residual of the fiducials, px.
         found: number of fiducials found.
-        curl: shape of a curved page: coefficients of x^2, xy and y^2 for the height relative to that of the camera, and
-            the foot point (x, y) of the camera, all in widths of the page from its middle (no unit). Default: zeros,
-            a plane page.
+        curl: shape of a curved page (no unit): coefficients of x^2, xy and y^2, then the foot point (x, y) of the camera. The
+            height is relative to that of the camera; x and y are in widths of the page from its middle. Default: zeros, a
+            plane page.
         page: width and height of the page, mm. Default: (1, 1), not required for a plane page.
 
     Example:
@@ -157,7 +157,7 @@ def register_chart(image: ArrayLike | LinearImage, chart: Chart, *, mosaic: bool
 
 
 def radial_distortion(positions: FloatArray, seen: FloatArray, shape: tuple[int, ...]) -> tuple[float, float]:
-    """Fit the coefficient a of the distorted radius r (1 + a r^2), with its standard deviation from the scatter.
+    """Fit the coefficient a of the distorted radius r (1 + a r^2), and estimate its standard deviation from the scatter.
 
     Args:
         positions: (n, 2) positions on a plane page, any unit.
@@ -165,7 +165,7 @@ def radial_distortion(positions: FloatArray, seen: FloatArray, shape: tuple[int,
         shape: height and width of the image, px. The unit of r is half the diagonal.
 
     Raises:
-        FitError: there are fewer than 12 positions, or they do not determine the pose of the page.
+        FitError: if there are fewer than 12 positions, or they do not determine the pose of the page.
     """
     if len(positions) < FEWEST_POSITIONS:
         raise FitError(
@@ -190,7 +190,6 @@ def radial_distortion(positions: FloatArray, seen: FloatArray, shape: tuple[int,
 
 
 def check_projection_given(name: str, element: Element | None, projection: Projection | None) -> None:
-    """Raise ArgumentError if only one of element and projection is given. `name`: name of the element argument."""
     if (element is None) != (projection is None):
         raise ArgumentError(f"{name} and projection must be given together, or neither")
 
@@ -212,10 +211,10 @@ def _registration_through(
     page: tuple[float, float],
     sides: Sides | None = None,
 ) -> Registration:
-    """Fit the camera and the curvature of the page to the positions of points, mm and px.
+    """Fit camera and page curvature to points with known positions on the page, mm, and in the image, px.
 
-    `sides`: further positions, known only in the direction across the side. A FitError is raised if the
-    residuals are too large.
+    `sides`: further positions, known only in the direction across the side. A FitError is raised if the residuals are too
+    large.
     """
     start = np.append(_homography(positions, _from_middle(seen, shape)).ravel()[:8], np.zeros(7))
     # Priors keep undetermined parameters near 0: distortion, curvature, and the foot point of the camera.
@@ -254,8 +253,7 @@ def _project(
 ) -> FloatArray:
     """Project points on the page (mm) to the image (px).
 
-    `parameters`: eight of the homography, two of the distortion, and five of the curvature: three of a quadratic height
-    relative to that of the camera, and the camera's foot point, all in widths of the page from its centre.
+    `parameters`: eight of the homography, two of the distortion, and the five of `Registration.curl`.
     """
     xx, xy, yy, foot_x, foot_y = parameters[10:]
     x, y = ((points - np.array(page) / 2) / page[0]).T
@@ -277,7 +275,7 @@ def _from_middle(points: FloatArray, shape: tuple[int, ...]) -> FloatArray:
 def _homography(source: FloatArray, target: FloatArray) -> FloatArray:
     """Fit the homography (3, 3) between two sets of points (n >= 4, 2) by least squares.
 
-    Its last entry is 1. A LinAlgError is raised if the points do not determine it.
+    The last entry of the matrix is 1. A LinAlgError is raised if the points do not determine the homography.
     """
     scale = np.abs(source).max()
     rows = []

@@ -1,4 +1,4 @@
-"""Search for the sides of the squares of a chart in an image, starting from a first registration."""
+"""Search for the sides of the squares of a chart in an image, based on a first registration."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Sides(NamedTuple):
 
     Attributes:
         page: (n, m, 2) positions on the page, mm.
-        seen: (n, m, 2) measured positions of the side in the image, px; NaN if it was not found.
+        seen: (n, m, 2) measured positions of the sides in the image, px; NaN if no side was found.
         normal: (n, m, 2) outward unit vectors, towards the bright side.
         length: (n,) length in the image, px.
     """
@@ -75,7 +75,10 @@ def seen_sides(smooth: FloatArray, chart: Chart, projection: Callable[[FloatArra
 
 
 def _steepest(profile: FloatArray, steps: FloatArray, level: FloatArray) -> FloatArray:
-    """Find the steepest rise of profiles (n, m, k), px; NaN if the rise is smaller than that of a side."""
+    """Locate the steepest rise of profiles (n, m, k), px from the expected position of the side.
+
+    The position is NaN if the rise is too small for a side.
+    """
     slope = np.diff(profile, axis=2)
     between = (steps[1:] + steps[:-1]) / 2
     best = np.nan_to_num(slope, nan=-np.inf).argmax(2)

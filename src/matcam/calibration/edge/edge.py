@@ -210,7 +210,7 @@ def edge_stack(
     Args:
         regions: groups of at most `AT_ONCE` regions. A list contains the known problem of each region, or None.
         settings: settings of the measurement.
-        even_light: divide uneven light out of the regions, and search for traces of image processing. Default: False.
+        even_light: correct the regions for uneven light, and search for traces of image processing. Default: False.
     """
     # For fewer than 500 edges, compiling takes longer than it saves.
     fit = _compiled_fits if len(regions) * AT_ONCE >= 500 else _fits
@@ -248,7 +248,6 @@ def _placed(rows: EdgeRegions, x: ArrayLike, y: ArrayLike) -> EdgeRegions:
 
 
 def _of_each(count: int, function: Callable[..., Any], *edges: Any) -> Any:
-    """Apply a function to each edge, and stack the results. `edges`: arrays with a leading axis of length `count`."""
     found = [function(*tuple_map(lambda a: a[i], edges)) for i in range(count)]  # noqa: B023
     return tuple_map(lambda *a: np.array(a), *found)
 
@@ -261,7 +260,6 @@ def _fits(rows: EdgeRegions, settings: EdgeSettings) -> EdgeFits:
 
 
 def _compiled_fits(rows: EdgeRegions, settings: EdgeSettings) -> EdgeFits:
-    """Fit the edges of at most `AT_ONCE` regions in parallel, with the result of `_fits`."""
     count, half = len(rows.value), np.float64(settings.half_width)
     # A constant number of edges requires only one compiled program. Repeated edges are discarded.
     value, y, start = (
@@ -273,14 +271,14 @@ def _compiled_fits(rows: EdgeRegions, settings: EdgeSettings) -> EdgeFits:
 
 
 def _in_even_light(rows: EdgeRegions, fits: EdgeFits) -> tuple[EdgeRegions, list[LightField | None]]:
-    """Divide uneven light out of regions.
+    """Correct regions for uneven light.
 
     Args:
         rows: n regions.
         fits: fits of their edges, NumPy arrays with a leading axis of length n.
 
     Returns:
-        The corrected regions, and the light of each region, or None if light of third order explains the region.
+        The corrected regions, and the light of each region. The light is None if a polynomial of third order explains it.
     """
     value, fields = np.array(rows.value), list[LightField | None]()
     widths = line_width(fits.free.shape)
@@ -307,7 +305,10 @@ def _in_even_light(rows: EdgeRegions, fits: EdgeFits) -> tuple[EdgeRegions, list
 
 
 def _stacked(images: ArrayLike | Sequence[LinearImage]) -> tuple[np.ndarray, np.ndarray]:
-    """Stack images as regions (n, height, width), and list the positions (n, 2) of their first pixels in the photograph, px."""
+    """Stack images as regions (n, height, width).
+
+    The second result contains the positions (n, 2) of their first pixels in the photograph, px.
+    """
     planes = list(images) if isinstance(images, list | tuple) else []
     if planes and all(isinstance(plane, LinearImage) for plane in planes):
         if len({plane.shape for plane in planes}) > 1 or any(plane.cfa is not None for plane in planes):

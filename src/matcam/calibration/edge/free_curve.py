@@ -113,7 +113,7 @@ class FreeCurve(NamedTuple):
 
 
 class SampledCurve(NamedTuple):
-    """Sampled curve and its standard deviation, arrays of the same shape."""
+    """Sampled values and standard deviations of a curve, arrays of the same shape."""
 
     value: AnyArray
     std: AnyArray

@@ -1,6 +1,6 @@
 """Fit of the model-free edge response to the bins: a linear least-squares problem with priors, optional ghost and glare.
 
-Normal priors keep coefficients that the bins do not determine near the pilot. The prior standard deviation is 10 % of
+If the bins do not determine a coefficient, a normal prior keeps it near the pilot. The prior standard deviation is 10 % of
 the step for the centre of the core, and decreases with the distance, because lenses deviate most from Gaussians in the
 core. The covariance is that of the estimator under noise, A^-1 X W V W X' A^-1 with A = X W X' + prior. It describes the
 scatter of repeated images, and it is smaller than the posterior covariance. docs/edge.md gives the measured bias of the
@@ -123,7 +123,6 @@ class LinearFit(NamedTuple):
         return self.weight**2 * self.variance / xp.maximum(self.cells.pixels, 1.0)
 
     def solved(self, columns: jax.Array) -> LinearFit:
-        """Solve the problem with other columns (p, n)."""
         normal = (columns * self.weight) @ columns.T
         inverse = lifted_inverse(normal + xp.diag(_PRECISIONS))
         strength = inverse @ (columns @ (self.weight * self.residual))
@@ -198,11 +197,11 @@ def _width(cells: EdgeCells) -> jax.Array:
 
 
 def misfit_probability(fit: LinearFit, tested: EdgeModel) -> jax.Array:
-    """Compute the probability of the residuals of another model, from a fit of the free curve to these residuals.
+    """Compute the probability of the residuals of the model `tested` if this model is correct.
 
-    The test statistic is the quadratic form s' A^-1 s of the scores s. If the tested model is correct, the covariance of
-    the scores is the information minus the part that the tested fit has absorbed. The distribution is approximated by a
-    scaled chi-square with the same mean and variance (Satterthwaite 1946).
+    The free curve is fitted to the residuals. The test statistic is the quadratic form s' A^-1 s of the scores s. If the
+    tested model is correct, the covariance of the scores is the information minus the part that the tested fit has absorbed.
+    The distribution is approximated by a scaled chi-square with the same mean and variance (Satterthwaite 1946).
     """
     score = fit.columns @ (fit.weight * (fit.cells.value - tested.value))
     shared = (fit.columns * fit.weight) @ tested.design.T
@@ -246,7 +245,6 @@ def _chosen_light(
 
 
 def curve_without_glare(fit: LinearFit) -> FreeCurve:
-    """Convert a fit without glare to a curve, with its covariance."""
     covariance = fit.inverse @ ((fit.columns * fit.noisy) @ fit.columns.T) @ fit.inverse
     with_radius = changed(np.zeros((len(covariance) + 1,) * 2), np.s_[:-1, :-1], covariance)
     return _per_step(fit, fit.strength, with_radius, xp.ones(()))
@@ -255,7 +253,7 @@ def curve_without_glare(fit: LinearFit) -> FreeCurve:
 def glare_candidate(fit: LinearFit) -> tuple[jax.Array, jax.Array]:
     """Find the most probable glare.
 
-    The result contains ln of its radius in px, and the increase of 2 ln likelihood.
+    The result contains ln of the radius of the glare in px, and the increase of 2 ln likelihood.
     """
     radii = _radii(fit.shape)
     rises = _glare_rises(fit, radii)

@@ -47,7 +47,6 @@ class Rows(NamedTuple):
 
     @classmethod
     def of(cls, value: AnyArray, y: AnyArray, start: AnyArray, step: int) -> Rows:
-        """Create rows with their half length and their Legendre polynomials."""
         length = xp.maximum(xp.max(xp.where(xp.isfinite(value).any(1), xp.abs(y), 0.0)), 1.0)
         # The light of the rows has order 10 at most.
         return cls(value, y, start, step, length, legendre(y / length, 11))
@@ -131,7 +130,6 @@ def edge_position(curve: AnyArray, powers: AnyArray) -> AnyArray:
 
 
 def edge_slope(curve: AnyArray, powers: AnyArray, length: AnyArray) -> AnyArray:
-    """Compute the slopes dx0/dy of a curve in all rows."""
     return edge_position(curve @ _SLOPES, powers) / length
 
 
@@ -172,7 +170,6 @@ def aligned_rows(rows: Rows, curve: jax.Array) -> AlignedRows:
 
 
 def phased_rows(rows: AlignedRows, curve: jax.Array) -> PhasedRows:
-    """Compute the distances of all pixels from a curve, and the phases of all rows."""
     middle = rows.value.shape[1] // 2
     offset = (rows.x[:, middle] - edge_position(curve, rows.powers)) / rows.step + 0.5
     # The distances in a bin near the edge differ by at most an eighth of a px.
@@ -197,7 +194,7 @@ def edge_cells(phased: PhasedRows) -> EdgeCells:
         quantities.append(quantities[-1] * phased.distance)
 
     def summed(groups: AnyArray, part: slice) -> list[jax.Array]:
-        """Sum products of each quantity and each function of the row over groups of rows (functions, groups * columns)."""
+        """Sum the products of row functions and quantities over groups of rows, (functions, groups * columns) each."""
         weights = (of_row[:, None] * groups).reshape(-1, count)
         return [(weights @ quantity[:, part]).reshape(len(of_row), -1) for quantity in quantities]
 

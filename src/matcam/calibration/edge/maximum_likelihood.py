@@ -135,7 +135,6 @@ def lit_edge(edge: jax.Array, linear: jax.Array, terms: jax.Array) -> LitEdge:
 
 
 def edge_model(cells: EdgeCells, state: State, profile: Profile) -> EdgeModel:
-    """Evaluate the model of the bins, and its derivatives."""
     moved = cells._replace(distance=cells.distance + state.linear[SHIFT])
     edge, line, slopes = profile(moved, state.profile)
     lit = lit_edge(edge, state.linear, cells.terms)

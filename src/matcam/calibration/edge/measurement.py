@@ -53,7 +53,7 @@ class LensFit(NamedTuple):
         profile: (k,) fitted parameters of the lens.
         chi2: chi-square of the bins for the given noise.
         degrees: degrees of freedom: number of bins minus number of parameters.
-        misfit_probability: probability of the residuals, from a test by the free curve.
+        misfit_probability: probability of the residuals if the model is correct, tested with the free curve.
         numbers: (k,) parameters of the lens, in the units of their names.
         numbers_covariance: (k, k) covariance of `numbers`.
         expected: (n,) model values of the bins.
@@ -153,7 +153,6 @@ def edge_fits(
     def turn(
         at: tuple[jax.Array, State], used: jax.Array
     ) -> tuple[Any, tuple[jax.Array, EdgeCells, EdgeModel, CurveStep]]:
-        """Fit profile and levels to the bins, then the curve to the pixels. `used`: mask of the free linear parameters."""
         curve, state = at
         phased = geometry.phased_rows(aligned, curve)
         cells = geometry.edge_cells(phased)

@@ -59,7 +59,7 @@ class EdgeValues(Generic[Number]):
 
     @property
     def glare_found(self) -> Any:
-        """True if glare was found; for a stack a mask (n,)."""
+        """True if glare was found; a mask (n,) for a stack."""
         return self.glare_fraction != 0
 
 
@@ -238,7 +238,6 @@ def parametric_stack(
 
 
 def with_nan(values: AnyArray | np.float64, bad: np.ndarray) -> np.ndarray:
-    """Replace the values of the edges in the mask `bad` (n,) with NaN."""
     if not bad.any():
         return np.asarray(values)
     return np.where(bad.reshape(-1, *[1] * (np.ndim(values) - 1)), np.nan, values)

@@ -2,8 +2,8 @@
 
 A lens cannot be measured in a denoised image, but the processing causes traces: in the noise of the flat sides
 (`flat_noise.py`), in values that many pixels share, and in an overshoot. Each trace is reported with its possible effect
-on the MTF. The effect increases the standard deviations, in the form of an unknown relative scale of frequency, which
-leaves the MTF of 1 at frequency 0 unchanged.
+on the MTF. The effect increases the standard deviations. It is modelled as an unknown relative scale of frequency, which
+does not change the MTF of 1 at frequency 0.
 """
 
 from __future__ import annotations
@@ -115,7 +115,7 @@ class _EdgeRegion:
 
     @cached_property
     def levels(self) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Different values of each flat side in ascending order, and the number of pixels with each value."""
+        """Distinct values of each flat side in ascending order, and the number of pixels with each value."""
         return [np.unique(self.value[side], return_counts=True) for side in self.sides]
 
     @cached_property
@@ -125,7 +125,10 @@ class _EdgeRegion:
 
     @cached_property
     def correlations(self) -> Correlations | None:
-        """Correlations of the noise; None if they are unknown, and for a mosaic, which is assumed to be unfiltered."""
+        """Correlations of the noise; None if they are unknown.
+
+        They are also None for a mosaic, which is assumed to be unfiltered.
+        """
         if self.mosaic or not np.isfinite(self.noise.neighbour_ratio_std):
             return None
         return correlations(np.where(np.isfinite(self.value), self.value, 0.0), self.sides)
@@ -212,7 +215,10 @@ def _ghost(region: _EdgeRegion) -> list[Trace]:
 
 
 def _smoothed(region: _EdgeRegion) -> list[Trace]:
-    """Detect correlated noise, and estimate the error of MTF50 by smoothing, which is smaller for a wider blur."""
+    """Detect correlated noise, and estimate the error of MTF50 due to smoothing.
+
+    The error is smaller for a wider blur.
+    """
     noise = region.noise
     if not noise.smoothed:
         return []
@@ -249,7 +255,6 @@ def _tone_curve(region: _EdgeRegion) -> list[Trace]:
 
 
 def _sharpened(region: _EdgeRegion) -> list[Trace]:
-    """Detect sharpening from the combined significance of overshoot and noise."""
     noise = region.noise
     over, std = region.edge.overshoot, max(region.edge.overshoot_std, 1e-4)
     apart = 0.0 if noise.smoothed else noise.apart

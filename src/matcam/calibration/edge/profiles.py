@@ -93,7 +93,6 @@ class LensModel(Module):
         left, right = left % count, (left + 1) % count
 
         def over_cells(values: jax.Array, slopes: jax.Array) -> jax.Array:
-            """Interpolate at the two points of each bin by cubic Hermite polynomials, and average."""
             slopes = slopes / _PER_PX
             a, b = values[left], values[right]
             cubic = a + (b - a) * t**2 * (3 - 2 * t) + t * (1 - t) * (slopes[left] * (1 - t) - slopes[right] * t)
@@ -119,15 +118,12 @@ class Gaussian(LensModel):
     longest: ClassVar[tuple[float, ...]] = (0.7,)
 
     def start(self, log_sigma: jax.Array) -> jax.Array:
-        """Select ln sigma as the initial parameter."""
         return log_sigma[None]
 
     def numbers(self, parameters: jax.Array) -> jax.Array:
-        """Compute sigma, px."""
         return xp.exp(parameters)
 
     def optics(self, parameters: jax.Array) -> Optics:
-        """Create Gaussian optics."""
         return GaussianOptics(xp.exp(parameters[0]))
 
     def response(
@@ -156,18 +152,15 @@ class GaussianWithHalo(LensModel):
         return xp.stack([log_sigma - 0.03, xp.asarray(0.03), xp.maximum(log_sigma + 1.5, xp.log(12.0))])
 
     def numbers(self, parameters: jax.Array) -> jax.Array:
-        """Compute sigma (px), fraction and radius (px)."""
         return xp.stack([xp.exp(parameters[0]), parameters[1], xp.exp(parameters[2])])
 
     def optics(self, parameters: jax.Array) -> Optics:
-        """Create Gaussian optics with veiling glare."""
         sigma, fraction, radius = self.numbers(parameters)
         return HaloOptics(GaussianOptics(sigma), fraction, radius)
 
     def response(
         self, cells: EdgeCells, parameters: jax.Array, angle: jax.Array, half_width: jax.Array
     ) -> tuple[jax.Array, jax.Array, jax.Array]:
-        """Evaluate E, dE/dd and dE/dparameters in closed form."""
         core, halo = (_gaussian_edge(cells, angle, half_width, parameters[k]) for k in (0, 2))
         fraction = parameters[1]
         edge, line = ((1 - fraction) * c + fraction * h for c, h in zip(core[:2], halo[:2], strict=True))
@@ -189,11 +182,9 @@ class Diffraction(LensModel):
         return (log_sigma - xp.log(0.45 * self.wavelength / self.pixel_pitch))[None]
 
     def numbers(self, parameters: jax.Array) -> jax.Array:
-        """Compute the f-number."""
         return xp.exp(parameters)
 
     def optics(self, parameters: jax.Array) -> Optics:
-        """Create diffraction-limited optics."""
         return DiffractionOptics(xp.exp(parameters[0]), self.wavelength, self.pixel_pitch)
 
 
@@ -220,7 +211,6 @@ class Defocus(LensModel):
         return xp.stack([xp.exp(parameters[0]), xp.abs(parameters[1])])
 
     def optics(self, parameters: jax.Array) -> Optics:
-        """Create optics with diffraction and defocus."""
         f_number, blur = self.numbers(parameters)
         return DefocusOptics(f_number, self.wavelength, self.pixel_pitch, blur)
 
@@ -251,7 +241,6 @@ class Separable(LensModel):
         return xp.stack([xp.log(xp.exp(2 * log_sigma) + half**2 / 3) / 2, half, xp.zeros_like(half)])
 
     def numbers(self, parameters: jax.Array) -> jax.Array:
-        """Compute sigma (px), half width (px) and kurtosis."""
         return changed(parameters, 0, xp.sqrt(_variance(parameters)))
 
     def optics(self, parameters: jax.Array) -> Optics:
@@ -274,7 +263,6 @@ class Separable(LensModel):
 
 
 def check_light(wavelength: float | None, pixel_pitch: float | None) -> None:
-    """Raise ArgumentError if a wavelength or a pixel pitch, m, is out of range."""
     if wavelength is not None:
         checks.within("wavelength", wavelength, 1e-9, 1e-3, "m (550 nm is 550e-9)")
     if pixel_pitch is not None:
@@ -295,7 +283,6 @@ def lens_model(name: str, wavelength: float | None, pixel_pitch: float | None) -
 def _gaussian_edge(
     cells: EdgeCells, angle: jax.Array, half_width: jax.Array, log_sigma: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Evaluate E, dE/dd and dE/dln(sigma) of a Gaussian lens."""
     sigma = xp.exp(log_sigma)
     wide = xp.sqrt(sigma**2 + cells.spread)
     edge, line, by_wide = edge_and_slopes(cells.distance, angle, half_width, wide)

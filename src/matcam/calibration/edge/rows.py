@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 _LARGEST = 1 << 22
 """Largest number of pixels of a region. The search for structure in larger regions requires much time and memory."""
 _FEW_TURNS, _MANY_TURNS = 2, 8
-"""Numbers of alternating fits of profile and position: if the rows sample the phases often enough, and in other cases."""
+"""Numbers of alternating fits of profile and position, for rows that sample the phases often enough and for other rows."""
 _ENOUGH_CYCLES = 4.0
 """Number of times that the rows must sample every phase for `_FEW_TURNS`. With fewer cycles, the fits converge slowly."""
 _LEAST_ROWS = 10
@@ -85,7 +85,7 @@ class RegionFrame(NamedTuple):
     length: np.ndarray | float
 
     def in_picture(self, x: np.ndarray | float, y: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
-        """Transform a vector (x, y) of the region to the image."""
+        """Transform a vector (x, y) from the axes of the region to those of the image, without translation."""
         x = np.where(self.mirrored, -1.0, 1.0) * x
         return np.where(self.transposed, y, x), np.where(self.transposed, x, y)
 
@@ -143,9 +143,10 @@ def edge_region(
     cfa: str | None,
     tone: Tone,
 ) -> tuple[LinearImage, EdgeRegions]:
-    """Convert the region of an image that contains one edge to a linear plane and to rows.
+    """Convert an image region that contains one edge to a linear plane and to rows.
 
-    The arguments are those of `LinearImage.of`. A RegionError is raised if the region cannot be measured.
+    The arguments are those of `LinearImage.of`. A FitError is raised if the region cannot be measured, an ArgumentError if it
+    is invalid or too small.
     """
     region = measurable_region(LinearImage.of(image, channel, cfa, tone, roi))
     height, width = region.values.shape
@@ -321,7 +322,7 @@ def clearance(found: EdgeFits, region: EdgeRegions) -> np.ndarray:
 
 
 def _largest_gap(found: EdgeFits, region: EdgeRegions) -> np.ndarray:
-    """Compute the largest gap (n,) between the distances of the samples from an edge, px."""
+    """Compute the largest gap (n,) in the sampled distances from an edge, px."""
     offset = (region.crossings(found) - region.start) / region.step
     nearest = np.clip(np.rint(offset), 0, region.value.shape[2] - 1).astype(int)
     there = np.isfinite(np.take_along_axis(region.value, nearest[..., None], axis=2)[..., 0])

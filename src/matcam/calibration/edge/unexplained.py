@@ -26,11 +26,10 @@ if TYPE_CHECKING:
 _FAR = 6.0
 """Deviation above which a pixel is an outlier, in standard deviations. Noise exceeds it with probability 2e-9."""
 _SAME, _COARSEST = 1e-9, 0.1
-"""Relative to the step: difference of neighbours up to which their codes are assumed equal, and largest distance of codes."""
+"""Difference up to which codes are assumed equal, and largest distance of neighbouring codes, relative to the step."""
 
 
 def without_outliers(phased: PhasedRows, noise: Noise) -> AlignedRows:
-    """Mark outlying pixels as missing."""
     aligned, member = phased.rows, phased.member
     dark, bright = side_levels(aligned)
     level = (dark + bright) / 2
@@ -121,10 +120,10 @@ def with_unexplained(curve: SampledCurve, f: jax.Array, roughness: jax.Array, mi
 
 
 def misfit_of(fit: LinearFit, curve: FreeCurve, excess: jax.Array) -> jax.Array:
-    """Compute the standard deviation of bins near the edge about the free curve, beyond the noise, in units of the step.
+    """Compute the scatter of the bins near the edge about the free curve, beyond the noise.
 
-    `curve`: free curve, with glare if it was found. `fit`: fit without glare. `excess`: factor that was applied to all
-    variances; 1 if the noise explains the total scatter of the bins.
+    It is a standard deviation in units of the step. `curve`: free curve, with glare if it was found. `fit`: fit without glare.
+    `excess`: factor that was applied to all variances; 1 if the noise explains the total scatter of the bins.
     """
     distance, there, left = fit.cells.distance, fit.cells.pixels > 0, fit.misfit(curve)
     # Only bins within 7 px of the edge determine the misfit.

@@ -12,7 +12,7 @@ from matcam.calibration.edge.edge_result import EdgeStack
 from matcam.numerics.crossing import first_fall
 
 _JUMP = 1.5
-"""Change of MTF50 with a shifted MTF above which it replaces the standard deviation of MTF50, in units of the latter."""
+"""Change of MTF50 due to a shifted MTF, in standard deviations of MTF50, above which the change replaces them."""
 
 
 def with_core_as_total(stack: EdgeStack, which: np.ndarray) -> EdgeStack:

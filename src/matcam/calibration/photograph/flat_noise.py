@@ -27,14 +27,14 @@ _LOSS = 4.0
 _FEWEST = 100
 """Smallest number of differences for an estimate of the noise."""
 _CORRELATED = 0.75
-"""Ratio of the variances of pixels 1 px and 2 px apart below which the noise is correlated."""
+"""Ratio of the noise variances from pixels 1 px and 2 px apart below which the noise is correlated."""
 _WIDE, _WIDE_IN_BLOCKS = 0.8, 0.65
-"""Ratio of the variances of pixels 2 px and 3 px apart below which an image was denoised, without and with JPEG blocks.
+"""Ratios of the noise variances from pixels 2 px and 3 px apart that indicate denoising, without and with JPEG blocks.
 
 Demosaicing and JPEG correlate pixels over a shorter range.
 """
 _TONE_RATIO, _SURE_TONE = 1.08, 4.0
-"""Ratio of the noise variances of dark and bright pixels above which a tone curve is suspected; significance, standard
+"""Ratio of the noise variances of dark and bright pixels above which a tone curve is suspected; significance in standard
 deviations.
 """
 _EQUAL, _REVERSALS = 0.5, 0.35
@@ -49,7 +49,7 @@ _GRID = 1.4
 _BLOCKS_ALONE = 4.0
 """Value of the ratio of `_GRID` above which JPEG alone explains the correlation. Denoised images have weaker block borders."""
 _PILED, _LEAST_PILE = 2.0, 0.05
-"""Crushed blacks: share of the lowest level relative to that of the next level; smallest share of the dark side."""
+"""Smallest share of crushed blacks: relative to that of the next level, and among the pixels of the dark side."""
 LEAST_NOISE = 2e-4
 """Smallest noise of a photograph relative to the step of an edge. Only rendered images have less noise."""
 TONE_CURVE_UNCERTAINTY = 0.03
@@ -57,9 +57,9 @@ TONE_CURVE_UNCERTAINTY = 0.03
 
 
 def clipped_mean(squares: jax.Array, count: jax.Array | int, most: float, rounds: int) -> jax.Array:
-    """Compute the mean of squares that are clipped to `most` times their mean, by `rounds` iterations.
+    """Compute the mean of squares that are clipped to `most` times their mean.
 
-    `squares`: any shape; 0 for entries that are ignored. `count`: number of the other entries.
+    `squares`: any shape; 0 for entries that are ignored. `count`: number of the other entries. `rounds`: number of iterations.
     """
     mean = squares.sum() / count
     for _ in range(rounds):
@@ -82,10 +82,10 @@ class FlatNoise(NamedTuple):
     """Noise of uniform areas.
 
     Attributes:
-        neighbour_ratio: ratio of the variances of pixels 1 px and 2 px apart; 1 for independent noise.
+        neighbour_ratio: ratio of the noise variances from pixels 1 px and 2 px apart; 1 for independent noise.
         neighbour_ratio_std: standard deviation of `neighbour_ratio`; infinite if it is unknown.
-        wide: ratio of the variances of pixels 2 px and 3 px apart; 1 for independent noise.
-        tilt: ratio of the variances of the dark and the bright side; NaN if it is unknown.
+        wide: ratio of the noise variances from pixels 2 px and 3 px apart; 1 for independent noise.
+        tilt: ratio of the noise variance of the dark side to that of the bright side; NaN if it is unknown.
         tilt_std: standard deviation of `tilt`.
         grid: ratio of the squared differences across borders every 8 px and elsewhere; 1 for independent noise.
         variance: variances of the dark and of the bright side.
@@ -101,18 +101,16 @@ class FlatNoise(NamedTuple):
 
     @property
     def smoothed(self) -> bool:
-        """True if the noise of neighbours is correlated."""
         return self.neighbour_ratio < _CORRELATED and 1 - self.neighbour_ratio > SIGNIFICANT * self.neighbour_ratio_std
 
     @property
     def denoised(self) -> bool:
-        """True if the noise of more distant pixels is also correlated."""
+        """True if the noise is also correlated over 2 px, beyond the effect of JPEG blocks."""
         wide = _WIDE_IN_BLOCKS if self.grid > _GRID else _WIDE
         return self.smoothed and self.wide < wide and self.grid < _BLOCKS_ALONE
 
     @property
     def compressed(self) -> bool:
-        """True if the noise is correlated and shows JPEG blocks."""
         return self.smoothed and self.grid > _GRID
 
     @property
@@ -122,14 +120,12 @@ class FlatNoise(NamedTuple):
 
     @property
     def correlation(self) -> str:
-        """Description of the correlation of neighbours."""
         return (
             f"the noise of neighbouring pixels is correlated (variance ratio {self.neighbour_ratio:.2f}, instead of 1)"
         )
 
     @property
     def tone(self) -> str:
-        """Description of a suspected tone curve."""
         return (
             f"the noise variance of dark pixels is {self.tilt:.1f} times that of bright ones: a tone curve may have been "
             "applied"
@@ -226,7 +222,10 @@ def _is_rounded_light(value: FloatArray, there: np.ndarray) -> bool:
 
 
 def _grid(value: FloatArray, sides: list[np.ndarray]) -> float:
-    """Compute the ratio of the squared differences of neighbours across the most probable block borders and elsewhere."""
+    """Compute the ratio of the squared differences of neighbours across block borders and elsewhere.
+
+    The most probable borders are used. The ratio is 1 if there are too few pixels.
+    """
     total, count = np.zeros(BLOCK), np.zeros(BLOCK)
     for there in sides:
         both = there[:, 1:] & there[:, :-1]

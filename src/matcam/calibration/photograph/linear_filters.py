@@ -1,4 +1,4 @@
-"""Linear filters that were applied to an image, from the correlation of its noise, and their effect on its MTF.
+"""Linear filters of an image: estimation from the correlation of the noise, and effect on the MTF.
 
 The noise of a sensor is independent between pixels. After a linear filter of transfer function K, the power spectrum of
 the noise is |K|^2, and the MTF of the image is multiplied by K. Smoothing, sharpening, deconvolution and resampling are
@@ -59,14 +59,21 @@ AMOUNT, RADIUS = 0.1, 1.0
 
 
 class Correlations(NamedTuple):
-    """Correlations of the noise of pixels at the offsets of `LAGS`, and numbers of pairs, both (lags,)."""
+    """Correlations of the noise of an image.
+
+    Attributes:
+        value: (lags,) correlations of pixels at the offsets of `LAGS`.
+        pairs: (lags,) numbers of pixel pairs.
+    """
 
     value: FloatArray
     pairs: FloatArray
 
 
 class BareEdge(NamedTuple):
-    """Set of n means of pixels across an edge, corrected for uneven light, in units of the step.
+    """Set of n pixel means across an edge, corrected for uneven light.
+
+    Values are in units of the step of the edge.
 
     Attributes:
         distance: (n,) distance from the edge, px, ascending.
@@ -91,7 +98,7 @@ class FilterUncertainty(NamedTuple):
     """Uncertainty of an MTF due to filters that may have been applied.
 
     Attributes:
-        share: relative error of MTF50: mean of the absolute errors by all filters, weighted with their probabilities.
+        share: relative error of MTF50: mean of the absolute errors due to all filters, weighted by their probabilities.
         probability: probability that any filter was applied.
         smooths: whether the most probable filter decreases MTF50.
     """
@@ -102,7 +109,13 @@ class FilterUncertainty(NamedTuple):
 
 
 class _Filters(NamedTuple):
-    """Filters: correlation of filtered white noise (k, lags), transfer function (k, frequencies), prior probability (k,)."""
+    """Set of k linear filters.
+
+    Attributes:
+        correlation: (k, lags) correlations of filtered white noise.
+        transfer: (k, frequencies) transfer functions.
+        prior: (k,) prior probabilities.
+    """
 
     correlation: FloatArray
     transfer: FloatArray
@@ -114,7 +127,7 @@ def correlations(value: FloatArray, sides: tuple[np.ndarray, np.ndarray]) -> Cor
 
     Args:
         value: image (height, width), any unit.
-        sides: masks of its dark and its bright flat side (height, width).
+        sides: masks (height, width) of the dark and of the bright flat side of the image.
 
     Returns:
         Correlations of pixels at all offsets of `LAGS`.
@@ -140,7 +153,7 @@ def correlations(value: FloatArray, sides: tuple[np.ndarray, np.ndarray]) -> Cor
 def _smooth_light(value: FloatArray, side: np.ndarray) -> FloatArray:
     """Fit a polynomial of order `_ORDER` to the pixels of a mask, and evaluate it over the image (height, width).
 
-    Powers of rows and columns separate, so that all sums over pixels are products of matrices.
+    Row and column powers are separable, so that all sums over pixels are matrix products.
     """
     powers = [np.vander(np.linspace(-1, 1, size), 2 * _ORDER + 1, increasing=True).T for size in value.shape]
     moments = powers[0] @ side @ powers[1].T
@@ -160,7 +173,7 @@ def _sums_of_products(values: FloatArray) -> FloatArray:
 
 
 def _log_likelihoods(seen: Correlations) -> FloatArray:
-    """Compute the logarithm of the likelihood of each of `_filters()`, up to a constant."""
+    """Compute the log-likelihood of each filter in `_filters()`, up to a constant."""
     expected = _filters().correlation
     # Variance of a correlation after a filter (Bartlett 1946), and by uneven light. One basis serves all filters.
     spread = 1 + 2 * (expected**2).sum(1, keepdims=True)
@@ -175,13 +188,16 @@ def _log_likelihoods(seen: Correlations) -> FloatArray:
 
 
 def mask_gain(seen: Correlations) -> float:
-    """Compute the increase of 2 ln likelihood of the noise due to the unsharp mask, assuming even light."""
+    """Compute the increase of 2 ln(likelihood) of the noise due to the unsharp mask. Even light is assumed."""
     expected = _filters().correlation[1 + len(_WIDTHS) + _MASKS.index((AMOUNT, RADIUS))]
     return float(seen.pairs @ (seen.value**2 - (seen.value - expected) ** 2))
 
 
 def edge_gain(edge: BareEdge) -> float:
-    """Compute the decrease of chi-square of an edge due to the unsharp mask, for any non-negative line spread function."""
+    """Compute the decrease of the chi-square of an edge due to the unsharp mask.
+
+    The line spread function is any non-negative function.
+    """
     weight = 1 / np.hypot(edge.std, LEAST_NOISE)
     given = edge.light * weight
     # The unbounded coefficients are eliminated by projection.
@@ -204,10 +220,11 @@ def edge_gain(edge: BareEdge) -> float:
 
 
 def needed_gain(blur: float) -> float:
-    """Compute the decrease of chi-square above which the unsharp mask is reported. Two of 1,000 clean edges exceed it.
+    """Compute the decrease of chi-square above which the unsharp mask is reported.
 
-    Next to the core of a sharp edge, negative noise can only be fitted with the mask. Clean edges with a lens width of 0.3,
-    0.5 and 0.7 px at a signal-to-noise ratio of 100 have a decrease of 7 ± 3, 5 ± 2 and 3 ± 1.
+    Two of 1,000 clean edges exceed this threshold. Next to the core of a sharp edge, negative noise can only be fitted with the
+    mask. Clean edges with a lens width of 0.3, 0.5 and 0.7 px at a signal-to-noise ratio of 100 have a decrease of 7 ± 3,
+    5 ± 2 and 3 ± 1, respectively.
 
     Args:
         blur: standard deviation of the line spread function, px.
@@ -217,7 +234,7 @@ def needed_gain(blur: float) -> float:
 
 
 def effect_on_half(frequency: FloatArray, mtf: FloatArray) -> float:
-    """Compute the relative increase of MTF50 due to the unsharp mask; 0 if there is no MTF50.
+    """Compute the relative increase of MTF50 due to the unsharp mask; 0 if MTF50 is undefined.
 
     Args:
         frequency: frequencies, cycles/px.
@@ -231,7 +248,7 @@ def effect_on_half(frequency: FloatArray, mtf: FloatArray) -> float:
 def filter_uncertainty(
     seen: Correlations | None, frequency: FloatArray, mtf: FloatArray, *, sharpened: bool = False
 ) -> FilterUncertainty:
-    """Compute the effect of possible linear filters on an MTF from the noise.
+    """Estimate the uncertainty of an MTF due to possible linear filters from the noise.
 
     Args:
         seen: correlations of the noise; None if they are unknown.
@@ -257,7 +274,7 @@ def filter_uncertainty(
 
 
 def _effects(frequency: FloatArray, mtf: FloatArray) -> FloatArray:
-    """Compute the relative change of MTF50 by each of `_filters()`; negative for a decrease."""
+    """Compute the relative change of MTF50 due to each filter in `_filters()`; negative for a decrease."""
     transfer = _filters().transfer
     # The transfer function of a filter on the pixel grid has a period of 1 cycle/px.
     at = np.abs((frequency + 0.5) % 1.0 - 0.5) * _GRID
@@ -294,14 +311,20 @@ def _filters() -> _Filters:
 
 
 def _gaussian(width: float) -> FloatArray:
-    """Compute the transfer function of a sampled Gaussian filter on half the frequency grid; `width`: px."""
+    """Compute the transfer function of a sampled Gaussian filter on half the frequency grid.
+
+    `width`: standard deviation of the filter, px.
+    """
     line = np.exp(-(((np.arange(_GRID) + _GRID // 2) % _GRID - _GRID // 2) ** 2) / (2 * width**2))
     transfer = np.fft.fft(line / line.sum()).real
     return np.outer(transfer, transfer[: _GRID // 2 + 1])
 
 
 def _resampled() -> Iterator[tuple[FloatArray, FloatArray]]:
-    """Yield noise power and transfer of resampling, averaged over the positions of the new pixels."""
+    """Yield the noise power and the transfer function of each resampling kernel.
+
+    Both are averaged over the positions of the new pixels.
+    """
     distance = (np.arange(_GRID) - _GRID // 2) + (np.arange(8)[:, None] + 0.5) / 8
     waves, x = np.exp(-2j * np.pi * np.fft.fftfreq(_GRID)[:, None, None] * distance), np.abs(distance)
     # Cubic convolution (Keys 1981).
@@ -315,7 +338,10 @@ def _resampled() -> Iterator[tuple[FloatArray, FloatArray]]:
 
 
 def _filled_mosaic() -> tuple[FloatArray, FloatArray]:
-    """Compute noise power and transfer of a demosaiced colour: every second pixel is the mean of its four neighbours."""
+    """Compute the noise power and the transfer function of a demosaiced colour.
+
+    Every second pixel is the mean of its four neighbours.
+    """
     covariance = np.zeros((_GRID, _GRID))
     covariance[0, 0] = (1 + 1 / 4) / 2
     for step in (1, -1):
@@ -327,7 +353,10 @@ def _filled_mosaic() -> tuple[FloatArray, FloatArray]:
 
 
 def _line_bumps(blur: float, outermost: float) -> tuple[FloatArray, FloatArray]:
-    """Compute centres and widths of the basis functions of a line spread function, px: wider outside the core."""
+    """Compute the centres and widths of the basis functions of a line spread function, px.
+
+    The basis functions outside the core are wider.
+    """
     # Within 6 blurs, the width is 0.3 blurs, and at least 0.2 px. Outside, it is a fifth of the distance.
     width = max(0.2, 0.3 * blur)
     half = min(max(6.0 * blur, 5.0), outermost)

@@ -204,7 +204,7 @@ class LinearImage:
         """Crop the plane to a region.
 
         Args:
-            roi: (x, y, width, height) in px of this plane. Default: None, the whole plane.
+            roi: region (x, y, width, height) of this plane, px. None selects the whole plane.
 
         Returns:
             The region; `corner` is its position in the photograph.
@@ -251,7 +251,6 @@ def usable_region(region: LinearImage) -> LinearImage:
 
 
 def measurable_region(region: LinearImage) -> LinearImage:
-    """Check a region as `usable_region` does, and raise FitError if it has a `flaw`."""
     if problem := flaw(usable_region(region).values):
         raise FitError(problem.text)
     return region
@@ -290,7 +289,7 @@ def local_mean(values: FloatArray, width: float) -> FloatArray:
 
 
 def smoothed(values: FloatArray) -> FloatArray:
-    """Smooth an image (height, width), and fill its missing pixels, for the search of targets."""
+    """Smooth an image (height, width) for the search of targets, and fill its missing pixels."""
     # In one colour of a mosaic, 2 or 3 of 4 pixels are missing.
     return local_mean(values, 0.7 if np.isfinite(values).mean() > 0.9 else 1.2)
 
@@ -301,7 +300,7 @@ def planes_of(
 ) -> Iterator[LinearImage]:  # fmt: skip
     """Generate the colour planes of a photograph.
 
-    `cfa`: colours of its first 2 x 2 px, if it is a mosaic whose file does not specify them.
+    `cfa`: colours of the first 2 x 2 px of a mosaic whose file does not specify them.
 
     Raises:
         ArgumentError: the photograph lacks one of the channels.
@@ -321,7 +320,7 @@ def as_photograph(
 ) -> Photograph:
     """Convert an array of linear values to a photograph without a file.
 
-    An ArgumentError is raised if it is not an image. `what`: beginning of the message. `colours`: allowed numbers of
+    An ArgumentError is raised if the array is not an image. `what`: beginning of the message. `colours`: allowed numbers of
     colours.
     """
     values = checks.plain_array("image", image)
@@ -344,7 +343,10 @@ def sites_of(cfa: str, channel: str | None) -> np.ndarray:
 
 
 def _plane(codes: np.ndarray, channel: str, tone: Tone, saturation: float) -> tuple[np.ndarray, np.ndarray | None]:
-    """Compute the linear values of one channel, and the mask of its saturated pixels; None if saturation is unknown."""
+    """Compute the linear values of one channel, and the mask of its saturated pixels.
+
+    The mask is None if the saturation is unknown.
+    """
     known = np.isfinite(saturation)
     if channel == "Y":
         # Weights of linear R, G and B in the luminance (IEC 61966-2-1).

@@ -24,7 +24,6 @@ _GAMMAS = (0.2, 5.0)
 
 
 def is_named(tone: Tone, *names: str) -> bool:
-    """Check whether a tone curve is one of several named ones."""
     return isinstance(tone, str) and tone in names
 
 
@@ -43,8 +42,8 @@ def assumed_tone(photograph: Photograph, *, mosaic: bool = False) -> tuple[str, 
 def linear_values(codes: np.ndarray, tone: Tone, channel: int | None = None) -> np.ndarray:
     """Convert codes, (..., 3) or one plane, to linear values.
 
-    Full scale is the largest value of an integer data type, or 1 for floats. `channel`: column of a table with three
-    columns that applies to this plane. An ArgumentError is raised if the tone curve does not match the image.
+    Full scale is the largest value of an integer data type, or 1 for floats. `channel`: column of a three-column table that
+    applies to this plane. An ArgumentError is raised if the tone curve does not match the image.
     """
     if is_named(tone, "linear"):
         return codes.astype(np.float64)
@@ -76,7 +75,6 @@ def linear_values(codes: np.ndarray, tone: Tone, channel: int | None = None) -> 
 
 
 def _by_code(codes: np.ndarray, curve: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
-    """Apply a curve to the share of full scale; large integer images use a lookup table."""
     if codes.dtype.kind not in "ui":
         return curve(codes / 1.0)
     full = np.iinfo(codes.dtype).max
@@ -90,12 +88,11 @@ def tone_from_patches(
 ) -> np.ndarray:
     """Measure a tone curve from patches of known linear values (ISO 14524).
 
-    The result contains linear values by code, (codes,). `image`: integers, (height, width) or (height, width, 3).
-    `channel`: channel of a colour image; None for the mean of all. `patches`: (x, y, width, height) each, px, at least 3.
-    `light`: (n,) linear values of the patches, any unit.
+    The result contains linear values by code, (codes,). The curve passes through the mean codes of the patches without
+    overshoot, and is extrapolated linearly above the brightest patch. An ArgumentError is raised if it is not monotone.
 
-    The curve passes through the mean codes of the patches without overshoot, and is extrapolated linearly above the
-    brightest patch. An ArgumentError is raised if the curve is not monotone.
+    `image`: integers, (height, width) or (height, width, 3). `patches`: at least 3 regions (x, y, width, height), px.
+    `light`: (n,) linear values of the patches, any unit. `channel`: channel of a colour image; None for the mean of all.
     """
     codes, values = np.asarray(image), np.asarray(light, dtype=np.float64)
     if codes.dtype.kind not in "ui" or codes.ndim not in (2, 3):

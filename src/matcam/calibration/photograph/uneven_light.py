@@ -47,7 +47,7 @@ _FEWEST_BINS = 24
 
 
 class LightField(NamedTuple):
-    """Uneven light of a region that two levels times a polynomial of third order do not explain.
+    """Residual uneven light of a region, beyond two levels times a polynomial of third order.
 
     Attributes:
         factor: factor of each pixel (rows, columns).
@@ -56,7 +56,7 @@ class LightField(NamedTuple):
             added.
         possible: rms of `amplitude` over all models of the light, weighted by their probabilities.
         ghost: share of a ghost that may have been fitted as light.
-        unknown: standard deviation of the step of the interpolated light across the edge, in units of the step of the image.
+        unknown: standard deviation of the interpolated light step across the edge, in units of the step of the image.
     """
 
     factor: FloatArray
@@ -68,7 +68,16 @@ class LightField(NamedTuple):
 
 
 class _Bins(NamedTuple):
-    """Means over bins: x, y, distance from the edge (px), value, level of the side, and standard deviation, (n,) each."""
+    """Means of n bins of pixels.
+
+    Attributes:
+        x: (n,) mean x, px.
+        y: (n,) mean y, px.
+        distance: (n,) distance from the edge, px; positive on the bright side.
+        value: (n,) mean value.
+        level: (n,) level of the side.
+        std: (n,) standard deviation of `value`.
+    """
 
     x: FloatArray
     y: FloatArray
@@ -85,12 +94,12 @@ class _Family(NamedTuple):
 
     Attributes:
         length: correlation length, px.
-        adds: whether the light is added to the scene; else it multiplies the scene.
-        seen: derivative of the data with respect to the light in each bin (n, p).
-        power: eigenvalues of the covariance of the data that light of amplitude 1 causes (p,).
-        vectors: eigenvectors of this covariance (p, p).
-        data: the data in the basis of the eigenvectors (p,).
-        glares: contribution of glare with a share of 1 to the data, in the same basis, for every radius (radii, p).
+        adds: whether the light is added to the scene; otherwise it multiplies the scene.
+        seen: (n, p) derivatives of the data with respect to the light in each bin.
+        power: (p,) eigenvalues of the covariance of the data for light of amplitude 1.
+        vectors: (p, p) eigenvectors of this covariance.
+        data: (p,) data in the basis of the eigenvectors.
+        glares: (radii, p) contributions to the data, in the same basis, of glare with a share of 1 and each radius.
     """
 
     length: float
@@ -105,12 +114,12 @@ class _Family(NamedTuple):
         return 1 / (noise + amplitude**2 * self.power)
 
     def by_glare(self, precision: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Compute score and information of the share of glare for every radius, (..., radii)."""
+        """Compute the score and the information of the glare share for every radius, both (..., radii)."""
         score = np.maximum((precision * self.data) @ self.glares.T, 0.0)
         return score, precision @ (self.glares**2).T + GLARE_STD**-2
 
     def log_evidence(self) -> FloatArray:
-        """Compute the logarithm of the probability without and with glare, (2, amplitudes, noises)."""
+        """Compute the logarithm of the evidence times the prior, without and with glare, (2, amplitudes, noises)."""
         precision = self.precision(_AMPLITUDES[:, None, None], _NOISES[:, None])
         without = (np.log(precision) - self.data**2 * precision).sum(-1) / 2
         score, alone = self.by_glare(precision)
@@ -139,7 +148,7 @@ def light_field(
     blur: float,
     glare: bool,
 ) -> LightField | None:
-    """Estimate the light of a region, or return None if the light is smooth.
+    """Estimate the residual uneven light of a region; None if a polynomial explains the light.
 
     Args:
         value: region (rows, columns), linear, any unit; NaN for missing pixels.
@@ -209,7 +218,7 @@ def _polynomials(x: FloatArray, y: FloatArray) -> FloatArray:
 def _unknown(
     bins: _Bins, best: _Family, amplitude: float, noise: float, positions: tuple[FloatArray, ...], blur: float
 ) -> float:
-    """Compute the relative standard deviation of the step of the light across the edge, averaged along the edge.
+    """Compute the relative standard deviation of the light step across the edge, averaged along the edge.
 
     `amplitude`: relative standard deviation of the light. `noise`: variance of the bins relative to independent noise.
     `positions`: x, y and distance of all pixels, px.
@@ -250,7 +259,6 @@ def _bins(
     noise: tuple[float, float],
     margin: float,
 ) -> _Bins | None:
-    """Average the flat sides over bins; None if there are too few bins."""
     flat = np.isfinite(value) & (np.abs(distance) > margin)
     # The number of bins limits the time of the eigenvalue decompositions.
     side = max(_SMALLEST_BIN, float(np.sqrt(flat.sum() / 220)))
@@ -285,7 +293,8 @@ def _bins(
 def _families(bins: _Bins, basis: FloatArray, data: FloatArray, glares: FloatArray, step: float) -> list[_Family]:
     """List all models of the light.
 
-    `data`, `glares`: residuals of the bins (p,), and of glare with a share of 1 (radii, p), after levels and polynomials.
+    `data`: (p,) residuals of the bins after the fit of levels and polynomials. `glares`: (radii, p) the same residuals for
+    glare with a share of 1.
     """
     families = []
     for length in _LENGTHS:
@@ -299,6 +308,6 @@ def _families(bins: _Bins, basis: FloatArray, data: FloatArray, glares: FloatArr
 
 
 def _correlation(x: FloatArray, y: FloatArray, bins: _Bins, length: float) -> FloatArray:
-    """Compute the correlation of the light between points and bins (points, n): Matern function of order 3/2."""
+    """Evaluate the correlation of the light between points and bins, (points, n), a Matern function of order 3/2."""
     apart = np.sqrt(3 * ((x[:, None] - bins.x) ** 2 + (y[:, None] - bins.y) ** 2)) / length
     return (1 + apart) * np.exp(-apart)

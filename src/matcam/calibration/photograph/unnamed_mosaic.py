@@ -24,7 +24,6 @@ _FEWEST = 30
 
 
 def refuse_unnamed_mosaic(plane: LinearImage) -> None:
-    """Raise FitError for a grey plane whose pixels alternate as in a mosaic."""
     if plane.channel == "grey" and plane.cfa is None and (share := alternation(plane.values)) > 0:
         raise FitError(
             f"every second pixel differs by {share:.0%}, as in a mosaic of colours that is read as grey: "

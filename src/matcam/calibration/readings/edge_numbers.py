@@ -103,7 +103,7 @@ def rise_distance(edge: EdgeMTF) -> EdgeNumber:
         ArgumentError: `edge` is not a result of `edge_mtf`.
 
     Source:
-        ISO 12233, which reports it as an alternative to the e-SFR.
+        ISO 12233, which reports this distance as an alternative to the e-SFR.
 
     Example:
         >>> y, x = np.mgrid[-80:80, -40:40]

@@ -39,7 +39,6 @@ class SeriesEdge(NamedTuple):
 
 
 def channels_of(photograph: Photograph, channel: str | None, cfa: str | None) -> list[str | None]:
-    """List the channels to be measured in a photograph. `channel`: one channel, "all", or None for the default channel."""
     if channel != "all":
         return [channel]
     if (cfa or photograph.cfa) is not None:
@@ -48,12 +47,10 @@ def channels_of(photograph: Photograph, channel: str | None, cfa: str | None) ->
 
 
 def channel_name(photograph: Photograph, channel: str | None) -> str:
-    """Select the name of a channel for a table. `channel`: a colour, or None for luminance or a grey photograph."""
     return channel or ("Y" if photograph.values.ndim == 3 else "grey")
 
 
 def region_name(region: Region | None) -> str:
-    """Format a region for a table. None is the whole photograph."""
     return "whole" if region is None else ",".join(map(str, region))
 
 
@@ -97,7 +94,6 @@ def measure_series(
 
 
 def series_columns(rows: Sequence[SeriesEdge]) -> dict[str, Sequence[Any]]:
-    """Arrange a series as columns by name. The remarks of an edge are joined, and curves are omitted."""
     names: dict[str, None] = {}
     for row in rows:
         names.update(dict.fromkeys(name for name, value in row.found.items() if not isinstance(value, list | dict)))

@@ -87,8 +87,8 @@ def described_edges(values: FloatArray, chart: Chart, projection: Projection) ->
     """Find the measurable sides of the squares of a chart.
 
     The result is None for a chart without squares. `values`: codes that are any monotone function of the light, (height,
-    width); the colours of a mosaic are balanced, and missing pixels are NaN. `projection`: projection from the page, mm, to
-    the image, px.
+    width); the colours of a mosaic are balanced, and missing pixels are NaN. `projection`: map from the page, mm, to the
+    image, px.
     """
     smooth = smoothed(values)
     sides = seen_sides(smooth, chart, projection)

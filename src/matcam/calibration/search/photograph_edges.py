@@ -67,7 +67,6 @@ class Strips(NamedTuple):
     width: np.ndarray
 
     def subset(self, which: np.ndarray | slice) -> Strips:
-        """Select a subset of the strips."""
         return Strips(*(column[which] for column in self))
 
 
@@ -119,7 +118,6 @@ def _crushed(value: np.ndarray) -> Remark | None:
 
 
 def edge_remarks(result: EdgeStack, channel: str) -> list[Remark]:
-    """Derive remarks on an image from the edges of one channel."""
     good = result.good
     codes = Counter(problem.code for problem in result.problems if problem)
     remarks = []
@@ -186,7 +184,7 @@ def strip_regions(strips: Strips, plane: LinearImage, at_once: int) -> Iterator[
 
 
 def regions_in_even_light(regions: Sequence[EdgeRegions]) -> list[EdgeRegions]:
-    """Divide the light out of regions.
+    """Divide regions by the estimated light.
 
     The logarithm of the light is a quadratic function of the position in the image. If the light cannot be estimated, the
     regions are unchanged.
@@ -253,7 +251,7 @@ def _region(
 
 
 def _inside(strips: Strips, shape: tuple[int, int]) -> np.ndarray:
-    """Mark the strips that are inside the image, with a margin of 2 px."""
+    """Compute the mask of the strips that are inside the image, with a margin of 2 px."""
     margin = strips.width / 2 + np.abs(strips.tilt) * strips.rows / 2 + 2
     across, along = (np.where(strips.transposed, *pair) for pair in (shape[:2], shape[1::-1]))
     long = strips.rows / 2 + 2
@@ -261,7 +259,6 @@ def _inside(strips: Strips, shape: tuple[int, int]) -> np.ndarray:
 
 
 def _bright(value: np.ndarray) -> np.ndarray:
-    """Compute the mean value (n,) of the bright side of each strip."""
     there = np.isfinite(value)
     width = there.any(1).sum(1)
     # The last quarter of a row is its bright side.

@@ -164,10 +164,10 @@ def _dark_times(lit: Sequence[ExposureStatistics], dark: Sequence[ExposureStatis
 
 
 def _over_time(dark: Sequence[ExposureStatistics], values: list[float], errors: list[float]) -> tuple[Stated, Stated]:
-    """Fit a line to a statistic of the dark frames: its value at exposure time 0, and its increase per second.
+    """Fit a line over exposure time to a statistic of the dark frames.
 
-    With fewer than three exposure times, the value is that of the shortest, and the increase is unknown. `errors`: standard
-    deviations of the values due to temporal noise.
+    The results are the value at time 0 and the increase per second. With fewer than three exposure times, the value is that of
+    the shortest time, and the increase is unknown. `errors`: standard deviations of the values due to temporal noise.
     """
     times = np.array([one.exposure.time for one in dark])
     if len(np.unique(times)) < _TIMES:
@@ -179,7 +179,7 @@ def _over_time(dark: Sequence[ExposureStatistics], values: list[float], errors: 
 
 
 def _per_gain(value: Stated, gain: Stated, power: int = 1) -> Stated:
-    """Divide a value by a power of the gain, whose error is independent of that of the value."""
+    """Divide a value by a power of the gain. The errors of both are assumed to be independent."""
     scaled = value.value / gain.value**power
     return Stated(scaled, math.hypot(value.std / gain.value**power, power * scaled * gain.std / gain.value))
 
@@ -200,7 +200,10 @@ def _saturation(planes: Sequence[Transfer], gain: Stated) -> tuple[Stated, bool]
 
 
 def _chosen(lit: Sequence[ExposureStatistics], planes: Sequence[Transfer]) -> ExposureStatistics | None:
-    """Select the unclipped exposure with the most frames, and among equals the one nearest to half of saturation."""
+    """Select the unclipped exposure with the most frames; None if no exposure is suitable.
+
+    Among exposures with equally many frames, the one nearest to half of saturation is selected.
+    """
 
     def share(one: ExposureStatistics) -> float:
         return max((one.mean[k] - p.dark[0]) / p.signal[p.saturation] for k, p in enumerate(planes))
@@ -251,7 +254,6 @@ def _fixed_patterns(
     signal = (level[0] - level[1]) ** 2
 
     def response(own: bool) -> Stated:
-        """Compute the relative standard deviation of the sensitivities, as the root mean square over the planes."""
         value, error = np.moveaxis(variances(own), -1, 0)
         return root((value[0] - value[1]) / signal, np.hypot(*error) / signal)
 
@@ -267,7 +269,10 @@ def _fixed_patterns(
 
 
 def _variance(pixels: np.ndarray, of: ExposureStatistics, plane: int, own: bool) -> Stated:
-    """Compute the variance of the mean pixels of a plane, DN^2. With `own`, that of whole rows and columns is excluded."""
+    """Compute the variance of the mean pixels of a plane, DN^2.
+
+    If `own` is True, the variance of the row means and column means is excluded.
+    """
     temporal, frames = float(of.variance[plane]), len(of.exposure.files)
     value = fixed_pattern_variance(float(pixels.var(ddof=1)), temporal, frames)
     if own:
@@ -279,7 +284,6 @@ def _variance(pixels: np.ndarray, of: ExposureStatistics, plane: int, own: bool)
 
 
 def _root(square: float, error: float) -> Stated:
-    """Compute the square root of a variance, or 0 if it is negative by chance."""
     if square <= 0:
         return Stated(0.0, math.sqrt(max(error, 0.0)))
     return Stated(math.sqrt(square), min(error / (2 * math.sqrt(square)), math.sqrt(error)))

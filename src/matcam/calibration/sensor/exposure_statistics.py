@@ -78,10 +78,6 @@ class FrameReader:
             yield values
 
     def planes(self, frame: np.ndarray) -> list[np.ndarray]:
-        """Split a frame into the planes of its mosaic.
-
-        Without a mosaic, the frame itself is the only plane.
-        """
         return [frame] if self.cfa is None else [frame[i::2, j::2] for i in (0, 1) for j in (0, 1)]
 
     def mean(self, exposure: ExposureSet) -> np.ndarray:

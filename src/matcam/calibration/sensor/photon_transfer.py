@@ -97,7 +97,6 @@ def clip_level(lit: Sequence[ExposureStatistics]) -> float:
 
 
 def is_clipped(one: ExposureStatistics, lit: Sequence[ExposureStatistics]) -> bool:
-    """Check whether pixels of an exposure clip, based on the clip level of all exposures."""
     return one.largest >= clip_level(lit) and one.at_largest > _CLIPPED
 
 
@@ -203,7 +202,10 @@ def fit_gain(planes: Sequence[Transfer]) -> Stated:
 
 
 def _saturation(variance: np.ndarray) -> int:
-    """Find the exposure that saturates (EMVA 1288, 6.6): the last one whose variance exceeds that of its two predecessors."""
+    """Find the index of the exposure at saturation (EMVA 1288, 6.6).
+
+    It is the last exposure whose variance exceeds that of its two predecessors.
+    """
     for i in range(len(variance) - 1, 1, -1):
         if variance[i] > max(variance[i - 1], variance[i - 2]):
             return i
@@ -213,7 +215,7 @@ def _saturation(variance: np.ndarray) -> int:
 def _departures(
     light: np.ndarray, signal: np.ndarray, mean_std: np.ndarray, inside: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Compute relative deviations from the straight line of the linear exposures, and find the nonlinear exposures."""
+    """Compute relative deviations from a line through the linear exposures, and mark the nonlinear exposures."""
     outside = np.zeros(len(light), bool)
     departure = np.full(len(light), np.nan)
     while (inside & ~outside).sum() >= _FEWEST:

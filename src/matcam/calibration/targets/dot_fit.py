@@ -33,7 +33,7 @@ SHARED = [(2, 0), (0, 2), (4, 0), (2, 2), (0, 4)]
 """Orders in (x, y) of the derivatives that describe the common deviation of the dots of a zone from the model."""
 
 _CLEAR = 6.0
-"""Smallest contrast of a dot, standard deviations of the smoothed background."""
+"""Smallest contrast of a dot, in standard deviations of the smoothed background."""
 _SIMILAR_FLUX = (0.3, 3.0)
 """Smallest and largest flux of a dot relative to the median. All dots of a grid have the same size."""
 _OFF = 0.25
@@ -43,7 +43,7 @@ _RANGE = (0.15, 6.0)
 _WEIGHTED = 4
 """Gauss-Newton step after which the weights follow from the noise."""
 _SETTLED = 0.01
-"""Change of the variance below which the fit of a dot has converged, standard deviations."""
+"""Change of the variance below which the fit of a dot has converged, in standard deviations."""
 _CLOSEST = 6.0
 """Smallest distance of neighbouring dots, px. The blur of closer dots overlaps."""
 _SAME = 0.02
@@ -53,7 +53,10 @@ _AT_ONCE = 512
 
 
 def _disc_nodes(radii: int, turns: int) -> tuple[FloatArray, FloatArray]:
-    """Compute nodes (2, n) and weights (n,) of a quadrature over the unit disc: Gauss nodes in radius, rotated rings."""
+    """Compute nodes (2, n) and weights (n,) of a quadrature over the unit disc.
+
+    The squared radii are Gauss-Legendre nodes. Every second ring is rotated by half a step.
+    """
     nodes, weights = np.polynomial.legendre.leggauss(radii)
     turn = 2 * np.pi * (np.arange(turns) + 0.5 * (np.arange(radii)[:, None] % 2)) / turns
     positions = np.sqrt((nodes + 1) / 2)[:, None] * np.stack([np.cos(turn), np.sin(turn)])
@@ -80,7 +83,6 @@ class DotLattice(NamedTuple):
     v: FloatArray
 
     def subset(self, mask: np.ndarray) -> DotLattice:
-        """Select a subset of the dots."""
         return DotLattice(*(column[mask] for column in self))
 
     @property
@@ -91,7 +93,7 @@ class DotLattice(NamedTuple):
 
     @property
     def shapes(self) -> FloatArray:
-        """Derivatives of a smooth map from the page to the image at every dot, px per page unit, (n, 2, 2)."""
+        """Jacobian matrices (n, 2, 2) of a smooth map from the page to the image at the dots, px per page unit."""
         size = max(float(np.ptp(self.u)), float(np.ptp(self.v)), 1e-9) / 2
         u, v = (self.u - self.u.mean()) / size, (self.v - self.v.mean()) / size
         degree = 4 if len(u) >= 60 else 3 if len(u) >= 30 else 2 if len(u) >= 15 else 1
@@ -102,7 +104,7 @@ class DotLattice(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class DotFit:
-    """Fits of n dots, with the derivatives of the last step.
+    """Fits of n dots, with the derivatives of the last iteration.
 
     Attributes:
         lattice: initial positions of the dots.
@@ -130,7 +132,6 @@ class DotFit:
     read_variance: float
 
     def subset(self, mask: np.ndarray) -> DotFit:
-        """Select a subset of the dots."""
         arrays = {
             name: getattr(self, name)[mask] for name in ("parameters", "std", "design", "shared", "residual", "weight")
         }
@@ -218,7 +219,7 @@ def fit_dots(values: FloatArray, lattice: DotLattice, size: float, half_width: f
 
 
 def find_dots(values: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Find the dots in a region: x and y (n,), px.
+    """Find the positions x and y (n,) of the dots in a region, px.
 
     `values`: (height, width), NaN for missing pixels. A FitError is raised if there are fewer than 9 dots.
     """
@@ -343,7 +344,6 @@ def _bow(lattice: DotLattice, ground: FloatArray, du: FloatArray, dv: FloatArray
 
 
 def _without_outliers(fit: DotFit) -> DotFit:
-    """Exclude dots that were not found, or whose blur, content or position deviates from that of the others."""
     square, std = fit.parameters[:, 6], fit.std[:, 6]
     content = fit.parameters[:, 3]
     centre = np.median(square)

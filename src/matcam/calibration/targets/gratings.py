@@ -263,7 +263,6 @@ def _fit_grating(
 
 
 def _other_wave(pixels: WavePixels, fit: WaveFit, shape: tuple[int, ...]) -> str:
-    """Describe any structure other than one wave and noise; empty if there is none."""
     residual = pixels.value - fit.values
     left = residual.var() / pixels.value.var()
     if left < _LEFT:
@@ -277,7 +276,7 @@ def _other_wave(pixels: WavePixels, fit: WaveFit, shape: tuple[int, ...]) -> str
 
 
 def _constant(frequency: FloatArray, direction: FloatArray) -> FloatArray:
-    """Evaluate the basis of a grating, which is 1, because its modulation is uniform."""
+    """Evaluate the basis of a grating, the constant 1, because its modulation is uniform."""
     return np.ones((len(frequency), 1))
 
 

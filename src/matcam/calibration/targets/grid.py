@@ -100,7 +100,7 @@ class BlurField:
 
 @dataclass(frozen=True, eq=False)
 class DotGrid:
-    """Blur at n dots, over the field, and its MTF.
+    """Blur at n dots and over the field, and MTF of its zones.
 
     Attributes:
         x: (n,) x of the dots in the image, px.
@@ -271,7 +271,11 @@ def _grid_result(picture: LinearImage, fit: DotFit, half_width: float) -> DotGri
 
 
 def _zone_samples(picture: LinearImage, dots: DotFit, half_width: float) -> MTFSamples:
-    """Compute the MTF of a zone: its mean Gaussian times 1 + p, with a polynomial p in frequency common to its dots."""
+    """Compute the MTF of a zone of the field.
+
+    It is the MTF of the mean Gaussian and the pixel, times 1 + p. The polynomial p in the frequency is common to all dots of
+    the zone.
+    """
     own = dots.design[:, :, :6]
     pilot, root = dots.parameters[:, 6], np.sqrt(dots.weight)[..., None]
     mean = float(np.mean(pilot))
@@ -280,7 +284,7 @@ def _zone_samples(picture: LinearImage, dots: DotFit, half_width: float) -> MTFS
     basis = np.linalg.qr(root * own)[0]
 
     def beyond(columns: FloatArray) -> FloatArray:
-        """Remove the part of weighted columns that the individual parameters of each dot explain."""
+        """Project weighted columns onto the complement of the individual parameters of each dot."""
         columns = root * columns
         return np.asarray(columns - basis @ (basis.transpose(0, 2, 1) @ columns)).reshape(-1, columns.shape[-1])
 

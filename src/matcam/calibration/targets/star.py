@@ -40,7 +40,7 @@ _DIRECTIONS = np.radians([0.0, 45.0, 90.0, 135.0])
 _EXTRAPOLATED = 0.35
 """Highest frequency that is used to extrapolate an unknown contrast to frequency 0, cycles/px."""
 _CLEAR = 20.0
-"""Smallest significance of the wave, standard deviations. Noise reaches more than 5, because the centre is searched."""
+"""Smallest significance of the wave, in standard deviations. Noise reaches more than 5, because the centre is searched."""
 _LEFT = 0.5
 """Unexplained share of the variance at low frequencies above which the region is assumed to contain no star."""
 
@@ -223,7 +223,7 @@ def _fit_star(values: FloatArray, found: FoundStar) -> tuple[WaveFit, tuple[floa
 
 
 def _inner_rim(radius: FloatArray, value: FloatArray, found: FoundStar) -> float:
-    """Find the radius, px, within which the mean level of a ring differs from that of the star."""
+    """Find the largest radius, px, of an inner ring whose mean level differs from that of the star; 0 if there is none."""
     ring = np.round(radius).astype(int)
     count = np.maximum(np.bincount(ring), 1)
     mean = np.bincount(ring, value) / count
@@ -274,7 +274,7 @@ def _star_result(
 
 
 def _as_plane_waves(mtf: FloatArray, cycles: int) -> FloatArray:
-    """Convert the contrast on rings with a number of cycles to the MTF.
+    """Convert the contrast on rings of `cycles` cycles to the MTF.
 
     The wave on a ring is not exactly a plane wave. exp(i m phi) contains the frequencies z / (2 pi r) with weights
     m J_m(z) / z, whose even moments are m^2j prod(1 - 4 i^2 / m^2), i < j. To order 1 / m^2, the contrast is
@@ -288,7 +288,7 @@ def _as_plane_waves(mtf: FloatArray, cycles: int) -> FloatArray:
 def _extrapolated_contrast(frequency: FloatArray, amplitude: FloatArray, covariance: FloatArray) -> tuple[float, float]:
     """Extrapolate the contrast to frequency 0, with its standard deviation.
 
-    Its logarithm is modelled as an even polynomial of order 4 in the frequency.
+    The logarithm of the contrast is modelled as an even polynomial of order 4 in the frequency.
     """
     low = (frequency < _EXTRAPOLATED) & (amplitude > SIGNIFICANT * np.sqrt(np.diag(covariance)))
     if low.sum() < 3 * len(_DIRECTIONS) or frequency.min() > 0.15:

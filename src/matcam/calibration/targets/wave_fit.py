@@ -1,4 +1,4 @@
-"""Fit of a printed wave to the pixels of an image: illumination x (1 + modulation), with an approximately known phase.
+"""Fit of a printed wave with an approximately known phase to the pixels of an image.
 
 A pixel at (x, y) is modelled as  L(x, y) [1 + sum_k c_k b_k(f, a) cos(h_k Phi(x, y; p))].  L is a polynomial (uneven
 illumination). Phi is the phase with a few parameters p (position, perspective, distortion). f and a are the local
@@ -37,7 +37,7 @@ class Phase(Protocol):
 
     @property
     def scale(self) -> FloatArray:
-        """Changes (m,) of the parameters that change phases by 1 rad."""
+        """Parameter changes (m,) that change the phase by about 1 rad."""
 
     def at(self, parameters: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
         """Evaluate the phase at pixel positions, rad. `parameters`: (m,)."""
@@ -58,7 +58,10 @@ class WavePixels(NamedTuple):
 
     @classmethod
     def where(cls, values: FloatArray, mask: np.ndarray, most: int | None = None) -> WavePixels:
-        """Select at most `most` pixels of a region that are inside a mask and not missing: a reproducible random subset."""
+        """Select the known pixels of a region inside a mask.
+
+        If there are more than `most`, a reproducible random subset is selected.
+        """
         at, most = np.flatnonzero(mask & np.isfinite(values)), most or _MOST
         if at.size > most:
             at = np.sort(np.random.default_rng(0).choice(at, most, replace=False))
@@ -116,7 +119,7 @@ def fit_wave(
     *,
     steps: int = 8,
 ) -> WaveFit | None:
-    """Fit a wave to pixels, or return None if they do not determine it.
+    """Fit a wave to pixels; None if the pixels do not determine the wave.
 
     `start`: initial parameters of the phase. `basis`: functions b_k. `orders`: orders h_k of the harmonics. `steps`: largest
     number of steps with a free phase.
@@ -187,7 +190,6 @@ def wrapped(phase: FloatArray) -> FloatArray:
 
 
 def local_wave(phase: Phase, parameters: FloatArray, x: FloatArray, y: FloatArray) -> LocalWave:
-    """Evaluate phase, frequency and direction of a wave at pixels."""
     # The two ends of a step may lie on different sides of the branch cut of the angle.
     by_x = wrapped(phase.at(parameters, x + _STEP, y) - phase.at(parameters, x - _STEP, y))
     by_y = wrapped(phase.at(parameters, x, y + _STEP) - phase.at(parameters, x, y - _STEP))

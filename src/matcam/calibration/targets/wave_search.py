@@ -58,11 +58,9 @@ class StarPhase(NamedTuple):
 
     @property
     def scale(self) -> FloatArray:
-        """Changes of the parameters that change phases by 1 rad."""
         return np.array([self.outer / self.cycles / 2] * 2 + [1.0] + [1 / self.cycles] * 2 + [1.0] * 9)
 
     def at(self, parameters: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
-        """Evaluate the phase at pixel positions, rad."""
         x0, y0, turn, e1, e2 = parameters[:5]
         u, v = (x - x0) / self.outer, (y - y0) / self.outer
         azimuth = np.arctan2((1 - e1) * v + e2 * u, (1 + e1) * u + e2 * v)
@@ -99,7 +97,7 @@ class StarPhase(NamedTuple):
 
 
 class FoundStar(NamedTuple):
-    """Star that was found in an image.
+    """Star found in an image.
 
     Attributes:
         phase: phase model with the number of cycles and the outer radius, px.
@@ -115,8 +113,8 @@ class FoundStar(NamedTuple):
 def find_star(values: FloatArray, cycles: int | None = None) -> FoundStar:
     """Find the star in a region.
 
-    `values`: (height, width), NaN for missing pixels. `cycles`: number of cycles; None: the cycles are counted. A
-    FitError is raised if there is no star.
+    `values`: (height, width), NaN for missing pixels. `cycles`: number of cycles; None to count the cycles. A FitError
+    is raised if there is no star.
     """
     filled = smoothed(values)
     centre = _centre(filled)
@@ -142,7 +140,7 @@ def find_star(values: FloatArray, cycles: int | None = None) -> FoundStar:
 
 
 class _Ring(NamedTuple):
-    """Ring around the centre of a star, with the sinusoid that was found on it.
+    """Ring around the centre of a star, with the sinusoid found on the ring.
 
     Attributes:
         radius: radius of the ring, px.
@@ -235,11 +233,9 @@ class GratingPhase(NamedTuple):
 
     @property
     def scale(self) -> FloatArray:
-        """Changes of the parameters that change phases by 1 rad."""
         return np.ones(len(plane_orders(self.order)))
 
     def at(self, parameters: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
-        """Evaluate the phase at pixel positions, rad."""
         return self._powers(x, y) @ parameters
 
     def parameters_through(self, x: FloatArray, y: FloatArray, phase: FloatArray) -> FloatArray:
@@ -253,7 +249,7 @@ class GratingPhase(NamedTuple):
 
 
 class FoundGrating(NamedTuple):
-    """Grating that was found in an image.
+    """Grating found in an image.
 
     Attributes:
         phase: phase model.
@@ -315,9 +311,9 @@ def _alias(frequency: FloatArray) -> FloatArray:
 
 
 def _strongest(filled: FloatArray, near: tuple[float, float] | None) -> FloatArray:
-    """Find the strongest wave below Nyquist: (fx, fy), cycles/px.
+    """Find the frequency (fx, fy) of the strongest wave below Nyquist, cycles/px.
 
-    `near`: only aliases of frequencies near this one are considered.
+    `near`: only aliases of frequencies near this frequency are considered.
     """
     height, width = filled.shape
     window = np.hanning(height + 2)[1:-1, None] * np.hanning(width + 2)[1:-1]

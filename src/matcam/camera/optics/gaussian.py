@@ -1,10 +1,10 @@
 """Gaussian optics, a lens with one parameter, and approximation of any lens by a signed sum of Gaussians.
 
 With mtf(f) = sum_j w_j exp(-2 pi^2 sigma_j^2 f^2) the kernels have closed forms. The sum is exact for Gaussians, also
-with halos. For a lens whose MTF ends at a cutoff, the accuracy of a sum is limited: with sum |w_j| <= 50 no choice of
-widths approximates a perfect lens, through a full pixel of 4.73 um at 550 nm, better than 1.5e-4 / 6e-4 / 2.4e-3 at
-f/2.8 / 8 / 16 (tests/camera/test_gaussian_sum.py finds that limit by linear programming). The least-squares fit with
-24 terms has errors of 8e-4 / 1.9e-3 / 5.2e-3. For higher accuracy, integrate over frequencies (`optics.py`).
+with halos. For a lens whose MTF ends at a cutoff, the accuracy of a sum is limited. With sum |w_j| <= 50, the smallest
+error for a perfect lens at 550 nm with a full pixel of 4.73 um is 1.5e-4 / 6e-4 / 2.4e-3 at f/2.8 / 8 / 16.
+tests/camera/test_gaussian_sum.py finds this limit by linear programming. The least-squares fit with 24 terms has errors
+of 8e-4 / 1.9e-3 / 5.2e-3. For higher accuracy, integrate over frequencies (`optics.py`).
 """
 
 from __future__ import annotations
@@ -103,9 +103,9 @@ class GaussianSum(Module):
     Attributes:
         weights: signed weights, whose sum is 1, shape (n,).
         sigmas: standard deviations, px, shape (n,).
-        error: largest difference between the MTF of the sum and that of the lens, over all frequencies.
-        total_error: largest difference after multiplication of both MTFs by that of a pixel with a fill factor of 100 %, in
-            the direction with the largest transfer. Errors of fitted components add up.
+        error: largest difference between the MTFs of sum and lens, over all frequencies.
+        total_error: largest difference after both MTFs are multiplied by the MTF of a full pixel, in the direction with
+            the largest transfer. Errors of fitted components add up.
     """
 
     weights: jax.Array
@@ -139,7 +139,7 @@ def gaussian_sum(optics: Optics, terms: int = 24) -> GaussianSum:
 def round_gaussians(optics: Optics, terms: int = 24) -> GaussianSum:
     """Approximate the azimuthally averaged PSF of a lens by Gaussians.
 
-    For an isotropic lens the result is that of `gaussian_sum`.
+    For an isotropic lens the result is the same as for `gaussian_sum`.
     """
     if not 8 <= terms <= 64:
         raise ArgumentError(f"terms must lie in [8, 64], got {terms}")
@@ -207,7 +207,7 @@ def _of_one_piece(optics: Optics, widths: _Widths) -> GaussianSum:
 
 
 def _mean_transfer(optics: Optics, frequency: jax.Array) -> jax.Array:
-    """Compute the mean of a transfer function over all directions, which is real."""
+    """Compute the azimuthal mean of a transfer function, which is real."""
     if optics.isotropic:
         return optics.mtf(frequency)
     # half a turn suffices, because the values in the other half are complex conjugates

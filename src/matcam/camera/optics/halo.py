@@ -110,7 +110,7 @@ class HaloOptics(Optics):
     def resolved_share(self) -> float:
         """Compute the share of the band that the lens resolves, no unit.
 
-        It is that of the core, unless the band of the halo is larger.
+        It is the share of the core, or 1 if the band of the halo is larger.
         """
         return self.core.resolved_share() if self.halo.band() <= self.core.band() else 1.0
 

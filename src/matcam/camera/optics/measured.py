@@ -25,13 +25,14 @@ class MeasuredOptics(Optics):
     The MTF is a cubic spline through the samples; the image of a point is not shifted.
 
     Beyond the last sample the MTF is 0 if the curve ends at 0. Otherwise it is unknown there, and an evaluation beyond
-    the last sample raises an error, as does the PSF, which requires all frequencies. In this case append the frequency
-    at which the curve reaches 0. The MTF is always 0 at the diffraction cutoff pitch / (wavelength f_number).
+    the last sample raises an error. The PSF also raises an error, because it requires all frequencies. In this case
+    append the frequency at which the curve reaches 0. The MTF is always 0 at the diffraction cutoff pitch / (wavelength
+    f_number).
 
     Args:
         frequency: frequencies of the samples, cycles/px, increasing from 0, shape (n,), n >= 4.
         mtf: MTF of the optics at these frequencies, no unit, 1 at frequency 0, at most 1.05, shape (n,). It must not
-            include the pixel: divide a total MTF by that of the pixel first.
+            include the pixel: divide a total MTF by the MTF of the pixel first.
 
     Raises:
         ArgumentError: shapes do not match, frequencies do not increase from 0, or the curve is not an MTF.

@@ -50,7 +50,7 @@ class Rule(NamedTuple):
 
 
 def piecewise_rule(edges: np.ndarray) -> Rule:
-    """Build Gauss-Legendre nodes, `ORDER` of them on each panel between consecutive edges."""
+    """Build a Gauss-Legendre rule with `ORDER` nodes on each panel between consecutive edges."""
     return Rule(*nodes_in_panels(edges, ORDER))
 
 
@@ -70,7 +70,7 @@ def split_rule(borders: np.ndarray, knots: np.ndarray) -> Rule:
 def panels_for(reach: float, band: float) -> int:
     """Compute the number of panels over [0, band] that resolve a kernel.
 
-    reach: largest distance of a position, px. band: cycles/px.
+    reach: largest distance of a position, px. band: band of the lens, cycles/px.
     """
     return 6 + int(np.ceil(reach * band))
 
@@ -129,8 +129,8 @@ def directed_plane_kernel(rule: Rule, transfer: Transfer, x: jax.Array, y: jax.A
 def turns_for(reach: float, band: float) -> int:
     """Compute the number of angles per quarter turn that resolve a kernel.
 
-    reach: largest distance of a position, px. band: cycles/px. According to the Jacobi-Anger expansion, the order must
-    exceed 2 pi f r.
+    reach: largest distance of a position, px. band: band of the lens, cycles/px. According to the Jacobi-Anger
+    expansion, the order must exceed 2 pi f r.
     """
     return 16 + int(np.ceil((2 * np.pi * band * reach) / 4 * 1.1))
 
@@ -318,7 +318,6 @@ class Optics(Module):
         return self.rule_on(np.linspace(0, 1, panels + 1))
 
     def __repr__(self) -> str:
-        """Format a call of the constructor, without arguments that are equal to their defaults."""
         arguments = zip(inspect.signature(type(self)).parameters.values(), fields_of(self).values(), strict=True)
         return constructor_call(
             self,

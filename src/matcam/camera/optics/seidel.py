@@ -25,7 +25,7 @@ class SeidelOptics(VaryingOptics):
     At a distance of h units from the axis, coma is h times its coefficient, and astigmatism and field curvature are h^2
     times theirs. Coma and astigmatism point away from the axis. Spherical aberration and defocus are uniform. `at`
     evaluates the lens at one position. `picture` supports this lens: each surface element is blurred by the lens at its
-    own position.
+    position.
 
     Args:
         f_number: working f-number, no unit, positive.

@@ -6,9 +6,9 @@ Positions in the overlap are parameterised by two angles, in which integrand and
 
     nu = cos(end),  across the shift  v = sin(end s),  along it  u = (cos(end s) - nu) t,  s, t in [-1, 1].
 
-Gauss-Legendre quadrature therefore converges faster than any power of the number of nodes. The transfer function is an
-entire function of `end` and of the direction, too, and may be interpolated across frequency 0 and the cutoff, where it
-has kinks as a function of frequency.
+Gauss-Legendre quadrature therefore converges faster than any power of the number of nodes. The transfer function is
+also an entire function of `end` and of the direction. It may be interpolated across frequency 0 and the cutoff, where
+it has kinks as a function of frequency.
 """
 
 from __future__ import annotations

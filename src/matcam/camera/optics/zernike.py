@@ -1,6 +1,6 @@
 """Lens with aberrations as Zernike terms: defocus, astigmatism, coma, trefoil, spherical aberration.
 
-The axes are those of images: x to the right, y upwards. The transfer function is complex and depends on the direction.
+The axes of images are used: x to the right, y upwards. The transfer function is complex and depends on the direction.
 """
 
 from __future__ import annotations
@@ -188,9 +188,9 @@ class ZernikeOptics(Optics):
     def otf(self, fx: ArrayLike, fy: ArrayLike) -> jax.Array:
         """Compute the complex transfer function in the plane, without the pixel.
 
-        It is the integral of psf(x, y) exp(-2 pi i (fx x + fy y)), computed as the autocorrelation of the pupil function
-        by Gauss-Legendre quadrature over the overlap of two shifted discs. The error is below 1e-8, or below 1e-6 for
-        more than 4096 frequencies, which are interpolated.
+        It is the integral of psf(x, y) exp(-2 pi i (fx x + fy y)), computed as the autocorrelation of the pupil
+        function. Gauss-Legendre quadrature is used over the overlap of two shifted discs. The error is below 1e-8, or
+        below 1e-6 for more than 4096 frequencies, which are interpolated.
         """
         right, up = xp.broadcast_arrays(*checks.broadcastable(fx=fx, fy=fy))
         nu = xp.hypot(right, up) / self.cutoff

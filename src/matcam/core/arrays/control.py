@@ -55,7 +55,7 @@ def either(condition: Any, some: Callable[..., T], others: Callable[..., T], *ar
 def last_of(step: Callable[[Any, Any], tuple[Any, T]], state: Any, inputs: Any) -> T:
     """Loop over inputs with a state, and return the last result.
 
-    step: function of state and input. It returns the new state and a result.
+    `step` is a function of state and input. It returns the new state and a result.
     """
     if has_jax(state):
         jax = import_module("jax")
@@ -66,7 +66,6 @@ def last_of(step: Callable[[Any, Any], tuple[Any, T]], state: Any, inputs: Any) 
 
 
 def changed(array: Any, where: Any, value: Any) -> Any:
-    """Copy an array with new values at the given indices."""
     if has_jax(array, value):
         return import_module("jax").numpy.asarray(array).at[where].set(value)
     copy = np.array(array)
@@ -75,7 +74,6 @@ def changed(array: Any, where: Any, value: Any) -> Any:
 
 
 def entries(array: Any, *at: Any) -> Any:
-    """Select entries of an array by index arrays, one for each leading axis."""
     if has_jax(array, *at):
         array = import_module("jax").numpy.asarray(array)
     return array[at]
@@ -87,12 +85,10 @@ def evenly(count: int, most: int) -> np.ndarray:
 
 
 def as_index(number: Any) -> Any:
-    """Convert the elements of an array to indices; NaN becomes 0."""
     return xp.nan_to_num(number).astype(int)
 
 
 def tuple_map(function: Callable[..., Any], tree: Any, *others: Any) -> Any:
-    """Apply a function to corresponding arrays of nested tuples."""
     if not isinstance(tree, tuple):
         return function(tree, *others)
     parts = [tuple_map(function, *them) for them in zip(tree, *others, strict=True)]
@@ -162,7 +158,7 @@ def compiled_by_jax(function: Callable[P, T], *, static: tuple[int, ...] = ()) -
 
 
 def with_derivatives(function: Callable[P, T], *derivatives: Callable[..., Any]) -> Callable[P, T]:
-    """Give a function custom derivatives, as `jax.custom_jvp` does.
+    """Define custom derivatives of a function, as `jax.custom_jvp` does.
 
     Args:
         function: a function of positional arguments.

@@ -77,7 +77,6 @@ def constructor_call(thing: Any, arguments: Mapping[str, Any] | None = None) -> 
 
 
 def _in_words(value: Any) -> str:
-    """Format the value of a field: a small array in full, and a large array by its shape and range."""
     if not hasattr(value, "dtype"):
         return repr(value)
     if not is_concrete(value):
@@ -107,7 +106,6 @@ def replaced(module: M, path: str, value: Any) -> M:
 
 
 def leaves_of(value: Any) -> list[Any]:
-    """List the arrays of an object, in the order of its attributes."""
     if isinstance(value, Module):
         return [leaf for name in _names(type(value))[0] for leaf in leaves_of(getattr(value, name))]
     if isinstance(value, tuple | list):

@@ -1,9 +1,9 @@
 """Namespaces for formulas on arrays of NumPy and of JAX.
 
 `xp` is the namespace of NumPy. Each of its functions calls the function of JAX instead if an argument is an array of
-JAX, as inside `jax.grad` and `jax.jit`, or if the caller passes one. A formula therefore requires JAX only for
-derivatives and compiled programs, and the evaluation of a single number does not import JAX. `special` is the same for
-special functions.
+JAX. This is the case inside `jax.grad` and `jax.jit`, or if the caller passes such an array. A formula therefore
+requires JAX only for derivatives and compiled programs, and the evaluation of a single number does not import JAX.
+`special` is the same for special functions.
 
 Annotations name `jax.Array` for both kinds.
 """
@@ -50,7 +50,6 @@ def has_jax(*values: Any) -> bool:
 
 
 def is_concrete(value: object) -> bool:
-    """Check whether `value` is concrete, and not traced by JAX."""
     jax: Any = sys.modules.get("jax")
     return not (hasattr(jax, "core") and isinstance(value, jax.core.Tracer))
 
@@ -120,7 +119,7 @@ _awaiting: list[Callable[[Any], None]] = []
 def when_jax_is_there(action: Callable[[Any], None]) -> None:
     """Run an action that requires JAX, as soon as JAX is imported.
 
-    action: function with one argument, the module `jax`. It is called immediately if JAX is already imported.
+    `action` is a function of the module `jax`. It is called immediately if JAX is already imported.
     """
     jax = sys.modules.get("jax")
     if hasattr(jax, "tree_util"):
@@ -130,7 +129,6 @@ def when_jax_is_there(action: Callable[[Any], None]) -> None:
 
 
 def jax_is_there(jax: Any) -> None:
-    """Run the actions that wait for the import of JAX."""
     while _awaiting:
         _awaiting.pop(0)(jax)
 

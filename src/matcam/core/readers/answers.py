@@ -88,7 +88,6 @@ def read_answer(take: Callable[[int], bytearray], path: Path, memory: int) -> An
 
 
 def write_answer(write: Callable[[Any], Any], message: dict[str, Any], arrays: list[np.ndarray]) -> None:
-    """Write an answer piece by piece."""
     text = json.dumps(message).encode()
     write(struct.pack("<Q", len(text)) + text)
     for array in arrays:

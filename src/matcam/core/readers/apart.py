@@ -67,7 +67,7 @@ _limits: ContextVar[Limits | None] = ContextVar("limits", default=_NORMAL)
 def reading_limits(limits: Limits | None) -> Iterator[None]:
     """Use other limits for files that are opened in the block.
 
-    limits: the limits; None: the files are trusted, and are decoded in this process.
+    None: the files are trusted, and are decoded in this process.
     """
     token = _limits.set(limits)
     try:
@@ -77,12 +77,10 @@ def reading_limits(limits: Limits | None) -> Iterator[None]:
 
 
 def files_are_trusted() -> bool:
-    """Check whether files are decoded in this process, without limits."""
     return _limits.get() is None
 
 
 def start_reader(modules: Sequence[str]) -> None:
-    """Start the fork server in the background, and import modules there."""
     if _CAN_FORK and not files_are_trusted():
         with contextlib.suppress(OSError):  # the first file that is read reports the error
             for one in _request({"module": "", "libraries": list(modules)})[1:]:
@@ -163,7 +161,8 @@ def _answer_to(request: dict[str, Any], path: Path, memory: int, wall: float) ->
 class _EndedError(Exception):
     """End of the child before its answer was complete.
 
-    by: number of the signal that ended the child; 0: normal exit; None: the child or the fork server is gone or stopped.
+    `by` is the number of the signal that ended the child, or 0 after a normal exit. None: the child or the fork server
+    is gone or stopped.
     """
 
     def __init__(self, by: int | None):
@@ -197,7 +196,6 @@ def _from_socket(
     nursery: subprocess.Popen[bytes], channel: socket.socket, status: socket.socket, deadline: float
 ) -> Callable[[int], bytearray]:
     def end() -> _EndedError:
-        """Read the reason for the end of the child from the fork server."""
         while not (ready := select.select([status], [], [], _A_MOMENT)[0]) and _is_running(nursery):
             pass
         said = status.recv(4) if ready else b""
@@ -258,7 +256,6 @@ _A_MOMENT = 1.0
 
 
 def _is_running(process: subprocess.Popen[bytes]) -> bool:
-    """Check that a process has neither ended nor been stopped."""
     if process.poll() is not None:
         return False
     if not hasattr(os, "waitid"):
@@ -309,7 +306,7 @@ class _Nursery:
     def send(self, request: dict[str, Any], *sockets: socket.socket) -> subprocess.Popen[bytes]:
         """Send a request to the fork server, and return its process.
 
-        sockets: sockets for the answer, and for the exit status of the child.
+        `sockets` are the sockets for the answer, and for the exit status of the child.
         """
         text = json.dumps(request).encode()
         with self.lock:
@@ -334,7 +331,6 @@ if hasattr(os, "register_at_fork"):
 
 
 def _request(request: dict[str, Any]) -> tuple[subprocess.Popen[bytes], socket.socket, socket.socket]:
-    """Send a request; return the fork server, and the sockets for the answer and the exit status of the child."""
     channel, its_channel = socket.socketpair()
     status, its_status = socket.socketpair()
     with its_channel, its_status:

@@ -47,7 +47,7 @@ def is_link(path: Path) -> bool:
 def check_folder(path: Path, hint: str = "") -> None:
     """Raise FileFormatError for a path that is not a folder.
 
-    hint: end of the message, with an alternative. Default: "".
+    `hint` is the end of the message, with an alternative. Default: "".
     """
     if is_there(path) and not is_folder(path):
         raise FileFormatError(f"{path}: the input is not a folder{hint}")
@@ -66,7 +66,6 @@ UNPRINTABLE = "[\x00-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069\ud800-\
 
 
 def printable(text: str) -> str:
-    """Escape characters that control a terminal, or that are not text."""
     return re.sub(UNPRINTABLE, lambda found: found[0].encode("unicode_escape").decode(), text)
 
 

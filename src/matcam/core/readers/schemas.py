@@ -23,8 +23,8 @@ class Strict(BaseModel):
 def validated(schema: type[M], document: Any, where: str | Path, unnamed: Collection[str] = ()) -> M:
     """Check a document by a schema.
 
-    The message of a FileFormatError names the location `where` of the document, and the field. unnamed: see
-    `first_problem`.
+    The message of a FileFormatError contains the location `where` of the document, and the field. `unnamed` is
+    described in `first_problem`.
     """
     try:
         return schema.model_validate(document)

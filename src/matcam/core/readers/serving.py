@@ -24,7 +24,6 @@ from matcam.core.readers.answers import packed, write_answer
 
 
 def called(module: str, name: str, path: Path, options: dict[str, Any]) -> Any:
-    """Call a decoder on a file."""
     return getattr(importlib.import_module(module), name)(path, **options)
 
 
@@ -84,7 +83,6 @@ def _limit(seconds: float, wall: float, memory: int) -> None:
 
 
 def serve_standard_streams() -> None:
-    """Read one file, with request and answer on the standard streams."""
     request = json.loads(sys.stdin.buffer.read())
     _serve(request, sys.stdout.buffer.write)
     sys.stdout.buffer.flush()

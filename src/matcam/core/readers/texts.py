@@ -48,7 +48,7 @@ _PROBLEMS = {
 def read_json(path: str | Path, what: str) -> Any:
     """Read a JSON document.
 
-    what: expected content, such as "a camera profile". A FileFormatError is raised if the file is not JSON, or has more
+    `what` is the expected content, such as "a camera profile". A FileFormatError is raised if the file is not JSON, or has more
     than 16 MiB or 250,000 values.
     """
     path = Path(path)
@@ -59,7 +59,7 @@ def read_json(path: str | Path, what: str) -> Any:
 def read_toml(path: str | Path, what: str) -> dict[str, Any]:
     """Read settings in TOML.
 
-    what: expected content, such as "a rig". A FileFormatError is raised if the file is not TOML, or has more than 64
+    `what` is the expected content, such as "a rig". A FileFormatError is raised if the file is not TOML, or has more than 64
     KiB or lines of more than 1000 characters.
     """
     import tomllib
@@ -78,7 +78,7 @@ def read_toml(path: str | Path, what: str) -> dict[str, Any]:
 def read_lines(path: str | Path, what: str) -> list[str]:
     """Read the lines of a text file, without line ends.
 
-    what: expected content. Bytes that are not text are replaced. A FileFormatError is raised if the file has more than
+    `what` is the expected content. Bytes that are not text are replaced. A FileFormatError is raised if the file has more than
     4 MiB, 100,000 lines, or 1000 characters in a line.
     """
     content = read_apart(f"{__name__}:decode_lines", Path(path), what, small=SMALL_TEXT, title=what)
@@ -87,8 +87,6 @@ def read_lines(path: str | Path, what: str) -> list[str]:
 
 
 def decode_json(path: Path, *, title: str) -> np.ndarray:
-    """Read the bytes of a JSON document, and parse them once to detect errors."""
-
     def refuse(constant: str) -> None:
         raise ValueError(f"{constant} is not a number")
 
@@ -109,7 +107,6 @@ def decode_json(path: Path, *, title: str) -> np.ndarray:
 
 
 def decode_lines(path: Path, *, title: str) -> np.ndarray:
-    """Read the bytes of a text file, and check the limits of lines."""
     # 65,536 lines of three numbers take 3 MiB
     return np.frombuffer(_checked_text(path, title, 4 << 20), np.uint8)
 
@@ -164,7 +161,8 @@ def checked_version(document: Any, where: str | Path, what: str, form: str, vers
 def first_problem(error: ValidationError, unnamed: Collection[str] = ()) -> str:
     """Format the first error of a schema on one line.
 
-    The line names the field. unnamed: parts of the path of the field that are not names of fields.
+    The line contains the name of the field. `unnamed` contains the parts of the field's path that are not names of
+    fields.
     """
     first = error.errors()[0]
     field = ".".join(str(part) for part in first["loc"] if part not in unnamed)

@@ -34,7 +34,7 @@ _COORDINATES = {
 
 
 def named(data: D, texts: Mapping[str, str] | None = None) -> D:
-    """Give variables and coordinates the attributes `long_name` and `units`.
+    """Add the attributes `long_name` and `units` to variables and coordinates.
 
     Plots of xarray, and NetCDF, use these attributes.
 

@@ -128,7 +128,7 @@ class Summary(NamedTuple):
 
     @property
     def text(self) -> str:
-        """The summary as plain text, in the manner of lmfit's `fit_report`."""
+        """Summary as plain text, formatted like lmfit's `fit_report`."""
         lines = [f"[[{self.title}]]"]
         if self.verdict:
             lines += textwrap.wrap(self.verdict, _WIDTH, initial_indent="    ", subsequent_indent="    ")
@@ -145,7 +145,7 @@ class Summary(NamedTuple):
 
     @property
     def html(self) -> str:
-        """The summary as HTML without styles, which a notebook displays in its own theme."""
+        """Summary as HTML without styles, so that a notebook displays it in its theme."""
         parts = [f"<strong>{escape(self.title)}</strong>"]
         parts += [f"<p>{escape(self.verdict)}</p>"] if self.verdict else []
         for title, quantities in self.sections.items():

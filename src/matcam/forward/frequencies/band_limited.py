@@ -1,8 +1,8 @@
 """Images through a band-limited lens, without an approximation by sums of Gaussians.
 
-The transfer function of a diffraction-limited lens, with or without defocus and aberrations, is 0 above a limit B, and so
-is a measured MTF that reaches 0. The image through such a lens is obtained by filtering picture_g, the image through a
-narrow Gaussian lens and a point-like pixel:
+The transfer function of a diffraction-limited lens, with or without defocus and aberrations, is 0 above a limit B. A
+measured MTF that reaches 0 has such a limit, too. The image through such a lens is obtained by filtering picture_g, the
+image through a narrow Gaussian lens and a point-like pixel:
 
     picture = F^-1 [ lens(f) pixel(f) / g(f)  F picture_g ],    g(f) = exp(-2 pi^2 s^2 f^2).
 
@@ -75,13 +75,13 @@ def band_limit(camera: Camera, enough: float = EXACT) -> BandLimit | None:
 
 
 def concrete(camera: Camera) -> bool:
-    """Check whether the parameters of lens and pixel are concrete, apart from their derivatives."""
+    """Check that lens and pixel are concrete. Derivatives with respect to their parameters are allowed."""
     stopped = without_derivatives((camera.optics, camera.pixel))
     return all(is_concrete(leaf) for leaf in jax.tree.leaves(stopped))
 
 
 def sampling_of(lenses: Sequence[Optics], pixel: PixelResponse, enough: float = EXACT) -> BandLimit:
-    """Choose the sampling of images through some lenses, whose parameters must be concrete."""
+    """Choose the sampling of images through several lenses, whose parameters must be concrete."""
     stopped = without_derivatives(list(lenses))
     pixel = without_derivatives(pixel)
     frequency = np.linspace(0, max(lens.band() for lens in stopped), _FREQUENCIES)
@@ -107,9 +107,10 @@ def _at_most(optics: Optics, frequency: np.ndarray) -> np.ndarray:
 
 @lru_cache(maxsize=32)
 def _chosen(frequencies: tuple[float, ...], passed: tuple[tuple[float, ...], ...], enough: float) -> BandLimit:
-    """Choose the coarsest sampling with a sufficiently small error, otherwise that with the smallest error.
+    """Choose the coarsest sampling with a sufficiently small error, or else the sampling with the smallest error.
 
-    passed: modulus of the transfer function of lens and pixel at these frequencies, cycles/px, along `_ANGLES`.
+    frequencies: cycles/px. passed: modulus of the transfer function of lens and pixel along `_ANGLES`, (angles,
+    frequencies).
     """
     f, total = np.array(frequencies), np.array(passed)
     fx, fy = (f * part(_ANGLES[:, None]) for part in (np.cos, np.sin))
@@ -132,7 +133,7 @@ class FineLine(NamedTuple):
     """Positions along one axis at which an image is recorded before it is filtered.
 
     Attributes:
-        at: positions, px, in steps of a fraction of a pixel, in the order of the pixels of the image.
+        at: positions, px, in the order of the pixels, in steps of a fraction of a pixel.
         first: index of the first pixel of the image.
         step: 1.0 if positions increase to the right or upwards, otherwise -1.0.
     """
@@ -143,7 +144,10 @@ class FineLine(NamedTuple):
 
 
 def fine_line(pixels: np.ndarray, low: float, high: float, per_px: int) -> FineLine:
-    """Compute the positions of a fine record, which cover the pixels of an image and the interval from low to high, px."""
+    """Compute the positions of a fine record, px.
+
+    They cover the pixels of an image and the interval from `low` to `high`, px.
+    """
     step = 1.0 if pixels.size < 2 else float(np.sign(pixels[1] - pixels[0]))
     ends = (low, high) if step > 0 else (high, low)
     before, after = max(0.0, step * (pixels[0] - ends[0])), max(0.0, step * (ends[1] - pixels[-1]))
@@ -183,11 +187,9 @@ class FineRecord(NamedTuple):
         return self._replace(spectrum=self.spectrum * factor[..., None]).values()
 
     def only(self, channels: slice | list[int]) -> FineRecord:
-        """Select the transform of some channels."""
         return self._replace(spectrum=self.spectrum[..., channels])
 
     def of(self, values: jax.Array) -> FineRecord:
-        """Compute the transform of other values at the same positions."""
         return self._replace(spectrum=jnp.fft.rfft2(values, self.padded, axes=(0, 1)))
 
 
@@ -233,7 +235,7 @@ def filtered(record: FineRecord, optics: Optics, pixel: PixelResponse, limit: Ba
 
 
 def recorded(sigma: float | jax.Array, fx: np.ndarray, fy: np.ndarray) -> jax.Array:
-    """Compute the transfer function of a fine record: that of a Gaussian lens and a pixel of half width `POINT`.
+    """Compute the transfer function of a Gaussian lens with a pixel of half width `POINT`.
 
     sigma: standard deviation of the lens, px. fx, fy: frequencies, cycles/px.
     """

@@ -48,7 +48,7 @@ def patch_size(
         step: step of the grid, px.
         taps: weights that distribute a node over neighbouring points of the grid.
         symmetric: True if the radiance is symmetric, and only the upper half is computed.
-        turned: True if the axes of the sensor are rotated relative to those of the scene.
+        turned: True if the axes of the sensor are rotated relative to the axes of the scene.
     """
     squeezed = max(squeezed, STEEPEST)
     widest = _WIDEST_PANEL * widths.sigma

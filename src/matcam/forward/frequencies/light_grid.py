@@ -1,8 +1,8 @@
 """Radiance of a sphere on a regular grid whose Fourier transform is accurate within the band of a lens.
 
-A sum over the points of a regular grid is exact except for frequencies that alias into the band of the lens: those above
-the sampling frequency minus the cutoff of the lens. The radiance has such frequencies only in three regions. Each region
-has its own quadrature:
+A sum over the points of a regular grid is exact except for frequencies that alias into the band of the lens: those
+above the sampling frequency minus the cutoff of the lens. The radiance has such frequencies only in three regions. Each
+region has a separate quadrature:
 
 - the limb, where the radiance ends (`limb_lines.py`);
 - the highlight, whose lobe may be narrower than a step (`highlight_patch.py`);
@@ -34,7 +34,7 @@ _FINE_ENOUGH = 2.4
 _TILE = 32, 64
 """Rows and columns of a tile of the grid."""
 _ACROSS = 30.0
-"""Number of grid steps in the radius of a sphere in addition to those that the cutoff of the lens requires."""
+"""Additional number of grid steps in the radius of a sphere, besides the steps that the cutoff of the lens requires."""
 _SMALLEST = 2.5
 """Smallest radius of a sphere, px."""
 _HIGHEST = 3.3

@@ -1,9 +1,9 @@
 """Radiance at the limb on a grid, from nodes along rows and columns of the grid.
 
-Within a few px of the limb, the radiance varies as the square root of the distance from the limb, and ends there. Along a
-row or column, the radiance is a smooth function of the angle (`lines.py`) up to the limb, or up to the terminator if that
-is closer. A row or column that meets the limb at less than 45 degrees would cause aliasing. Therefore rows are used at
-the left and right limb and columns at the top and bottom, with a smooth transition.
+Within a few px of the limb, the radiance varies as the square root of the distance from the limb, and ends there. Along
+a row or column, the radiance is a smooth function of the angle (`lines.py`). It ends at the limb, or at the terminator
+if the terminator is closer. A row or column that meets the limb at less than 45 degrees would cause aliasing. Therefore
+rows are used at the left and right limb and columns at the top and bottom, with a smooth transition.
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""Rows and columns of the sensor. They show half circles on a sphere in front of a distant camera, with one lit arc each."""
+"""Rows and columns of the sensor, as half circles on a sphere in front of a distant camera.
+
+Each half circle has one lit arc.
+"""
 
 from __future__ import annotations
 
@@ -17,8 +20,8 @@ _LEAST = 1e-12
 class Lines(NamedTuple):
     """Rows or columns (lines) of the sensor.
 
-    Each line shows half a circle on the sphere. A position on a line is the angle on this circle, rad: 0 in the middle of
-    the line, and pi / 2 at its right or upper end.
+    Each line shows half a circle on the sphere. A position on a line is the angle on this circle, rad. The angle is 0
+    in the middle of the line, and pi / 2 at the right or upper end.
 
     Attributes:
         scene: the scene.
@@ -45,7 +48,6 @@ class Lines(NamedTuple):
         return x, y, share * jnp.cos(angle)
 
     def ordered(self, along: jax.Array, across: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Convert components along and across the lines to x and y."""
         return (across, along) if self.upright else (along, across)
 
     def lamp(self) -> tuple[jax.Array, jax.Array, jax.Array]:

@@ -3,8 +3,8 @@
 The Fourier transform of a symmetric image is a cosine transform of its upper half. Apart from a phase, the cosine
 transform is the Fourier transform of the upper half after its rows are reordered: the even rows first, followed by the
 odd rows in reverse order (Makhoul 1980, A fast cosine transform in one and two dimensions). The transfer function
-includes the phases of both transforms. Each frequency of the filtered half is therefore a combination of the same
-frequency of the original half and of its mirror image.
+includes the phases of both transforms. Each frequency of the filtered half therefore combines the same frequency of the
+original half with the mirrored frequency.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class MirroredTransfer(NamedTuple):
 
     @classmethod
     def of(cls, transfer: jax.Array) -> MirroredTransfer:
-        """Build the transfer function for the upper half from that of a symmetric lens.
+        """Build the transfer function for the upper half from the transfer function of a symmetric lens.
 
         transfer: transfer function of the lens, with an even number of rows, at the frequencies 0, 1, 2, ... cycles per
             height of the whole image.

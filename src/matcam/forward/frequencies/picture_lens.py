@@ -2,8 +2,8 @@
 
 A lens that varies over the field is sampled at some positions (`position_shares.py`). The radiance is divided into one
 share for each of these positions, by smooth weights that depend on the position of the surface element. Each share is
-filtered by the lens at its position, and the filtered shares are added. Each surface element is thus blurred by the kernel
-at its own position.
+filtered by the lens at its position, and the filtered shares are added. Each surface element is thus blurred by the
+kernel at its position.
 """
 
 from __future__ import annotations
@@ -133,7 +133,6 @@ def picture_lens(camera: Camera, radius: float, error: float | None = None) -> P
 
 
 def varies_over_field(optics: Optics) -> bool:
-    """Check whether a lens, or the lens of one colour, varies over the field."""
     parts = optics.lenses if isinstance(optics, ColourOptics) else (optics,)
     return any(isinstance(one, SeidelOptics) for one in parts)
 
@@ -148,7 +147,7 @@ def _colour(optics: Optics, shares: PositionShares | None, shift: jax.Array | No
 
 
 def _shares_for(optics: tuple[Optics, ...], radius: float) -> tuple[PositionShares | None, float]:
-    """Choose the fewest shares between which the lenses are interpolated accurately, and compute their error."""
+    """Choose the smallest number of shares that interpolates the lenses accurately, and compute the error, no unit."""
     varying = [jax.lax.stop_gradient(one) for one in optics if isinstance(one, SeidelOptics)]
     if not varying:
         return None, 0.0

@@ -1,12 +1,13 @@
 """Division of the radiance into shares by the position of the surface element, for filters that depend on the position.
 
 A kernel that varies smoothly with the position is approximated by a weighted sum of the kernels at few selected
-positions. The weights are polynomials in x and y. Pivoted QR selects the positions. The kernels on the disc of the sample
-are approximated by polynomials of the position, whose coefficients are linear combinations of the selected kernels, found
-by least squares.
+positions. The weights are polynomials in x and y. Pivoted QR selects the positions. The kernels on the disc of the
+sample are approximated by polynomials of the position. Their coefficients are linear combinations of the selected
+kernels, found by least squares.
 
-The radiance is given by its record R through a Gaussian of standard deviation s. The record of the radiance multiplied by
-a weight w follows from R, because multiplication by x before the blur corresponds to x + s^2 d/dx after the blur:
+The radiance is given by its record R through a Gaussian of standard deviation s. Multiplication by x before the blur
+corresponds to x + s^2 d/dx after the blur. The record of the radiance multiplied by a weight w therefore follows from
+R:
 
     sum over a, b of  s^(2a + 2b) / (a! b!)  d^(a+b)/dx^a dy^b [exp(s^2 Laplace / 2) w]  d^(a+b) R / dx^a dy^b.
 """
@@ -73,7 +74,7 @@ class PositionShares(NamedTuple):
         return _evaluated(self.coefficients, positions / self.side)
 
     def left_over(self, sigma: float, values: np.ndarray) -> float:
-        """Compute an upper bound of the contribution of derivatives beyond `ORDER` to a record, as a share of its peak.
+        """Compute an upper bound of the error due to neglected derivatives, as a share of the peak of a record.
 
         Args:
             sigma: standard deviation of the Gaussian of the record, px.

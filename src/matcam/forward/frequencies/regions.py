@@ -18,7 +18,7 @@ from matcam.forward.integral.scene import Scene, highlight_x
 from matcam.numerics.elementary import erfc, plane_length
 
 STEEPEST = 0.1
-"""Smallest cosine of the viewing angle by which a patch around a highlight is stretched."""
+"""Lower limit of the cosine of the viewing angle in the stretch of a patch around a highlight."""
 _SMOOTH = 0.84
 """Standard deviation of the transition of a weight, px, times the lowest aliased frequency, cycles/px."""
 _ENDS = 4.9
@@ -28,8 +28,8 @@ _NEAR = 6.65
 narrower than this distance are smooth beyond it.
 """
 _MORE = 4.4
-"""Length by which a lit crescent that belongs entirely to the region of the limb may exceed the depth of this region, in
-standard deviations of the transition.
+"""Largest width of a lit crescent minus the depth of the region of the limb, in standard deviations of the transition. A
+narrower crescent belongs entirely to this region.
 """
 _NO_BORDER = 1e9
 """Depth of a border outside any sphere, px."""
@@ -61,7 +61,7 @@ class RegionWidths(NamedTuple):
 
     @property
     def widest_line(self) -> float:
-        """Largest depth of the region of the limb, px, including that of a crescent."""
+        """Largest depth of the region of the limb or of a crescent, px."""
         return self.depth + _MORE * self.sigma
 
 
@@ -86,7 +86,6 @@ class Regions(NamedTuple):
 
     @classmethod
     def of(cls, scene: Scene, widths: RegionWidths) -> Regions:
-        """Build the regions of a scene."""
         radius = scene.sample.radius
         peak = highlight_x(scene.sample, scene.lamp_angle, scene.lamp_nearness)
         end = jnp.maximum(scene.lamp_angle - jnp.arccos(horizon(scene)), 0.0)
@@ -140,5 +139,8 @@ def falling(at: jax.Array, sigma: float) -> jax.Array:
 
 
 def horizon(scene: Scene) -> jax.Array:
-    """Compute the cosine of the angle between normal and lamp, seen from the centre of the sample, at the terminator."""
+    """Compute the cosine of the angle between normal and lamp at the terminator.
+
+    The lamp is seen from the centre of the sample.
+    """
     return jnp.zeros(()) if scene.lamp_nearness is None else scene.lamp_nearness

@@ -1,9 +1,9 @@
-"""Records of images of a sphere at the positions of the cells of a table, through a band-limited lens.
+"""Records of table cells on a sphere through a band-limited lens.
 
 One image of the sphere contains one theta_d slice of a table. The radiance of the image is computed on a grid
-(`light_grid.py`), and the Fourier transform of the grid is multiplied by the transfer function of lens and pixel. The
-filtered image is interpolated at the cells. The transfer function includes all aberrations of the lens. Camera and point
-lamp must be distant, so that all cells of a slice are in one image.
+(`light_grid.py`). The Fourier transform of the grid is multiplied by the transfer function of lens and pixel. The
+filtered image is interpolated at the cells. The transfer function includes all aberrations of the lens. Camera and
+point lamp must be distant, so that all cells of a slice are in one image.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ class _Frame(NamedTuple):
 
     Attributes:
         grid: grid of the radiance; if the radiance is symmetric, the grid covers the upper half only.
-        transfer: transfer function of lens and pixel divided by that of the interpolation, (rows, columns of half the
-            plane), no unit; for the upper half of an image if both radiance and lens are symmetric.
+        transfer: transfer function of lens and pixel divided by the transfer function of the interpolation, (rows,
+            columns of half the plane), no unit; for the upper half of an image if both radiance and lens are symmetric.
         sides: rows and columns of the periodic image.
         per_px: number of points of the grid along the side of a pixel.
         reading: interpolation of the filtered image.

@@ -47,7 +47,7 @@ class Spread(NamedTuple):
     Attributes:
         along: variance along x, px^2.
         across: variance along y, px^2.
-        disc: radius of the disc of a lens out of focus, px; 0 if it is part of the variances.
+        disc: radius of the defocus disc, px; 0 if the variances include defocus.
     """
 
     along: jax.Array
@@ -66,8 +66,7 @@ class Blur(eqx.Module):
         aperture: diameter of the entrance pupil over its distance, no unit.
         focus: angle between the optical axis and the normals of the surface elements in focus, rad.
         varies: True if source disc or defocus contributes to the terms; the kernel then depends on the position.
-        chords: number of chords of the disc of a lens out of focus, one of `disc_chords.COUNTS`; 0: the disc is a
-            Gaussian.
+        chords: number of chords of the defocus disc, one of `disc_chords.COUNTS`; 0: the disc is a Gaussian.
         residual: residual of the lens beyond its Gaussians, the last term; None: no residual.
     """
 
@@ -83,12 +82,11 @@ class Blur(eqx.Module):
 
     @property
     def terms(self) -> tuple[int, ...]:
-        """Indices of all terms."""
         return tuple(range(self.stds.size + (self.residual is not None)))
 
     @property
     def std_of_half(self) -> float:
-        """Standard deviation of the Gaussian with the half-value frequency of the sum of all Gaussians, px."""
+        """Standard deviation, px, of the Gaussian with the same half-value frequency; see `std_of_half`."""
         return std_of_half(np.asarray(self.weights), np.asarray(self.stds))
 
     @property
@@ -97,11 +95,9 @@ class Blur(eqx.Module):
         return self.residual is None or self.residual.even
 
     def is_residual(self, term: int) -> bool:
-        """Check whether a term is the residual of the Gaussians."""
         return term == self.stds.size
 
     def share(self, term: int) -> jax.Array:
-        """Select the factor of a term in the blur, no unit."""
         return jnp.ones(()) if self.is_residual(term) else self.weights[term]
 
     def only(self, terms: tuple[int, ...]) -> Blur:
@@ -142,13 +138,19 @@ class Blur(eqx.Module):
         return jnp.asarray(radius) * self.aperture * (jnp.asarray(normal_z) - jnp.cos(self.focus)) / 2
 
     def at(self, term: int, spread: Spread, x: jax.Array, y: jax.Array) -> jax.Array:
-        """Evaluate one term, 1/px^2, at offsets of the pixel from the image of a surface element along x and y, px."""
+        """Evaluate one term, 1/px^2.
+
+        x, y: offset of the pixel from the image of a surface element, px.
+        """
         if self.residual is not None and self.is_residual(term):
             return self.residual.at(x, y, self._residual_variances(spread))
         return self.through_disc(term, spread, lambda along, across: along(x) * across(y))
 
     def across(self, term: int, spread: Spread, x: jax.Array) -> jax.Array:
-        """Evaluate one term, integrated along y, 1/px, at offsets of the pixel along x, px."""
+        """Evaluate one term, integrated along y, 1/px.
+
+        x: offset of the pixel from the image of a surface element, px.
+        """
         return self.through_disc(term, spread, lambda along, _: along(x))
 
     def through_disc(self, term: int, spread: Spread, of: Callable[[Line, Line], jax.Array]) -> jax.Array:
@@ -157,7 +159,7 @@ class Blur(eqx.Module):
         Args:
             term: index of the term.
             spread: contribution of defocus and source disc.
-            of: function of two one-dimensional kernels, the one along x and the one along y.
+            of: function of two one-dimensional kernels, along x and along y.
         """
         if self.is_residual(term):
             return self._through_residual(spread, of)
@@ -208,7 +210,6 @@ class Blur(eqx.Module):
         return self.pixel.of_gaussian(offset, self._std(term, variance))
 
     def kernel_until(self, offset: jax.Array, term: int, variance: jax.Array) -> jax.Array:
-        """Integrate `kernel` up to an offset, no unit."""
         return self.pixel.until_gaussian(offset, self._std(term, variance))
 
     def turned_kernel(
@@ -255,7 +256,10 @@ class Blur(eqx.Module):
         return jnp.asarray(total)
 
     def plane_rule(self, term: int, spread: Spread) -> tuple[jax.Array, jax.Array, jax.Array]:
-        """Compute offsets along x and y, px, and weights that integrate smooth radiance times a term, (..., nodes)."""
+        """Compute a quadrature rule for smooth radiance times a term.
+
+        The results are offsets along x and y, px, and weights, (..., nodes).
+        """
         if self.residual is not None and self.is_residual(term):
             return self.residual.nodes()
         (dx, x_weight), (dy, y_weight) = (self.rule(term, added) for added in (spread.along, spread.across))
@@ -339,10 +343,10 @@ def _variance_blocks(
 
 
 def std_of_half(weights: np.ndarray, stds: np.ndarray) -> float:
-    """Compute the standard deviation of the Gaussian with the same half-value frequency as a sum of Gaussians.
+    """Compute the standard deviation of the Gaussian with the same half-value frequency as a sum of Gaussians, px.
 
-    The half-value frequency is that at which the transfer function is one half. The variance of the sum is unsuitable:
-    for an ideal lens it is infinite, because of faint tails.
+    At the half-value frequency, the transfer function is one half. The variance of the sum is unsuitable: for an ideal
+    lens it is infinite, because of faint tails.
     """
     if stds.size == 1:
         return float(stds[0])

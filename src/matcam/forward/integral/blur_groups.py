@@ -1,4 +1,4 @@
-"""Groups of terms of a blur that share quadrature nodes because their widths are similar, and lengths of each group."""
+"""Groups of blur terms of similar width, which share quadrature nodes."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ class BlurScale(NamedTuple):
             half vector.
         margin: distance from limb and terminator beyond which the radiance around a pixel is smooth.
         reach: support radius of the kernel.
-        fineness: required number of nodes across the support of the kernel, relative to that for a Gaussian of 0.5 px with a
-            pixel of 1 px, no unit; at least 1.
+        fineness: required number of nodes across the support of the kernel divided by the number for a Gaussian of 0.5
+            px with a pixel of 1 px, no unit; at least 1.
     """
 
     near: float

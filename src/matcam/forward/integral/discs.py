@@ -70,7 +70,7 @@ def disc_fineness(
 
 
 def nearer(imaging: Imaging, distance: float) -> Imaging:
-    """Multiply the distance of the lamp of an imaging by a factor. distance: the factor, no unit."""
+    """Multiply the lamp distance by the factor `distance`, no unit."""
     return (
         imaging if imaging.lamp_nearness is None else imaging._replace(lamp_nearness=imaging.lamp_nearness / distance)
     )

@@ -51,7 +51,7 @@ _HERMITE = (-np.sqrt(3), 1 / 6), (0.0, 2 / 3), (np.sqrt(3), 1 / 6)
 
 
 class KernelResidual(eqx.Module):
-    """Residual with compact support, as a sum of products of functions of x and of y.
+    """Residual with compact support, as a sum of products u(x) v(y).
 
     Attributes:
         lines: coefficients of the polynomials along x and y, (products, 2, intervals, degree + 1), 1/px.
@@ -125,11 +125,14 @@ class KernelResidual(eqx.Module):
         return jnp.where((position >= 0) & (position <= count), value, 0.0)
 
     def reach_through(self, variance: Any) -> Any:
-        """Compute the half side of the support, px, after a blur of this variance, px^2."""
+        """Compute the half side of the support, px, after an additional blur of this variance, px^2."""
         return float(self.reach) + _HERMITE[-1][0] * np.sqrt(variance)
 
     def nodes(self) -> tuple[jax.Array, jax.Array, jax.Array]:
-        """Compute offsets along x and y, px, and weights of a rule for smooth radiance within the support, (nodes,)."""
+        """Compute a quadrature rule for smooth radiance within the support.
+
+        The results are offsets along x and y, px, and weights, (nodes,).
+        """
         x, y = (self.reach * a.ravel() for a in np.meshgrid(_SMOOTH[0], _SMOOTH[0], indexing="ij"))
         return x, y, self.smooth.ravel()
 
@@ -199,7 +202,7 @@ def _taper(share: np.ndarray) -> np.ndarray:
 
 
 def _enough(u: np.ndarray, size: np.ndarray, v: np.ndarray, most: float, residual: np.ndarray) -> int:
-    """Choose the number of products such that the remainder is below `most`, 1/px^2, everywhere."""
+    """Choose the number of products for which the remainder is below `most`, 1/px^2, everywhere."""
     for count in range(_FEWEST, size.size, _FEWEST):
         if np.abs((u[:, :count] * size[:count]) @ v[:count] - residual).max() < most:
             return count

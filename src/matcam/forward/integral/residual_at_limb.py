@@ -1,10 +1,11 @@
 """Quadrature of the residual of a lens at the limb: few nodes, whose weights include the rings of the kernel.
 
-The radiance ends at the limb, and the rings of the residual have the period of the cutoff frequency, so a general rule
-would require thousands of nodes per pixel. However, the radiance is smooth up to the limb as a function of c = sqrt(1 -
-(distance from the axis / radius of the limb)^2) and of the azimuth about the axis. A polynomial through few nodes therefore
-approximates the radiance. The weights of the nodes are integrals of the residual times each basis polynomial. The weights
-depend only on the residual, on the depth within the limb and on the azimuth, and are computed once, on a lattice.
+The radiance ends at the limb, and the rings of the residual have the period of the cutoff frequency. A general rule
+would therefore require thousands of nodes per pixel. However, the radiance is smooth up to the limb as a function of c
+= sqrt(1 - (r / R)^2) and of the azimuth about the axis. Here r is the distance from the axis, and R is the radius of
+the limb. A polynomial through few nodes therefore approximates the radiance. The weights of the nodes are integrals of
+the residual times each basis polynomial. The weights depend only on the residual, on the depth within the limb and on
+the azimuth, and are computed once, on a lattice.
 
 The residual carries at most 0.2 % of the light, so 1 % relative accuracy suffices.
 """

@@ -14,13 +14,12 @@ from matcam.sample.shape import Curved, Element
 
 
 class Turn(NamedTuple):
-    """Cosine and sine of the azimuth of the lamp, the angle from the x axis of the sensor to that of the scene."""
+    """Cosine and sine of the azimuth of the lamp, from the x axis of the sensor to the x axis of the scene."""
 
     cosine: jax.Array
     sine: jax.Array
 
     def beside_nodes(self, axes: int) -> Turn:
-        """Reshape to broadcast against `axes` further axes of nodes."""
         return Turn(*(beside_nodes(a, axes) for a in self))
 
 
@@ -28,8 +27,8 @@ class Scene(eqx.Module):
     """Material on a curved sample under a lamp; radiance is in 1/sr.
 
     The irradiance is 1 at the sample's centre, on a surface that faces the lamp. For a sphere, the x axis of the scene
-    points towards the lamp, so positions in the scene differ from positions on the sensor if the lamp has an azimuth. For
-    a cylinder, the axes of the scene are those of the sensor, and the direction of the lamp is rotated instead.
+    points towards the lamp. Positions in the scene then differ from positions on the sensor if the lamp has an azimuth.
+    For a cylinder, scene and sensor have the same axes, and the direction of the lamp is rotated instead.
 
     Attributes:
         material: the material.
@@ -60,7 +59,7 @@ class Scene(eqx.Module):
 
     @property
     def _pixels_turn(self) -> bool:
-        """True if the axes of the scene differ from those of the sensor."""
+        """True if scene and sensor have different axes."""
         return self.turn is not None and not isinstance(self.sample, Cylinder)
 
     def from_sensor(self, x: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -76,19 +75,18 @@ class Scene(eqx.Module):
         return x * self.turn.cosine - y * self.turn.sine, y * self.turn.cosine + x * self.turn.sine
 
     def shown(self, x: jax.Array, y: jax.Array) -> tuple[Element, jax.Array]:
-        """Compute the surface elements at positions on the sensor, px, and a mask, True for visible and lit elements."""
+        """Compute the surface elements at positions on the sensor, px, and a mask of visible and lit elements."""
         element, visible = self.sample.at(*self.from_sensor(x, y))
         return element, visible & (self.seen(element).cos_i > 0)
 
     def seen(self, element: Element) -> Shading:
-        """Compute the angles of lamp and camera at a surface element."""
         light, _ = self._light(element)
         return shading(element.normal, self._tangent(element), light, element.view)
 
     def _light(self, element: Element) -> tuple[Vector, jax.Array | None]:
         """Compute the direction to the lamp, and the relative irradiance of a surface that faces the lamp.
 
-        The irradiance is relative to that at the centre of the sample; None: 1 everywhere.
+        The irradiance is relative to the irradiance at the centre of the sample; None: 1 everywhere.
         """
         sine, cosine = self.towards_lamp or (jnp.sin(self.lamp_angle), jnp.cos(self.lamp_angle))
         light = sine, jnp.zeros(()), cosine
@@ -122,7 +120,6 @@ class Scene(eqx.Module):
         return light * (area[..., None] if jnp.ndim(area) else area)
 
     def channels(self) -> int:
-        """Determine the number of channels of the material."""
         return jax.eval_shape(_sent_at_centre, self.material, self.sample, self.lamp_nearness).shape[-1]
 
 

@@ -125,12 +125,11 @@ def mean_over_discs(
 
 
 def has_discs(rig: Rig) -> bool:
-    """Check whether a rig with a curved sample has a source disc or a lens out of focus."""
     return isinstance(rig.sample, Curved) and not (_is_zero(rig.lamp_radius) and _is_zero(rig.aperture))
 
 
 def _levels(fineness: jax.Array) -> np.ndarray:
-    """Round ratios of radii to the standard deviation of their blur up to powers of 2; 0 remains 0."""
+    """Round values of the fineness up to powers of 2; 0 remains 0."""
     fineness = constant(fineness)
     if not is_concrete(fineness):
         return np.full(fineness.shape, _UNKNOWN_FINENESS)
@@ -139,7 +138,10 @@ def _levels(fineness: jax.Array) -> np.ndarray:
 
 
 def _unit_points(fineness: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Compute x, y and shares of points of the unit disc. fineness: radius of the disc divided by the width of its blur."""
+    """Compute x, y and shares of points of the unit disc.
+
+    fineness: radius of the disc divided by the standard deviation of its blur.
+    """
     if fineness == 0:
         return np.zeros(1), np.zeros(1), np.ones(1)
     rings, spokes = rings_and_spokes(fineness)

@@ -2,9 +2,9 @@
 
     record = integral of transfer(f) spectrum(f) discs(f) exp(2 pi i f x) df
 
-The nodes are polar: frequencies in panels that become narrower towards f = 0, where the spectra of broad lobes are
-concentrated, times azimuths that become denser towards the short axis of the lobe. The discs of lamp and lens are
-represented by factors, the Fourier transforms of uniform ellipses.
+The nodes are polar, a product of frequencies and azimuths. The panels of the frequencies become narrower towards f = 0,
+where the spectra of broad lobes are concentrated. The azimuths become denser towards the short axis of the lobe. The
+discs of lamp and lens are represented by factors, the Fourier transforms of uniform ellipses.
 """
 
 from __future__ import annotations
@@ -36,7 +36,8 @@ _FLATTEST = 1e-3
 _AZIMUTHS = 28
 """Number of nodes in a quarter turn. The error is 1e-9 for lobes that are 600 times as long as wide."""
 _SHORTEST = 1.7e-3
-"""Ratio of the axes of a lobe that is assumed inside `jax.jit`: on a sphere, that at a viewing angle of 89.9 degrees."""
+"""Ratio of the axes of a lobe that is assumed inside `jax.jit`. It is the ratio on a sphere at a viewing angle of 89.9 degrees.
+"""
 _UNKNOWN_REACH = 8.0
 """Distance of a position from the peak that is assumed inside `jax.jit`, px."""
 _CHEBYSHEV = 64
@@ -220,7 +221,10 @@ def _only_length_varies(scale_x: jax.Array, scale_y: jax.Array) -> bool:
 
 
 def _interpolated(nodes: _PolarNodes, scale_x: np.ndarray, scale_y: np.ndarray) -> np.ndarray:
-    """Interpolate the records at many peaks, (slices, 1), from Chebyshev nodes in the logarithm of the length of the lobe."""
+    """Interpolate the records at many peaks, (slices, 1).
+
+    The Chebyshev nodes lie in the logarithm of the length of the lobe.
+    """
     domain = np.log([scale_x.min(), scale_x.max()])
     unit = np.polynomial.chebyshev.chebpts1(_CHEBYSHEV)
     length = np.exp(domain.mean() + np.ptp(domain) / 2 * unit)

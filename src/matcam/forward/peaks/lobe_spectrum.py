@@ -1,9 +1,9 @@
 """Spectrum of a lobe in the tangent plane, for any distribution of normals.
 
 A lobe is a function of the length of the tangent-plane coordinate, shape(r). Its Fourier transform in the plane is the
-Hankel transform 2 pi integral r shape(r) J0(k r) dr. Along a line, it is the cosine transform 2 integral shape(r) cos(k r)
-dr. Both are convolutions in ln r, which FFTs compute for all k at once: FFTLog (Talman 1978; Hamilton 2000). The grid
-covers 28 decades, which include a sharp peak, a power-law tail and the whole range of frequencies. Values between its
+Hankel transform 2 pi integral r shape(r) J0(k r) dr. Along a line, it is the cosine transform 2 integral shape(r) cos(k
+r) dr. Both are convolutions in ln r, which FFTs compute for all k at once: FFTLog (Talman 1978; Hamilton 2000). The
+grid covers 28 decades, which include a sharp peak, a power-law tail and all relevant frequencies. Values between its
 points are interpolated by cubics with an error of 2e-9 of the spectrum at k = 0.
 """
 
@@ -40,7 +40,10 @@ class LobeSpectrum(NamedTuple):
     dims: int
 
     def at(self, ln_k: jax.Array) -> jax.Array:
-        """Interpolate the transform, (..., n), with the leading axes of the table. ln_k: logarithms of k, rad per unit of r."""
+        """Interpolate the transform, (..., n), with the leading axes of the table.
+
+        ln_k: logarithm of k, where k is in rad per unit of r.
+        """
         ln_k = ln_k + xp.log(self.scale)
         first, shares = four_about((ln_k - _FIRST) / _STEP, _POINTS)
         inside = xp.clip(first, 0, _POINTS - 4)

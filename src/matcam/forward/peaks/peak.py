@@ -1,7 +1,7 @@
 """Response at the peak of a highlight: recorded peak over true peak (docs/model.md 4).
 
-The tangent plane approximation is fast. On a sphere of 256 px it is accurate to 1e-5 for lobes narrower than
-0.002 rad at viewing angles up to 83 degrees, and to 2 % for lobes of 0.05 rad at 80 degrees. The exact computation integrates
+The tangent plane approximation is fast. On a sphere of 256 px, its error is 1e-5 for lobes narrower than 0.002 rad at
+viewing angles up to 83 degrees. The error is 2 % for lobes of 0.05 rad at 80 degrees. The exact computation integrates
 over the curved sample with its limb.
 """
 

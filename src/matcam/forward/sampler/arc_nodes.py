@@ -1,4 +1,4 @@
-"""Numbers of nodes on arcs of circles of normals, with midpoint or Gauss-Legendre rules."""
+"""Choice of the number of nodes on each arc, for midpoint and Gauss-Legendre rules."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from matcam.forward.sampler.circles import CircleLayout
 from matcam.forward.sampler.windows import GRAZING, SphereView, Windows
 
 _ON_ARC, _ON_FULL_ARC = 6.0, 12.0
-"""Number of nodes of a Gauss-Legendre rule on a short arc, and of additional nodes on an arc across a window whose kernel has
-the fineness 1.
+"""Number of nodes of a Gauss-Legendre rule on a short arc, and of additional nodes on an arc across a window whose kernel
+has the fineness 1.
 """
 _EVENLY, _EVENLY_PER_SIDE = 4.0, 10.0
 """The same numbers of a midpoint rule. A spacing of h standard deviations of the kernel has a relative error of
@@ -22,14 +22,14 @@ _EVENLY_PER_DISTANCE, _FEWEST = 5.0, 12.0
 smaller numbers (4 and 8), records of near rigs are off by up to twice the allowed error.
 """
 _BESIDE, _PER_DISTANCE, _MOST_DISTANCES = 7.0, 2.5, 8.0
-"""Number of nodes on an arc that is short relative to its distance from the highlight, number of additional nodes per ratio of
-length to distance, and largest ratio of length to distance.
+"""Numbers of nodes on an arc beside the highlight: minimum, additional nodes per ratio of the length of the arc to its
+distance from the highlight, and largest such ratio.
 """
 _LONGEST = 1.3
 """Length of an arc, in sides of its window, above which the number of nodes is constant."""
 _PART = 2 * np.pi / 3 + 1e-9
-"""Largest part of a circle, rad, that needs the Gauss-Legendre nodes of one arc. A longer arc has the nodes of all its parts; a
-whole circle has three parts.
+"""Largest part of a circle, rad, that needs the Gauss-Legendre nodes of one arc. A longer arc has the nodes of all its
+parts; a whole circle has three parts.
 """
 
 
@@ -83,8 +83,8 @@ def _largest_step(frame: Frame, window: np.ndarray, arcs: Arcs) -> np.ndarray:
 def _elongation_about(view: SphereView, windows: Windows) -> np.ndarray:
     """Compute the ratio of the axes of the curves of equal theta_h about the highlights, no unit; 1 in a distant rig.
 
-    A displacement across the plane of incidence rotates the direction to a near lamp or camera by a larger angle than one in
-    this plane, whose projection is shorter.
+    A displacement in the plane of incidence rotates the direction to a near lamp or camera less than a displacement
+    across this plane, because the projection of the displacement is shorter.
     """
     cosine = np.maximum(np.cos(windows.peak) - view.camera, GRAZING)
     turn = (view.camera / (1 - view.camera) + view.lamp / (1 - view.lamp)) / 2

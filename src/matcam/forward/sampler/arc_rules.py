@@ -1,8 +1,8 @@
 """Quadrature rules in [-1, 1]: Gauss-Legendre rules, and midpoint rules for integrands that vanish at both ends.
 
-If all derivatives of a smooth integrand are negligible at both ends, the midpoint rule converges exponentially, and requires
-half as many nodes as a Gauss-Legendre rule (Trefethen and Weideman 2014, 10.1137/130932132). This holds on an arc whose ends
-lie on the border of a window.
+If all derivatives of a smooth integrand are negligible at both ends, the midpoint rule converges exponentially
+(Trefethen and Weideman 2014, 10.1137/130932132). It requires half as many nodes as a Gauss-Legendre rule. This holds on
+an arc whose ends lie on the border of a window.
 """
 
 from __future__ import annotations

@@ -33,8 +33,8 @@ _ACROSS = 14.0
 _MORE, _MORE_AT_TOUCH = 6, 4
 """Number of additional nodes of every span, and of a span near a circle that touches limb or terminator."""
 _EVENLY, _MORE_EVENLY = 0.75, 2
-"""Number of nodes of a midpoint rule relative to `_ACROSS` and `_GRADED`, and number of additional nodes. A Gaussian of 0.5 px
-with a pixel of 1 px then has a step of 1.2 standard deviations, with an error of 1e-6.
+"""Number of nodes of a midpoint rule relative to `_ACROSS` and `_GRADED`, and number of additional nodes. A Gaussian of 0.5
+px with a pixel of 1 px then has a step of 1.2 standard deviations, with an error of 1e-6.
 """
 COARSEST = 0.2
 """Largest scale of the grading towards the highlight, px at the centre of the sphere."""
@@ -45,8 +45,8 @@ _FAR = 1 / 8
 _STRIP = 2.0
 """Ratio of length to width of a window on the sphere above which it is a strip."""
 _FORESHORTENED = 1.5
-"""Ratio of the largest angle from the highlight to the angle up to which circles touch the sides of a strip. Above this ratio,
-both ranges of angles have their own nodes.
+"""Ratio of the largest angle from the highlight to the angle up to which circles touch the sides of a strip. Above this
+ratio, both ranges of angles have separate nodes.
 """
 _NEAR_TOUCH = 0.5
 """Distance of a touching circle from a span, in lengths of the span, below which the circle affects the nodes."""
@@ -57,8 +57,8 @@ window. In the second case, the range is then narrowed to the circles with arcs.
 _PROBES = (1 - np.cos(np.pi * np.arange(25) / 24)) / 2
 """Positions in a range of angles at which circles with arcs are searched for, denser towards the ends."""
 _AT_END = 1e-3
-"""Cosine of the angle of incidence or of the viewing angle below which a normal on the border of a window is treated as a
-normal of terminator or limb.
+"""Upper limit of cos theta_i or cos theta_o at which a normal on the border of a window counts as a normal of terminator or
+limb.
 """
 _EQUAL = 1e-9
 """Difference of angles, rad, below which they are equal."""
@@ -193,12 +193,12 @@ def _dot(vector: np.ndarray, others: np.ndarray) -> np.ndarray:
 
 
 def angles_from_axis(frame: Frame, normals: np.ndarray) -> np.ndarray:
-    """Compute the angles of normals, (3, windows, points), from the axis, rad, to full precision."""
+    """Compute the angles between normals, (3, windows, points), and the axis, rad."""
     return np.arctan2(np.hypot(_dot(frame.first, normals), _dot(frame.second, normals)), _dot(frame.axis, normals))
 
 
 def from_highlight(windows: Windows, normals: np.ndarray) -> np.ndarray:
-    """Compute the angles of normals of windows, (3, windows, points), from the normal of the highlight, rad."""
+    """Compute the angles between normals, (3, windows, points), and the normal of the highlight, rad."""
     return angles_from_axis(about_highlight(windows), normals)
 
 
@@ -242,7 +242,10 @@ def _spans(
     scale: np.ndarray,
     pitches: tuple[np.ndarray, np.ndarray],
 ) -> _Spans:
-    """Divide ranges of angles at touching circles, and at the angle `side`, where the pitch changes; NaN: it is constant."""
+    """Divide ranges of angles at touching circles, and at the angle `side`, where the pitch changes.
+
+    side: angle, rad; NaN: the pitch is constant.
+    """
     low, high = ends
     cuts = np.concatenate([touching, side[:, None]], axis=1)
     cuts = np.where((cuts > low[:, None] + _EQUAL) & (cuts < high[:, None] - _EQUAL), cuts, np.nan)

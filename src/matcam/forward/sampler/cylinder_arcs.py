@@ -34,12 +34,12 @@ from matcam.sample.curved import Cylinder
 from matcam.sample.shape import Element
 
 _AWAY = 0.9
-"""Smallest angle from the half vector at which the radiance is smooth on the scale of the kernel, relative to the angle that
-corresponds to `BlurScale.near`.
+"""Smallest angle from the half vector at which the radiance is smooth on the scale of the kernel, relative to the angle
+that corresponds to `BlurScale.near`.
 """
 _LEAST, _GRADED, _ACROSS = 5.0, 2.5, 12.0
-"""Number of Gauss-Legendre nodes on every arc, number of additional nodes per unit of t, and number of additional nodes across
-a window whose kernel has the fineness 1.
+"""Numbers of Gauss-Legendre nodes on an arc: minimum, additional nodes per unit of t, and additional nodes across a window
+whose kernel has the fineness 1.
 """
 _EVENLY, _EVENLY_GRADED, _EVENLY_ACROSS = 2.0, 1.5, 8.0
 """The same numbers for midpoint rules, see `arc_nodes`."""
@@ -73,7 +73,6 @@ class CrossArcs(NamedTuple):
     half: np.ndarray
 
     def at(self, index: np.ndarray | slice) -> CrossArcs:
-        """Select arcs by index."""
         return CrossArcs(*(a[index] for a in self))
 
     def directions(self) -> tuple[()]:
@@ -257,7 +256,7 @@ def _arc_blocks(used: jax.Array, rows: tuple[jax.Array, ...], imaging: Imaging) 
 def _interval(
     imaging: Imaging, x: jax.Array, reach: jax.Array, lamp: list[jax.Array]
 ) -> tuple[PlacedLamps, jax.Array, jax.Array, jax.Array, jax.Array]:
-    """Compute the lamps of pixels, and the angles u of both ends of the lit part and of both sides of the window, rad."""
+    """Compute the lamps of pixels, and four angles u, rad: both ends of the lit part and both sides of the window."""
     cylinder: Cylinder = imaging.sample  # type: ignore[assignment]
     light = _lamps(imaging, *lamp)
     first, last = (cylinder.across(x + side * reach, jnp.zeros_like(x)) for side in (-1, 1))

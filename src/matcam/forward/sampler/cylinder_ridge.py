@@ -37,7 +37,7 @@ class PlacedLamps(NamedTuple):
 
 
 def towards(lamp_angle: ArrayLike, azimuth: ArrayLike) -> Vector:
-    """Compute the directions to lamps at angles from the optical axis and azimuths about it, rad."""
+    """Compute unit vectors to lamps from their angles to the optical axis and their azimuths, rad."""
     sine = jnp.sin(lamp_angle)
     return sine * jnp.cos(azimuth), sine * jnp.sin(azimuth), jnp.cos(lamp_angle)
 

@@ -1,7 +1,8 @@
 """Plan of a record: the quadrature nodes of each pixel.
 
-Number and positions of the nodes depend on the rig and on the narrowest scale of the lobe, but a record must be a continuous
-function of their parameters. A plan is therefore constant: with one plan, a record is a smooth function of material and camera.
+Number and positions of the nodes depend on the rig and on the narrowest scale of the lobe. A record must nevertheless
+be a continuous function of their parameters. A plan is therefore constant: with one plan, a record is a smooth function
+of material and camera.
 """
 
 from __future__ import annotations
@@ -30,8 +31,8 @@ from matcam.sample.curved import Cylinder, Sphere
 _AROUND = np.pi / 8 * np.arange(16)
 """Azimuths, rad, of positions around a pixel that are visible and lit if the radiance around the pixel is smooth."""
 _NO_CRESCENT = 0.6
-"""Share of the support radius of a residual. If the whole surface within this distance is lit, the radiance is smooth up to
-the limb.
+"""Share of the support radius of a residual. If the surface is lit everywhere within this distance, the radiance is smooth
+up to the limb.
 """
 
 
@@ -53,7 +54,6 @@ class RecordPositions(NamedTuple):
     picture: np.ndarray | None = None
 
     def at(self, index: np.ndarray) -> RecordPositions:
-        """Select positions by index."""
         return self._replace(**{name: np.asarray(a)[index] for name, a in self._asdict().items() if a is not None})
 
     @property
@@ -84,7 +84,6 @@ class ArcRows(NamedTuple):
     half: np.ndarray
 
     def at(self, index: np.ndarray | slice) -> ArcRows:
-        """Select arcs by index."""
         return ArcRows(*(a[index] for a in self))
 
     def on_circles(self, frames: np.ndarray) -> CircleArcs:
@@ -131,8 +130,8 @@ def record_plan(imaging: Imaging, positions: RecordPositions, finest: float, elo
         imaging: sample, blur and inverse distance of the lamp.
         positions: positions to record.
         finest: narrowest scale of the lobe, rad.
-        elongation: elongation of the lobe, no unit: factor by which the lobe increases the distance from a highlight within
-            which the radiance may vary on a scale below that of the kernel. Default: 1, an isotropic lobe.
+        elongation: elongation of the lobe, no unit: factor of the distance from a highlight within which the radiance
+            may vary on a smaller scale than the kernel. Default: 1, an isotropic lobe.
 
     Returns:
         The plan. It is valid for materials that are not narrower, and for cameras whose parameters differ little.
@@ -219,7 +218,7 @@ def _highlight_blocks(used: jax.Array, rows: tuple[jax.Array, ...], imaging: Ima
 
 
 def _near(view: SphereView, pixels: Windows, distance: float) -> np.ndarray:
-    """Find pixels within a square around the highlight of half side `distance`, px."""
+    """Find pixels in a square around the highlight, whose half side is `distance`, px."""
     peak = np.stack([np.sin(pixels.peak), np.zeros(pixels.x.size), np.cos(pixels.peak)])
     return pixels._replace(half=np.full_like(pixels.half, distance)).contains(view, peak)
 
@@ -271,7 +270,7 @@ def _clear_blocks(
 def _residual_beside(
     imaging: Imaging, view: SphereView, pixels: Windows, positions: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Select pixels with the limb in the support of a residual that require no arcs, and pixels with smooth radiance.
+    """Select pixels that require no arcs: with the limb in the support of a residual, and with smooth radiance.
 
     A terminator, where the radiance starts at 0, changes the contribution of the residual by at most 2e-5 of the peak. A
     terminator near the limb matters only if the lit part is a thin crescent.

@@ -135,7 +135,6 @@ def _pixel_tile(
     index: np.ndarray,
     shape: tuple[int, int],
 ) -> _Tile:
-    """Collect pixels with smooth radiance, or at the limb with a rule for the residual of a lens."""
     pixels = positions.at(index)
     used, rows = shaped((*pixels[:3], pixels.turn), *shape)
     return _Tile(terms, index, used, rows, None, rule)
@@ -162,7 +161,6 @@ def _arc_tile(
 
 
 def _recorded(subject: Subject, tile: _Tile) -> tuple[AnyArray, Any]:
-    """Compute the contributions of a tile to the records, with the indices of their positions."""
     blur, used = BlurTerms(subject.imaging.blur, tile.terms), tile.used if subject.known else None
     if tile.counts is None:
         values = _smooth_blocks(subject, blur, tile.rules, used, tile.rows)
@@ -223,7 +221,6 @@ def _arc_blocks(subject: Subject, blur: BlurTerms, used: Any, counts: Any, rules
         scene = replace(subject.under(pixels.lamp_angle, pixels.turn), towards_lamp=towards_lamp)
 
         def seen(rule: tuple[jax.Array, jax.Array]) -> jax.Array:
-            """Compute the contribution of one node of each arc to the record of its pixel."""
             node, share = rule
             element, weight = pixels.arcs.element(sample, node, directions)
             at_x, at_y = scene.on_sensor(element.x, element.y)

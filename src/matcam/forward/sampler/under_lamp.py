@@ -18,7 +18,7 @@ from matcam.material.material import Material
 from matcam.rigs import Rig
 
 _LEAST_FINENESS = 0.25
-"""Ratio of the radius of the image of a lamp to its blur below which the smallest number of points is used."""
+"""Fineness of the image of a lamp, see `disc_fineness`, below which the smallest number of points is used."""
 _PLACES = 1 << 18
 """Largest number of pixels times points of a lamp that are computed at once. Their arrays fit into 1 GiB."""
 
@@ -65,7 +65,7 @@ def record_under_points(
     Args:
         material: the material.
         imaging: imaging of the rig under a point lamp.
-        positions: the positions; their lamps are those of the points.
+        positions: the positions; their lamp angles are not used.
         points: points of the lamp; angle and azimuth are scalars, or have the shape (positions,).
         turning: small offset of all lamp angles, rad. Default: 0.
 
@@ -89,7 +89,6 @@ def record_under_points(
 
 
 def _rings(points: list[LampPoint], most: int) -> Iterator[list[LampPoint]]:
-    """Group the points of a lamp by distance, into lists of at most `most` points."""
     for _, ring in groupby(points, lambda point: point.distance):
         while some := list(islice(ring, most)):
             yield some

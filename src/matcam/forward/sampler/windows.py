@@ -21,8 +21,9 @@ _AROUND = np.linspace(-1, 1, 9)
 _CLOSER = tuple(1 / _PER_SIDE / 4**n for n in range(3))
 """Half lengths, in sides, of the successively smaller parts of a border in which the nearest point is searched for."""
 _FORESHORTENED = 2 / _PER_SIDE
-"""Cosine of the viewing angle below which neighbouring points of a border are farther apart on the sphere than the centre of
-the window is from the border. A highlight just beside a window may then be much closer than any of these points.
+"""Cosine of the viewing angle below which neighbouring points of a border are far apart on the sphere, compared to the
+distance between border and centre of the window. A highlight just beside a window may then be much closer than any of these
+points.
 """
 
 
@@ -41,7 +42,6 @@ class SphereView(NamedTuple):
 
     @property
     def distant(self) -> bool:
-        """True if both camera and lamp are distant."""
         return self.camera == 0 and self.lamp == 0
 
     @property
@@ -59,7 +59,7 @@ class SphereView(NamedTuple):
 
 
 class Windows(NamedTuple):
-    """Squares about pixels and the lamps of the pixels, arrays of shape (windows,). The axes x and y are those of the sensor.
+    """Squares about pixels and the lamps of the pixels, arrays of shape (windows,). x and y are the axes of the sensor.
 
     Attributes:
         x: position of the centre of the pixel to the right of the optical axis, px.
@@ -80,7 +80,6 @@ class Windows(NamedTuple):
     half: np.ndarray
 
     def at(self, index: np.ndarray | slice) -> Windows:
-        """Select windows by index."""
         return Windows(*(a[..., index] for a in self))
 
     def to_lamp(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -143,15 +143,15 @@ def corrected_table(
 
 
 def _angles(sampling: Sampling) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Compute theta_h, theta_d and phi_d of all entries, rad, in shapes that broadcast to (90, 90, 180)."""
+    """Compute theta_h, theta_d and phi_d of all entries, rad. Their shapes broadcast to (90, 90, 180)."""
     grid = merl_grid(sampling)
     return grid.theta_h[:, None, None], grid.theta_d[:, None], grid.phi_d
 
 
 def _noise_floor(found: MaterialFit, noise: PixelNoise, peak: np.ndarray, sampling: Sampling) -> np.ndarray:
-    """Compute the noise floor of a pixel divided by the peak of the recorded lobe of each slice, (90,).
+    """Compute the noise floor of a pixel relative to the peak of the recorded lobe, (90,).
 
-    The channel with the largest quotient is used.
+    The result for each slice is the largest value of all channels. It is at least the error of a modelled record.
 
     peak: largest value of each slice, 1/sr, (90, channels).
     """
@@ -184,7 +184,9 @@ def recorded_table(table: xr.Dataset) -> xr.DataArray:
 
 
 def supported_values(table: xr.Dataset, recorded: xr.DataArray) -> xr.DataArray:
-    """Replace unsupported values by recorded values, for formats without this flag.
+    """Replace unsupported values by recorded values.
+
+    A format such as MERL has no flag for unsupported values.
 
     Beside a highlight, a corrected value is often far below the recorded value, which consists of blurred light of the
     highlight. The standard deviation of the correction may then exceed 5 % of the corrected value, although it is below 5 % of

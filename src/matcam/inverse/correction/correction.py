@@ -217,7 +217,7 @@ class Correction(Summarised):
         """Compute the uncertainty budgets of the peaks at three angles (GUM).
 
         Returns:
-            Budgets at theta_d = 5, 45 and 75 degrees for each channel, without peaks that have no standard deviation.
+            Budgets at theta_d = 5, 45 and 75 degrees for each channel. Peaks without a standard deviation are omitted.
         """
         angles = np.radians(_ANGLES)
         known = np.isfinite(self.table["brdf_std"].values[self._peak(angles)])
@@ -367,16 +367,16 @@ def correct(
 ) -> xr.Dataset:
     """Correct a table for the camera that recorded it.
 
-    Lobes are fitted to the table through the camera, with F free in every slice and a diffuse part, and averaged according
-    to their evidence. The part of each entry above the body is multiplied by the ratio of true to recorded lobe, so the details
-    of the measurement are preserved. `Correction.of` also returns the fits.
+    Lobes are fitted to the table through the camera. F is free in every slice, and a diffuse part is added. The lobes are
+    averaged according to their evidence. The part of each entry above the body is multiplied by the ratio of true to recorded
+    lobe, so the details of the measurement are preserved. `Correction.of` also returns the fits.
 
     Args:
         brdf: table of the form that `read_merl` returns, 1/sr.
         rig: rig that recorded the table, with a sphere or a cylinder; camera and lamp are distant or near.
         ndf: family of the lobe. Default: "auto", the mean of several explanations, weighted by their evidence. They are
-            "ggx" and "epd", and if their residuals exceed pixel noise also Student's t, two lobes, a lobe over a rough base,
-            and a spline-modified lobe.
+            "ggx" and "epd". If their residuals exceed pixel noise, Student's t, two lobes, a lobe over a rough base, and a
+            spline-modified lobe are added.
         masking: masking G of the lobe: "smith", "smith-separable", "van-ginneken" or None. Default: "smith".
         noise: noise of a pixel. Default: None, estimated from the table.
         glare: share of light (no unit) that the lens may scatter in addition to its profile. Default: 1e-3. It limits the

@@ -128,12 +128,10 @@ class EnergyLimit(NamedTuple):
 
     @property
     def acts(self) -> bool:
-        """True if any entry is reduced."""
         return bool((self.steps > 0).any())
 
     @property
     def remark(self) -> Remark:
-        """Remark on the size and the extent of the reduction."""
         limited = int((self.steps > 0).any(axis=1).sum())
         text = (
             f"the corrected table would reflect more light than it receives in {limited} of {len(self.steps)} directions: "
@@ -164,8 +162,8 @@ def energy_limit(recorded: np.ndarray, corrected: np.ndarray, std: np.ndarray, s
 
     The limit of each direction and channel is 1, or the albedo of the recorded table if that is larger. The errors of a
     correction are correlated within a direction, because they result from one fit. The projection on the limit therefore
-    reduces every entry of the direction by the same number of its own standard deviations, at most `_MOST_STEPS`, and well
-    determined entries hardly change. Negative values must not be clipped beforehand, because clipping increases the albedo.
+    reduces every entry of the direction by the same multiple of its standard deviation, at most `_MOST_STEPS`. Well determined
+    entries hardly change. Negative values must not be clipped beforehand, because clipping increases the albedo.
 
     Args:
         recorded: table before the correction, 1/sr, (90, 90, 180, channels); missing entries are treated as 0.
@@ -204,7 +202,7 @@ def albedo(table: np.ndarray) -> np.ndarray:
 
 @cache
 def _albedo_rule() -> tuple[np.ndarray, csr_matrix]:
-    """Compute the indices of the cells in the albedo integrals, and their weights for each direction, (directions, cells)."""
+    """Compute the indices of the cells in the albedo integrals, and their weights, (directions, cells)."""
     edges = np.pi / 2 * (np.arange(GRID_SHAPE[0] + 1) / GRID_SHAPE[0]) ** 2
     ring = -np.diff(np.cos(edges))
     theta = ((edges[:-1] + edges[1:]) / 2)[:, None]
@@ -229,7 +227,10 @@ def _albedo_rule() -> tuple[np.ndarray, csr_matrix]:
 
 @cache
 def _directions(sampling: Sampling) -> tuple[np.ndarray, np.ndarray]:
-    """Compute, for each cell, the indices of the directions that contain its light and its view, (90, 90, 180) each."""
+    """Compute the indices of the directions of light and view of all cells, (90, 90, 180) each.
+
+    A direction is an interval of 1 degree of the angle from the normal.
+    """
     grid = merl_grid(sampling)
     th, td, ph = grid.theta_h[:, None, None], grid.theta_d[:, None], grid.phi_d
     mean, half = np.cos(th) * np.cos(td), np.sin(th) * np.sin(td) * np.cos(ph)

@@ -123,7 +123,7 @@ def _mirrored_noise(setup: FitSetup) -> PixelNoise | None:
 
 
 def _channel_noise(found: MaterialFit) -> PixelNoise | None:
-    """Estimate noise from the differences of residuals between channels. Errors of the model of the lobe cancel in them."""
+    """Estimate noise from residual differences between channels, in which errors of the lobe model cancel."""
     problem, model = found._solution.problem, found._solution.model
     data, residual = problem.data, problem.residual(model)
     units = len(data.labels)
@@ -185,7 +185,6 @@ class Explained(NamedTuple):
     of_strengths: np.ndarray
 
     def log_evidence(self, kappa: float) -> float:
-        """Compute the logarithm of the evidence. kappa: exponent of the likelihood."""
         posterior = kappa * self.information + self.prior
         strengths = 0.5 * np.log(2 * np.pi / (kappa * self.of_strengths)).sum()
         volume = 0.5 * (np.linalg.slogdet(self.prior)[1] - np.linalg.slogdet(posterior)[1])
@@ -193,7 +192,10 @@ class Explained(NamedTuple):
 
 
 def mean_squared_residual(found: MaterialFit, noise: PixelNoise) -> float:
-    """Compute a robust mean squared residual of a fit with free strengths, relative to the variance of pixel noise."""
+    """Compute the robust mean squared residual of a fit, relative to the variance of pixel noise.
+
+    The strengths of the fit must be free.
+    """
     solution = found._solution
     data, model = solution.problem.data, solution.model
     u = standardised_residual(data, solution.problem.residual(model), model.value, noise, np.inf)[data.used]
@@ -203,9 +205,9 @@ def mean_squared_residual(found: MaterialFit, noise: PixelNoise) -> float:
 def independent_share(found: MaterialFit) -> float:
     """Compute the share of independent cells from the correlation of the residuals.
 
-    Misfit has similar values in neighbouring cells, and pixel noise has not. Residuals whose neighbours have the correlation r
-    contain as much information as (1 - r) / (1 + r) times as many independent residuals (Bayley & Hammersley 1946). Neighbours
-    in azimuth and in theta_d have one factor each.
+    Misfit is similar in neighbouring cells, and pixel noise is not. If neighbours have the correlation r, n residuals contain
+    as much information as n (1 - r) / (1 + r) independent residuals (Bayley & Hammersley 1946). The share is the product of
+    this factor for neighbours in azimuth and of this factor for neighbours in theta_d.
     """
     solution = found._solution
     data, model, cells = solution.problem.data, solution.model, solution.problem.cells
@@ -235,7 +237,10 @@ def _correlation(u: np.ndarray, used: np.ndarray, same: Sequence[np.ndarray], al
 
 
 def explained(found: MaterialFit, noise: PixelNoise) -> Explained:
-    """Compute the terms of the evidence of a fit with free strengths. noise: pixel noise without misfit."""
+    """Compute the terms of the evidence of a fit with free strengths.
+
+    noise: noise of a pixel, without misfit.
+    """
     solution = found._solution
     problem, model = solution.problem, solution.model
     data, residual = problem.data, problem.residual(model)
@@ -294,12 +299,10 @@ class Weighing(NamedTuple):
         return cls(noise, min(1.0, 1 / max(chi2, 1e-12)), chi2, known=True)
 
     def at_most(self, other: Weighing) -> Weighing:
-        """Choose the noise model with the smaller chi2."""
         return self if self.chi2 < other.chi2 else other
 
     @property
     def unexplained(self) -> bool:
-        """True if misfit is most of the residual variance of the best fit."""
         return self.chi2 > _MOSTLY_MISFIT
 
     def complete(self, fit: MaterialFit) -> bool:
@@ -308,22 +311,20 @@ class Weighing(NamedTuple):
         return self.known and mean_squared_residual(fit, self.noise) < 1 + 3 * np.sqrt(2 / max(fit.freedom, 1))
 
     def log_likelihood(self, fit: MaterialFit) -> float:
-        """Compute the logarithm of the tempered likelihood of a fit."""
         return self.kappa * explained(fit, self.noise).log_likelihood
 
     def log_evidence(self, fit: MaterialFit) -> float:
-        """Compute the logarithm of the evidence of a fit."""
         return explained(fit, self.noise).log_evidence(self.kappa)
 
     def probabilities(self, fits: Sequence[MaterialFit]) -> np.ndarray:
-        """Compute the posterior probability of each fit of the same cells. Their prior probabilities are equal."""
+        """Compute the posterior probabilities of fits of the same cells, for equal prior probabilities."""
         logs = np.array([self.log_evidence(fit) for fit in fits])
         shares = np.exp(logs - logs.max())
         return shares / shares.sum()
 
 
 def _robust(u: np.ndarray) -> np.ndarray:
-    """Compute twice Huber's cost of residuals: quadratic for small and linear for large residuals (Huber 1964)."""
+    """Compute twice Huber's cost, which is quadratic for small and linear for large residuals (Huber 1964)."""
     weight = huber_weights(u)
     return weight * (2 - weight) * u**2
 

@@ -108,12 +108,10 @@ class Explanation(NamedTuple):
 
     @property
     def without_camera(self) -> MaterialFit:
-        """Best fit of the table without a camera."""
         return self.shadowed or self.blind
 
     @property
     def no_blur(self) -> bool:
-        """True if the data show no blur by the camera."""
         return self.no_camera > PROBABLE
 
     @property
@@ -132,7 +130,7 @@ class Explanation(NamedTuple):
 
     @property
     def undecided(self) -> bool:
-        """True if the blur is unknown, because the lens is a guess and the data do not determine the blur."""
+        """True if the width of the lens is a guess and the data do not determine the blur."""
         camera = self.located.rig.camera
         lens = known_lens(camera).uncertainty
         if lens is None or LENS not in lens.names or self.no_camera <= _UNLIKELY:
@@ -148,7 +146,6 @@ class Explanation(NamedTuple):
 
     @property
     def no_blur_remark(self) -> Remark:
-        """Remark that the data show no blur."""
         noise = [
             f"{'at least ' if at_largest_noise(fit.noise) else ''}{fit.noise.relative:.1%}"
             for fit in (self.blind, self.fit, self.without_camera)
@@ -163,7 +160,6 @@ class Explanation(NamedTuple):
 
     @property
     def remarks(self) -> tuple[Remark, ...]:
-        """Remarks on the explanations."""
         remarks = [*self.fit.remarks, *self.located.remarks]
         if self.fit.has_spline:
             remarks.append(self.shape.remark(self.fit.family))
@@ -300,7 +296,7 @@ def _solved(setup: FitSetup) -> Member:
 
 
 def _with_spline(core: Member) -> Member:
-    """Fit a spline-modified lobe. The residuals of `core`, the fit of its family, determine the prior of the spline."""
+    """Fit a spline-modified lobe, with a prior from the residuals of the unmodified lobe `core`."""
     spline = min(shape_uncertainty(core.fit, core.setup.noise).scale, _WIDEST_SPLINE)
     stiff = _STIFF * core.fit.hwhm if np.isfinite(core.fit.hwhm) else 0.0
     setup = core.setup.with_(spline=spline, stiff_below=stiff)
@@ -308,7 +304,7 @@ def _with_spline(core: Member) -> Member:
 
 
 def _without_camera(best: Member, rig: Rig) -> Member:
-    """Fit the lobe of an explanation without a camera, in the cells of the explanation."""
+    """Fit the lobe of an explanation without a camera, to the same cells."""
     own = best.setup
     setup = FitSetup(
         own.tables, None, own.ndf, fresnel="free", diffuse=True, coated=own.coated, base=own.base, masking=own.masking,
@@ -322,7 +318,10 @@ def _without_camera(best: Member, rig: Rig) -> Member:
 
 
 def with_free_masking(core: Member, rig: Rig) -> Member:
-    """Fit a spline-modified lobe of the family of `core`, with free masking, to each channel without a camera."""
+    """Fit each channel without a camera, by a spline-modified lobe with free masking.
+
+    The family of the lobe is that of `core`.
+    """
     blind = _without_camera(core._replace(setup=core.setup.with_(spline=_WIDEST_SPLINE)), rig)
     setup = blind.setup.with_(masking="smith-separable", per_channel=True, free_masking=True)
     return Member(setup, setup.solve(start=blind.fit, weights="start"))

@@ -1,4 +1,4 @@
-"""Glare: largest contribution of light that the lens scatters from a highlight to each entry of a table."""
+"""Largest contribution of scattered light (glare) from a highlight to each entry of a table."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class FarthestGlare(NamedTuple):
     of_mirror: np.ndarray
 
     def of(self, rows: slice) -> np.ndarray:
-        """Compute the contribution to the entries in some rows of the table, 1/sr, (rows, 90, 180, channels)."""
+        """Compute the contribution of glare in some rows of the table, 1/sr, (rows, 90, 180, channels)."""
         return self.strength[:, None] * self.of_mirror[rows, ..., None]
 
 

@@ -48,7 +48,7 @@ class CorrectionFits(NamedTuple):
         refits: fits with a parameter of the rig free.
         others: other lobes through the same camera, over which the ratio is averaged.
         maskings: predictions of `fit` with other maskings, whose differences are included in the uncertainty.
-        expected: parameters of the rig that any of the fits may have, as given to `lattices_ahead`.
+        expected: parameters of the rig that may be fitted, as given to `lattices_ahead`.
     """
 
     fit: MaterialFit
@@ -80,7 +80,7 @@ class CorrectionFits(NamedTuple):
 
     @property
     def axes(self) -> tuple[Axis, ...]:
-        """Parameters of the rig that any of the fits has or may have."""
+        """Expected parameters of the rig, followed by those of the fits."""
         fitted = (
             self.fit.coordinates,
             *(there for _, _, there, _ in self.alternatives),
@@ -100,9 +100,9 @@ def lobe_ratio(
 ) -> LobeRatio:
     """Compute the ratio of true to recorded lobe, averaged over the explanations.
 
-    The ratio is computed on a fine lattice for the specified rig. Three smooth quantities are computed on a coarse lattice: the
-    change of the ratio due to fitted parameters of the rig, the derivatives of the ratio, and the changes by alternatives (free
-    parameters, other lobes, other maskings).
+    The ratio is computed on a fine lattice for the specified rig. The derivatives of the ratio, and its changes due to fitted
+    parameters of the rig and due to alternatives, are smooth and are computed on a coarse lattice. Alternatives are free
+    parameters, other lobes and other maskings.
 
     phase_std: standard deviation of the phase of the real pixels from which cells are read, px. Default: 0.
     """

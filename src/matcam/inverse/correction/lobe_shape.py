@@ -49,11 +49,9 @@ class ShapeUncertainty(NamedTuple):
 
     @property
     def family_fails(self) -> bool:
-        """True if the family of the lobe does not explain the data."""
         return self.scale > FAMILY_FAILS
 
     def remark(self, family: str) -> Remark:
-        """Build the remark that a family does not explain the data."""
         return Remark(
             "family-fails",
             f"a {family} lobe does not explain the data (scale of the shape correction: {self.scale:g}): the fitted lobe was "

@@ -91,7 +91,11 @@ class _SliceRecord(NamedTuple):
     mirrored: bool
 
     def at(self, theta_h: np.ndarray, psi: np.ndarray) -> np.ndarray:
-        """Interpolate the record, 1/sr, (...), at angles theta_h and psi, rad, (...). psi: azimuth of the normal."""
+        """Interpolate the record, 1/sr, (...).
+
+        theta_h: angle between normal and half vector, rad, (...).
+        psi: azimuth of the normal about the half vector, rad, (...).
+        """
         ring = np.clip(GRID_SHAPE[0] * np.sqrt(theta_h / (np.pi / 2)) - 0.5, 0, GRID_SHAPE[0] - 1)
         if self.mirrored:
             around = np.degrees(np.abs(np.mod(psi + np.pi, 2 * np.pi) - np.pi))
@@ -101,7 +105,7 @@ class _SliceRecord(NamedTuple):
 
 
 def _log_behind(record: _SliceRecord, radius: float, theta_d: float, pixels: PixelsBehind) -> np.ndarray:
-    """Compute the logarithm of the record of the pixels from which cells were read; NaN if no pixel of a cell is lit."""
+    """Compute the log record of cells from the record of their pixels; NaN if no pixel of a cell is lit."""
     angles = pixel_angles(radius, theta_d, pixels.x, pixels.y)
     weight = np.where((angles.cos_i > 0) & (angles.cos_o > 0), pixels.weight, 0.0)
     value = (weight * record.at(angles.theta_h, angles.psi)).sum(axis=-1)

@@ -75,7 +75,7 @@ class Spacing(NamedTuple):
         return self._replace(azimuths=(*self.azimuths, *(180 - a for a in self.azimuths[-2:0:-1])))
 
     def of_line(self) -> Spacing:
-        """Add slices at small theta_d for a cylinder. Its normals are closer to the half vector there."""
+        """Add slices at small theta_d, where the normals of a cylinder are closer to the half vector."""
         return self._replace(slices=tuple(sorted({*self.slices, *_SMALL_ANGLES})))
 
 
@@ -114,7 +114,7 @@ class ResponseLattice(NamedTuple):
     far_cosine: float
 
     def of_fresnel(self, log_slope: Callable[[np.ndarray], np.ndarray]) -> ResponseLattice:
-        """Apply an F that varies within a cell, as in a near rig.
+        """Include the variation of F within the cells of a near rig.
 
         log_slope: function that computes the derivative of ln F with respect to theta_d, 1/rad, at angles theta_d, rad.
         """

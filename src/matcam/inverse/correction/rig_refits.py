@@ -46,7 +46,8 @@ class RigRefit(NamedTuple):
         std: standard deviation of `value`, in the same unit.
         contradicts: True if rig and data contradict each other.
         fit: fit with this parameter free.
-        weight: factor of the change in the uncertainty (no unit); 0 if the covariance of the fit includes the parameter.
+        weight: weight (no unit) of the change of the correction in its uncertainty; 0 if the covariance of the fit includes
+            the parameter.
     """
 
     axis: Axis
@@ -59,12 +60,11 @@ class RigRefit(NamedTuple):
 
     @property
     def counted(self) -> float:
-        """Factor of the change in the uncertainty, which is larger for a contradiction."""
+        """Weight of the change in the uncertainty, which is larger if rig and data contradict each other."""
         return self.weight * (CONTRADICTION_WEIGHT if self.contradicts else 1.0)
 
     @property
     def remark(self) -> Remark:
-        """Remark that the fitted value contradicts the rig."""
         scale, unit = (1.0, "px") if self.axis.name == LENS else (float(np.degrees(1.0)), "degrees")
         value, std, base = (scale * one for one in (self.value, self.std, self.axis.base))
         if self.axis.low < self.coordinate < self.axis.high:
@@ -81,7 +81,6 @@ class RigRefit(NamedTuple):
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Convert the fit to JSON types, with the flag `contradicts`."""
         return {**self.fit.to_dict(), "contradicts": self.contradicts}
 
 
@@ -108,7 +107,7 @@ def rig_refits(setup: FitSetup, rig: Rig, found: MaterialFit, names: Sequence[st
 
 
 def _followed_refit(free: FitSetup, found: MaterialFit, name: str) -> RigRefit:
-    """Refit with a parameter free near the specified value, and over its whole range if the data require a larger change."""
+    """Refit with a parameter free near its specified value, or in its whole range if the data require it."""
     refit = _free_refit(free.with_(nearby=True).solve(start=found, weights="start"), name)
     axis, whole = refit.axis, next(axis for axis in free.prior.axes if axis.name == name)
     ends = [own for own, far in ((axis.low, whole.low), (axis.high, whole.high)) if own != far]
@@ -118,7 +117,6 @@ def _followed_refit(free: FitSetup, found: MaterialFit, name: str) -> RigRefit:
 
 
 def _free_refit(fit: MaterialFit, name: str) -> RigRefit:
-    """Build the result of a refit with a free parameter that was specified as exact."""
     at = fit.coordinates
     position = [axis.name for axis in at.axes].index(name)
     own = len(at.lobe) + position

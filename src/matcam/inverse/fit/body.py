@@ -55,7 +55,7 @@ class DiffusePart(NamedTuple):
     coated: float = 0.0
 
     def brdf(self, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> np.ndarray:
-        """Evaluate the BRDF, 1/sr, (..., channels), at angles in rad that broadcast to (...)."""
+        """Evaluate the BRDF, 1/sr, (..., channels). The angles, rad, broadcast to (...)."""
         value, _ = diffuse_and_slope(self.coated, loss_in_coat(theta_h, theta_d, phi_d))
         return value[..., None] * self.albedo
 
@@ -72,7 +72,7 @@ class Base(NamedTuple):
     reflectance: tuple[float, ...]
 
     def brdf(self, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> np.ndarray:
-        """Evaluate the BRDF, 1/sr, (..., channels), at angles in rad that broadcast to (...)."""
+        """Evaluate the BRDF, 1/sr, (..., channels). The angles, rad, broadcast to (...)."""
         value, _ = base_and_slope(np.log(self.roughness), *np.broadcast_arrays(theta_h, theta_d, phi_d))
         return value[..., None] * self.reflectance
 
@@ -105,7 +105,7 @@ def base_and_slope(
 def transmittance(theta_h: AnyArray, theta_d: AnyArray, phi_d: AnyArray) -> AnyArray:
     """Compute the product of the transmittances into and out of the coat.
 
-    It has the shape to which the angles, rad, broadcast.
+    The product has the shape to which the angles, rad, broadcast.
     """
     angles = (xp.arccos(xp.clip(cosine, 0.0, _ALONG)) for cosine in cosines(theta_h, theta_d, phi_d))
     into, out = (1 - fresnel_conductor(theta, _INDEX, 0.0) for theta in angles)
@@ -115,7 +115,7 @@ def transmittance(theta_h: AnyArray, theta_d: AnyArray, phi_d: AnyArray) -> AnyA
 def loss_in_coat(theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> np.ndarray:
     """Compute the share of diffuse light that a coat removes, relative to normal incidence and view.
 
-    It has the shape to which the angles, rad, broadcast.
+    The share has the shape to which the angles, rad, broadcast.
     """
     zero = np.zeros(1)
     return np.asarray(1 - transmittance(theta_h, theta_d, phi_d) / transmittance(zero, zero, zero))

@@ -49,7 +49,7 @@ _HUBER = 3.0
 
 
 def at_largest_noise(noise: PixelNoise) -> bool:
-    """Check whether an estimate of the noise has its largest value, so that the noise may be larger."""
+    """Check whether an estimate of the noise has its largest allowed value, so that the noise may be larger."""
     return bool(np.isclose(noise.relative, MOST_NOISE, rtol=1e-6))
 
 
@@ -77,11 +77,9 @@ class FitData(NamedTuple):
 
     @property
     def tables(self) -> int:
-        """Number of tables."""
         return max(self.table_of) + 1
 
     def units_of(self, table: int) -> list[int]:
-        """Find the indices of the units of a table."""
         return [unit for unit, owner in enumerate(self.table_of) if owner == table]
 
 
@@ -99,7 +97,7 @@ def fit_data(tables: tuple[xr.DataArray, ...], cells: ChosenCells) -> FitData:
 def check_values(tables: tuple[xr.DataArray, ...], rig: Rig | None, slice_step: int = SEARCH_STEP) -> None:
     """Raise FitError if checked tables do not suffice for a fit.
 
-    This takes much less time than the operator of the fit.
+    The check takes much less time than the computation of the operator.
 
     Args:
         tables: tables of one rig.
@@ -215,7 +213,6 @@ def standardised_residual(
 
 
 def huber_weights(u: np.ndarray) -> np.ndarray:
-    """Compute Huber's weights from standardised residuals."""
     return np.minimum(1.0, _HUBER / np.maximum(np.abs(u), 1e-300))
 
 

@@ -102,15 +102,14 @@ class LobeKind(NamedTuple):
 
     @property
     def size(self) -> int:
-        """Number of coordinates of the lobe."""
         return len(self.family_names) + self.spline_size + self.shadows
 
     def ndf(self, q: jax.Array) -> NDF:
         """Build the NDF from coordinates.
 
-        q: coordinates in the order of `names`. Those of the family are logarithms of its parameters, with exceptions for two
-            lobes: the share of the second lobe is the logistic function of its coordinate, and the shares of Beckmann are
-            coordinates themselves.
+        q: coordinates in the order of `names`. The coordinates of a family are the logarithms of its parameters. The family
+            TWO_LOBES is an exception: the share of the second lobe is the logistic function of its coordinate, and the
+            shares of Beckmann are coordinates themselves.
         """
         own = len(self.family_names)
         if self.family == TWO_LOBES:
@@ -125,11 +124,13 @@ class LobeKind(NamedTuple):
         return ShadowedNDF(ndf, shadows) if self.shadows else ndf
 
     def slopes(self, q: jax.Array) -> SlopeDistribution:
-        """Build the distribution of slopes from coordinates, isotropic or anisotropic."""
         return AnisotropicGGX(jnp.exp(q[0]), jnp.exp(q[1])) if self.stretched else self.ndf(q)
 
     def bounds(self, radius: float) -> list[tuple[float, float]]:
-        """Compute the lower and the upper bound of each coordinate. radius: radius of the sphere, px."""
+        """Compute the lower and the upper bound of each coordinate.
+
+        radius: radius of the sphere, px.
+        """
         largest = 1.0 if self.family in _UNNAMED else FAMILIES[self.family].largest
         bounds = [(float(np.log(NARROWEST_PX / radius)), float(np.log(0.999 * largest)))]
         bounds *= 1 + (self.stretched or self.family == TWO_LOBES)
@@ -174,37 +175,30 @@ class Layout(NamedTuple):
 
     @property
     def lobes(self) -> int:
-        """Number of different lobes."""
         return max(self.lobe_of) + 1
 
     @property
     def units(self) -> int:
-        """Number of units."""
         return len(self.lobe_of)
 
     @property
     def fresnel_size(self) -> int:
-        """Number of parameters of the Fresnel term of one unit (a channel of a table)."""
         return len(_FRESNEL_NAMES[self.fresnel])
 
     @property
     def unit_names(self) -> tuple[str, ...]:
-        """Names of the parameters of a unit."""
         body = ["diffuse"] * self.diffuse + ["base"] * self.base
         return (*_FRESNEL_NAMES[self.fresnel], *body)
 
     @property
     def size(self) -> int:
-        """Number of coordinates of the fit."""
         return self.base_width.stop + self.units * len(self.unit_names)
 
     def lobe(self, index: int) -> slice:
-        """Compute the slice of the vector that contains the coordinates of a lobe."""
         return slice(index * self.kind.size, (index + 1) * self.kind.size)
 
     @property
     def rig(self) -> slice:
-        """Slice of the vector that contains the coordinates of the rig."""
         first = self.lobes * self.kind.size
         return slice(first, first + self.axes)
 
@@ -214,7 +208,6 @@ class Layout(NamedTuple):
         return slice(self.rig.stop, self.rig.stop + self.coated)
 
     def coated_share(self, p: np.ndarray) -> float:
-        """Compute the coated share of the diffuse part, which is 0 without a coat. p: coordinates of the fit."""
         return readable_value(COATED, float(p[self.coat.start]))[0] if self.coated else 0.0
 
     @property
@@ -223,22 +216,16 @@ class Layout(NamedTuple):
         return slice(self.coat.stop, self.coat.stop + self.base)
 
     def unit(self, index: int) -> slice:
-        """Compute the slice of the vector that contains the coordinates of a unit."""
         size = len(self.unit_names)
         first = self.base_width.stop + index * size
         return slice(first, first + size)
 
     def of_units(self, name: str) -> list[int]:
-        """Find the indices of one parameter of all units in the vector.
-
-        name: one of `unit_names`; the result is empty for other names.
-        """
         if name not in self.unit_names:
             return []
         return [self.unit(u).start + self.unit_names.index(name) for u in range(self.units)]
 
     def unit_bounds(self) -> list[tuple[float, float]]:
-        """Compute the lower and the upper bound of each coordinate of one unit."""
         bounds = [_FRESNEL_BOUNDS[name] for name in _FRESNEL_NAMES[self.fresnel]]
         return bounds + [(0.0, 1.0)] * (self.diffuse + self.base)
 
@@ -256,7 +243,7 @@ def reflectance_at(model: FresnelModel, coordinates: jax.Array) -> Reflectance:
 
 
 def readable_value(name: str, coordinate: float) -> tuple[float, float]:
-    """Convert a coordinate to the value of the reported parameter, and its derivative with respect to the coordinate.
+    """Compute the reported value of a parameter, and its derivative with respect to the coordinate.
 
     name: name of the parameter, such as "alpha", "eta" or COATED.
     """

@@ -8,7 +8,7 @@ A is the record of the lobe at F = 1. The body B_u is a diffuse part, and in som
 of the body by the camera is neglected. If the strength F is free in every slice, it is eliminated exactly (variable projection,
 Golub & Pereyra 1973; derivatives by Kaufman 1975).
 
-For a near rig A is the sum of the record of D G, and of the moment of the record multiplied by the slope of ln F
+For a near rig A is the sum of the record of D G and of its moment, which is multiplied by the slope of ln F
 (`lobe_operator.py`). The slope is computed from the Fresnel model, or from a smooth curve through free strengths
 (`strength_slopes.py`). The slope from free strengths is constant in derivatives, because its dependence on the parameters is
 of second order.
@@ -185,7 +185,6 @@ class FitProblem:
         self._last: dict[int, tuple[bytes, list[RecordAndSlopes]]] = {}
 
     def with_layout(self, layout: Layout) -> FitProblem:
-        """Copy the problem with another layout of the coordinates."""
         return FitProblem(self.data, self.cells, self.operator, layout, self.prior, self.radius)
 
     @property
@@ -219,7 +218,6 @@ class FitProblem:
         return p[indices] if indices else np.zeros(self.layout.units)
 
     def body(self, p: np.ndarray) -> Body:
-        """Evaluate the BRDF of the body in the chosen cells at coordinates of the fit."""
         layout, cells = self.layout, self.cells
         albedo = self.of_units("diffuse", p)[:, None, None]
         derivative = np.zeros((layout.size, layout.units, *cells.theta_h.shape))
@@ -311,7 +309,7 @@ class FitProblem:
     def _free_strengths(self, weight: np.ndarray, lobe: np.ndarray, body: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Solve for the strength of every unit and slice, and its standard deviation, (u, s) each.
 
-        The standard deviation is that for exact other parameters.
+        The standard deviation is conditional on the other parameters.
         """
         data = self.data
         wa = np.where(data.used, weight, 0.0) * lobe
@@ -369,7 +367,7 @@ class FitProblem:
         return self._last[index][1]
 
     def gain(self, noise: PixelNoise) -> float:
-        """Select the standard deviation of the gain of a slice (no unit), which is infinite for free strengths."""
+        """Select the standard deviation of the image gain (no unit), which is infinite for free strengths."""
         return np.inf if self.layout.fresnel == "free" else noise.picture_gain
 
     def whitening(self, model: FitModel, weight: np.ndarray, gain: float) -> Whitening:
@@ -389,7 +387,7 @@ class FitProblem:
 
 
 def _combined(orders: list[np.ndarray], log_slope: np.ndarray) -> np.ndarray:
-    """Add the moment of a record, multiplied by the slope of ln F, to the record, (..., s, n).
+    """Compute the sum of a record and of its moment times the slope of ln F, (..., s, n).
 
     `orders` are the record and, in a near rig, its moment. The slope has unit 1/rad and shape (..., s).
     """

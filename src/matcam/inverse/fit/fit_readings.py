@@ -97,7 +97,6 @@ class LinearisedFit(NamedTuple):
 
 
 def fit_coordinates(solution: Solution) -> FitCoordinates:
-    """Select the coordinates of the first lobe and the rig."""
     layout, p = solution.problem.layout, solution.p
     both = np.r_[layout.lobe(0), layout.rig]
     covariance = solution.covariance[np.ix_(both, both)]
@@ -105,7 +104,6 @@ def fit_coordinates(solution: Solution) -> FitCoordinates:
 
 
 def linearised_fit(solution: Solution) -> LinearisedFit:
-    """Collect the terms of the linear problem at a solution."""
     problem, layout = solution.problem, solution.problem.layout
     derivative = solution.model.derivative
     return LinearisedFit(
@@ -119,7 +117,6 @@ def linearised_fit(solution: Solution) -> LinearisedFit:
 
 
 def strengths_with_covariance(solution: Solution) -> Strengths:
-    """Compute F of every slice, and its covariances due to noise and due to the rig."""
     own, slope = _strength_errors(solution)
     rig = solution.problem.layout.rig
     # `added` is the part due to the uncertainty of the rig; the remainder is the covariance for an exact rig
@@ -228,9 +225,10 @@ class LobeVerdict(NamedTuple):
     """Result of the check whether a fit determines and resolves its lobes.
 
     Attributes:
-        determined: True if the first lobe is resolved, the relative standard deviation of the first roughness of every lobe is
-            below 5 %, and that of the last parameter of its family, if there are several, is below 15 %. For a lobe that the
-            parameters of a family do not describe, only the half width is tested, with a limit of 5 %.
+        determined: True if the first lobe is resolved and all lobes are determined. The first roughness of every lobe must
+            have a relative standard deviation below 5 %. If the family has several parameters, the last one must have a
+            relative standard deviation below 15 %. For a lobe without parameters of a family, only the half width is
+            tested, with a limit of 5 %.
         resolved: True if the first lobe is wider than the smallest width that a fit allows, at which every camera records a
             point.
     """
@@ -240,7 +238,6 @@ class LobeVerdict(NamedTuple):
 
 
 def lobe_verdict(solution: Solution) -> LobeVerdict:
-    """Check whether the lobes are determined and resolved."""
     layout, std = solution.problem.layout, np.sqrt(np.diag(solution.covariance))
     narrowest = layout.kind.bounds(solution.problem.radius)[0][0]
     resolved = bool(float(solution.p[0]) - narrowest > _BOUND)
@@ -324,7 +321,6 @@ class NamedParameters(NamedTuple):
 
 
 def named_parameters(solution: Solution) -> NamedParameters:
-    """Compute the reported parameters with their names and covariance."""
     problem, layout, data = solution.problem, solution.problem.layout, solution.problem.data
     several = data.tables > 1
     unit_names = [f"{label}@{t}" if several else label for label, t in zip(data.labels, data.table_of, strict=True)]
@@ -365,7 +361,10 @@ def named_parameters(solution: Solution) -> NamedParameters:
 
 
 def fitted_materials(solution: Solution, strength: np.ndarray) -> tuple[Microfacet, ...]:
-    """Build the material of each table. strength: F from `strength_curves`, (units, slices)."""
+    """Build the material of each table.
+
+    strength: F from `strength_curves`, (units, slices).
+    """
     problem = solution.problem
     return tuple(_material(solution, problem.data.units_of(table), strength) for table in range(problem.data.tables))
 
@@ -391,7 +390,6 @@ def _material(solution: Solution, units: list[int], strength: np.ndarray) -> Mic
 
 
 def fitted_camera(solution: Solution, camera: Camera) -> Camera:
-    """Replace the parameters of the lens and their uncertainty by the fitted ones. camera: camera of the rig."""
     problem: FitProblem = solution.problem
     axes, position = problem.prior.axes, problem.layout.rig
     lens = [n for n, axis in enumerate(axes) if axis.name not in (*WIDTHS, *CHANGES)]

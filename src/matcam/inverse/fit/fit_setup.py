@@ -220,7 +220,10 @@ class FitSetup:
         return Search(self.problem, self.noise, self.workspace or default_workspace())
 
     def _in_few_slices(self) -> Solution | None:
-        """Search in a few slices, which is fast. The result is None if the setup has no others, or if they have no values."""
+        """Search in a few slices, which takes less time.
+
+        The result is None if the setup has no other slices, or if the few slices have no values.
+        """
         if self.slice_step >= _LOOK_STEP:
             return None
         few = self.with_(slice_step=_LOOK_STEP)
@@ -234,7 +237,7 @@ class FitSetup:
         return material_fit(solution, camera, noise_given=self.noise is not None)
 
     def _vector(self, start: MaterialFit) -> np.ndarray:
-        """Convert the coordinates of a fit to the layout of this setup; coordinates that the fit lacks are 0."""
+        """Convert the coordinates of a fit to the layout of this setup. Coordinates that the fit lacks are 0."""
         layout, (problem, p, *_) = self.layout, start._solution
         before = problem.layout
         vector = np.zeros(layout.size)
@@ -275,7 +278,7 @@ class FitSetup:
 
     @property
     def axes_with_refits(self) -> tuple[Axis, ...]:
-        """Rig parameters that are free in this fit or in later fits."""
+        """Parameters of the rig that are free in this fit or in later fits."""
         return self.with_(also=self.refitted, nearby=True).prior.axes
 
     @property
@@ -333,7 +336,7 @@ class FitSetup:
 
 
 def _stated_prior(rig: Rig, uncertainty: Uncertainty) -> tuple[tuple[Axis, ...], np.ndarray]:
-    """Convert the uncertainty of a camera to axes and a square root of the information matrix of their coordinates."""
+    """Build the axes of the uncertain parameters of a camera, and a square root of their prior information matrix."""
     parameters = rig.camera.parameters()
     value = np.array([float(parameters[name]) for name in uncertainty.names])
     covariance = np.asarray(uncertainty.covariance)
@@ -433,7 +436,6 @@ def free_setup(
     slice_step: int = SEARCH_STEP,
     workspace: Workspace | None = None,
 ) -> FitSetup:
-    """Build a setup with free strengths, a diffuse part and its coated share."""
     return FitSetup(
         tuple(tables), rig, fresnel="free", diffuse=True, coated=True, masking=masking, camera_parameters=camera_parameters,
         noise=noise, slice_step=slice_step, workspace=workspace,
@@ -441,5 +443,4 @@ def free_setup(
 
 
 def candidate_fits(setup: FitSetup, ndf: str) -> list[MaterialFit]:
-    """Fit each candidate family, or the family `ndf` alone."""
     return [setup.with_(ndf=family).solve() for family in (CANDIDATES if ndf == AUTO else (ndf,))]

@@ -57,7 +57,6 @@ def _slope(axis: Axis, information: float) -> float:
 
 
 def fit_statements(solution: Solution) -> list[Statement]:
-    """Collect the prior knowledge of a fit: the rig as specified, and the smoothness of the lobe."""
     problem, layout = solution.problem, solution.problem.layout
     prior = problem.prior
     found = rig_statements(prior.axes, prior.rig_information(), layout.rig.start, layout.size)

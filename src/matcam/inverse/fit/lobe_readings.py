@@ -53,7 +53,6 @@ class LobeReadings(NamedTuple):
 
 
 def lobe_readings(kind: LobeKind, q: np.ndarray) -> LobeReadings:
-    """Compute the reported parameters of a lobe from its coordinates, (lobe coordinates,)."""
     if kind.of_family:
         pairs = np.array([readable_value(name, one) for name, one in zip(kind.names, q, strict=True)])
         return LobeReadings(kind.names, pairs[:, 0], np.diag(pairs[:, 1]))

@@ -129,7 +129,7 @@ def _lifted(
 ) -> tuple[jax.Array, list[jax.Array]]:
     """Compute a quantity proportional to D, and its derivatives with respect to the coordinates of the family.
 
-    The derivatives do not include that of the norm of a spline modification. `light_of` computes the quantity of a lobe at the
+    The derivative of the norm of a spline modification is not included. `light_of` computes the quantity of a lobe at the
     squared slopes `slope2`. It is called with the lobe without its modification.
     """
     plain, own = kind._replace(spline_size=0, shadows=0), len(kind.family_names)

@@ -57,9 +57,10 @@ class MaterialFit(Summarised):
         covariance: covariance of all parameters, in the order of `params`, (parameters, parameters).
         hwhm: half width at half maximum of D, rad. It is well determined even if a width and a power are correlated.
         hwhm_std: standard deviation of `hwhm`, rad.
-        determined: True if the lobe is resolved, and the relative standard deviations of the first roughness of every lobe
-            and of the last of several parameters are below 5 % and 15 %. For a lobe without parameters of a family, the
-            half width is tested with a limit of 5 %.
+        determined: True if the lobe is resolved and all lobes are determined. The first roughness of every lobe must have a
+            relative standard deviation below 5 %. If the family has several parameters, the last one must have a relative
+            standard deviation below 15 %. For a lobe without parameters of a family, only the half width is tested, with a
+            limit of 5 %.
         resolved: True if the lobe is wider than the smallest width that a fit allows, which a camera records as a point.
         materials: fitted material of each table.
         camera: fitted camera, with its uncertainty after the fit; None without a rig.

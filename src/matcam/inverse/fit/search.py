@@ -161,7 +161,10 @@ class Search:
         return 1 / cell_variance(data, np.abs(data.values), noise) if weight is None else weight
 
     def _weighed(self, p: np.ndarray, weight: np.ndarray, noise: PixelNoise) -> tuple[FitModel, np.ndarray, PixelNoise]:
-        """Evaluate the model, and update weights and noise. weight: weights for the solution of free strengths."""
+        """Evaluate the model, and update weights and noise.
+
+        weight: weights for the solution of free strengths, sr^2, (units, slices, cells).
+        """
         model = self.problem.model(p, weight)
         if self.given_noise is None:
             noise = estimate_noise(self.problem.data, self.problem.residual(model), model.value, p.size, noise)
@@ -177,7 +180,7 @@ class Search:
         return np.clip(p, self.low + 1e-9, self.high - 1e-9)
 
     def _starts(self, weight: np.ndarray) -> list[np.ndarray]:
-        """Find at most `_FOLLOWED` starting points: lobes that fit better than their neighbours on the lattice."""
+        """Build at most `_FOLLOWED` starting points from lobes that fit better than their neighbours on the lattice."""
         layout, problem = self.problem.layout, self.problem
         kind = layout.kind._replace(spline_size=0, shadows=0)
         free = problem.with_layout(layout._replace(kind=kind, fresnel="free", diffuse=False, base=False, coated=False))
@@ -258,14 +261,14 @@ class Search:
     def _least_squares(
         self, p: np.ndarray, weight: np.ndarray, noise: PixelNoise, steps: int
     ) -> tuple[np.ndarray, float]:
-        """Minimise the sum of squares, and compute the coordinates at the minimum and half of the sum there."""
+        """Find the coordinates that minimise the sum of squares, and half of the sum at the minimum."""
         problem, prior = self.problem, self.prior_rows
         start = problem.model(p, weight)
         fixed = None if problem.layout.fresnel == "free" else problem.whitening(start, weight, noise.picture_gain)
         last: dict[bytes, np.ndarray] = {}
 
         def triangle(p: np.ndarray) -> np.ndarray:
-            """Compute R of the QR decomposition of derivatives and residuals. Its few rows have the same normal equations."""
+            """Compute R of the QR decomposition of derivatives and residuals, a smaller problem with equal normal equations."""
             key = p.tobytes()
             if key not in last:
                 model = problem.model(p, weight)

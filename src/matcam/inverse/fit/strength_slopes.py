@@ -32,7 +32,7 @@ class StrengthSlopes:
     def log_slopes(self, strength: np.ndarray, std: np.ndarray) -> np.ndarray:
         """Compute the slope of ln F at the slices, 1/rad, (units, slices).
 
-        It is 0 for units without positive strengths.
+        The slope is 0 for units without positive strengths.
 
         Args:
             strength: strengths, (units, slices).
@@ -49,7 +49,7 @@ class StrengthSlopes:
 
 @kept_program
 def _lattice(theta: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Compute the curves F(theta) of all lattice points, and their derivatives with respect to theta, (curves, angles) each."""
+    """Compute the curves F(theta) of all lattice points and their derivatives, (curves, angles) each."""
     pairs = []
     for model, points in FRESNEL_LATTICE.items():
 

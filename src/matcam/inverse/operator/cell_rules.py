@@ -112,7 +112,7 @@ def rule_arrays(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[st
 
 
 def _by_window(through: PixelBlurs, numbers: Sequence[int]) -> list[list[int]]:
-    """Group the indices `numbers` of blurs with the same windows and the same program."""
+    """Group the indices `numbers` of blurs by their windows and their compiled program."""
     groups: dict[tuple, list[int]] = {}
     for n in numbers:
         groups.setdefault((through.reaches[n].tobytes(), jax.tree.structure(through.blurs[n])), []).append(n)
@@ -124,7 +124,7 @@ def _in_pieces(
 ) -> list[_Found]:
     """Compute the rules of pixels in pieces on all cores: one rule on a sphere, or one for each arm of a cylinder.
 
-    There are `count` blurs in total. Those that are not in `widths` have weights of 0.
+    There are `count` blurs in total. Blurs that are not in `widths` have weights of 0.
     """
     step = PIECE if view.line else PIECES * PIECE
     pieces = [slice(first, first + step) for first in range(0, pixels[0].size, step)]
@@ -143,7 +143,6 @@ def _in_pieces(
 
 
 def _in_columns(arrays: Sequence[np.ndarray], columns: list[int], count: int) -> list[np.ndarray]:
-    """Arrange arrays by column, with 0 in columns without an array. Without arrays the list is empty."""
     if not arrays:
         return []
     by_column = dict(zip(columns, arrays, strict=True))
@@ -160,7 +159,9 @@ def _joined(parts: tuple[_Found, ...]) -> _Found:
 
 
 def _rules(view: SampleView, pixels: tuple[np.ndarray, ...], widths: list[PixelBlurs], scale: Scale) -> list[_Found]:
-    """Compute the quadrature rules of pixels for one group of terms, or on a sphere for several groups with common nodes.
+    """Compute the quadrature rules of pixels for groups of terms.
+
+    On a cylinder there is one group. On a sphere, several groups have common nodes.
 
     pixels: x and y, px, theta_d and lamp angle, rad, and factor of the record of each pixel.
     """
@@ -208,7 +209,10 @@ def _sphere_rules(
         return sphere_rules(sphere, at, kernels, onto, theta_d, factor)
 
     def parts(through: PixelBlurs) -> list[list[SphereRule]]:
-        """Compute one rule for each angular range; their sum is the rule of a blur. Blurs share an equal residual."""
+        """Compute one rule for each angular range and blur.
+
+        The sum over the ranges is the rule of a blur. Blurs with the residual of the first blur have its rules.
+        """
         common = through.blurs[0].residual
         found: dict[int, list[SphereRule]] = {}
         own_rule = [n for n, blur in enumerate(through.blurs) if not n or common is None or blur.residual is not common]
@@ -323,7 +327,7 @@ def _found(rules: list[CylinderRule]) -> _Found:
 
 
 def _pixel_nodes(blurs: list[Blur], n: int) -> int:
-    """Choose the number of nodes over a rotated pixel for the n-th blur. A lens that resolves the pixel requires more."""
+    """Choose the number of nodes over a rotated pixel for the n-th blur. A sharper lens requires more nodes."""
     if not blurs[n].varies or not blurs[n].stds.size:
         return 1
     sharpest = min(float(np.min(np.asarray(blur.stds))) for blur in blurs)

@@ -1,9 +1,9 @@
 """Choice of the cells of a table to which a material is fitted. No two cells come from one pixel.
 
-Near the peak about 75 cells of a MERL table come from one pixel and share its noise; elsewhere a cell is a pixel. A fit
-requires data with independent errors, so one cell is chosen per pixel. The likelihood of the chosen cells is then exact
-in each slice. Two kinds of cells are omitted. Neighbours in one pixel are redundant. Most pixels on the smooth flanks of a
-lobe would only improve values that are known to a fraction of a per cent without them.
+Near the peak about 75 cells of a MERL table come from one pixel and share its noise. Far from it a cell has about the size of
+a pixel. A fit requires data with independent errors, so one cell is chosen per pixel. The likelihood of the chosen cells is
+then exact in each slice. Two kinds of cells are omitted. Neighbours in one pixel are redundant. Most pixels on the smooth
+flanks of a lobe would only improve values that are known to a fraction of a per cent without them.
 """
 
 from __future__ import annotations
@@ -37,7 +37,9 @@ _MOST_IN_RING = 4
 
 
 class RealPixels(NamedTuple):
-    """Real pixels from which cells are read. They are not centred on the cells. Shapes: s slices, n cells, w pixels of a cell.
+    """Real pixels from which cells are read, and which are not centred on the cells.
+
+    In the shapes, s is the number of slices, n of cells in a slice, and w of pixels of a cell.
 
     Attributes:
         theta: (s, n, w), angle of each pixel's centre from the half vector, rad.
@@ -53,7 +55,9 @@ class RealPixels(NamedTuple):
 
 
 class ChosenCells(NamedTuple):
-    """Cells of some slices and the two pixels that show each. Shapes: s slices, n cells; the last axis is the direction.
+    """Cells of some slices, and the two pixels that show each cell.
+
+    In the shapes, s is the number of slices, and n of cells in a slice. The last axis is that of the direction.
 
     Attributes:
         slices: (s,), indices of theta_d.
@@ -87,7 +91,6 @@ class ChosenCells(NamedTuple):
     real: RealPixels | None = None
 
     def in_slices(self, part: slice) -> ChosenCells:
-        """Select the cells of a range of slices."""
         own = {name: a[part] for name, a in zip(self._fields, self, strict=True) if isinstance(a, np.ndarray)}
         return self._replace(**own, real=self.real and RealPixels(*(a[part] for a in self.real)))
 
@@ -146,9 +149,9 @@ def peak_cells(view: SampleView, theta_d: np.ndarray) -> ChosenCells:
 def noise_shares(rig: Rig, sampling: Sampling) -> np.ndarray:
     """Compute the ratio of the variance of each cell to that of a pixel.
 
-    It has shape (90, 90, 180). It is one half if the two positions of a cell, on opposite sides of the highlight, certainly
-    lie in two pixels, and otherwise 1. For a mean of n pixels it is at most 1 / n. For interpolation between pixels it is
-    multiplied by the sum of the squared weights.
+    The result has shape (90, 90, 180). The ratio is one half if the two positions of a cell, on opposite sides of the
+    highlight, certainly lie in two pixels, and otherwise 1. For a mean of n pixels it is at most 1 / n. For interpolation
+    between pixels it is multiplied by the sum of the squared weights.
     """
     grid, view = merl_grid(sampling), sample_view(rig)
     directions = [
@@ -242,7 +245,10 @@ def _slice_cells(view: SampleView, sampling: Sampling, slice_: int, pixels: Pixe
 
 
 def _ring_azimuths(ring: int, radius: float, theta_d: float, count: int) -> np.ndarray:
-    """Choose the indices of phi_d that are considered in a ring of a radius in px. A table has `count` values of phi_d."""
+    """Choose the indices of phi_d that are considered in a ring.
+
+    `radius` is the radius of the ring, px. `count` is the number of values of phi_d in a table.
+    """
     # half the circumference of the ring, px, foreshortened in one direction
     length = np.pi * radius * np.sqrt((1 + np.cos(theta_d) ** 2) / 2)
     positions = int(np.clip(np.ceil(2 * length), 1, 24)) if ring < NEAR_RINGS else _MOST_IN_RING

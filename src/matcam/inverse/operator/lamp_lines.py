@@ -252,7 +252,10 @@ def _moved(
 
 
 def _image(view: SphereView, lamp_angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Compute the shift of the highlight per shift of the lamp, px/rad, along the plane of camera and lamp and across it."""
+    """Compute the shift of the highlight per shift of the lamp, px/rad.
+
+    The two results are for shifts along the plane of camera and lamp and across it.
+    """
     step = 1e-4  # rad; the error of the differences is of second order
     ends = [_highlights(view, u, v, step, lamp_angle)[0] for u, v in ((1.0, 0.0), (-1.0, 0.0), (0.0, 1.0))]
     (x, _), (other, _), (_, y) = (_position(view, end) for end in ends)
@@ -313,5 +316,5 @@ def _position(view: SphereView, normal: Any) -> tuple[Any, Any]:
 
 
 def _parabola(first: Any, middle: Any, last: Any, on: Any) -> Any:
-    """Evaluate the parabola through values at -1, 0 and 1 at `on`."""
+    """Evaluate, at `on`, the parabola through the values at -1, 0 and 1."""
     return middle + on * ((last - first) / 2 + on * ((last + first) / 2 - middle))

@@ -33,9 +33,10 @@ second.
 
 
 class ImagePositions(NamedTuple):
-    """Image positions on a sphere, whose distances from the optical axis are those of pixels from the axis of a cylinder.
+    """Image positions on a sphere that represent pixels of a cylinder.
 
-    All arrays have one shape.
+    The distance of a position from the optical axis is the distance of the pixel from the axis of the cylinder. All arrays
+    have one shape.
 
     Attributes:
         x: distance from the optical axis towards the lamp, px.
@@ -105,7 +106,7 @@ def line_rule(
         lit = jnp.maximum(-jnp.pi / 2, middle - jnp.pi / 2), jnp.minimum(jnp.pi / 2, middle + jnp.pi / 2)
 
         def turns(at: jax.Array) -> jax.Array:
-            """Compute the angle, rad, from the minimum to the normals at some columns, px, of the arm."""
+            """Compute the angle between the normal at the minimum and the normals at columns, px, of the arm, rad."""
             u = jnp.clip(jnp.arcsin(jnp.clip(at / radius, -1, 1)), *lit)
             return jnp.maximum(arm * (u - closest), 0.0)
 

@@ -6,9 +6,8 @@ depends on the rig only. It is computed once and stored.
 
 With a near camera or lamp, theta_d differs between the nodes. The value of the table is then F A + F' B, where F' is
 the derivative of F with respect to theta_d. A is the record at F = 1, and B is the record of D G times the deviation of
-theta_d from its value for the cell (`rise_of`).
-The operator `moment` of B is the operator of A with other weights. The second-order term is below 3e-5 of the value for
-lamps at three radii.
+theta_d from its value for the cell (`rise_of`). The operator `moment` of B is the operator of A with other weights. The
+second-order term is below 3e-5 of the value for lamps at three radii.
 
 Uncertain parameters of the rig change the weights of the rule. Along the axis of each parameter (`rig_axes`) a polynomial
 interpolates between a few values. Changes of the lens are scaled with its width (`scaled_changes`). Any other interaction of
@@ -78,17 +77,14 @@ class LobeOperator:
 
     @property
     def orders(self) -> tuple[LobeOperator, ...]:
-        """Operator of the record, followed by that of the moment if there is one."""
         return (self,) if self.moment is None else (self, self.moment)
 
     @property
     def axes(self) -> tuple[Axis, ...]:
-        """Parameters of the rig that may change."""
         return self.blocks[0].axes
 
     @property
     def at(self) -> NodeArrays:
-        """Quantities at the nodes of all cells."""
         return joined([block.at for block in self.blocks], int(np.prod(self.shape)))
 
     def with_weights(self, weight: np.ndarray, along: Sequence[np.ndarray]) -> LobeOperator:
@@ -102,7 +98,6 @@ class LobeOperator:
         return LobeOperator(tuple(block.with_weights(*part) for block, part in parts), self.shape)
 
     def in_slices(self, part: slice) -> LobeOperator:
-        """Restrict the operator to some of the slices."""
         slices, count = self.shape
         cells = np.arange(slices * count).reshape(slices, count)[part]
         moment = None if self.moment is None else self.moment.in_slices(part)
@@ -110,14 +105,13 @@ class LobeOperator:
         return LobeOperator(_in_blocks(self.blocks[0]._replace(at=at)), cells.shape, moment)
 
     def along_axes(self, indices: Sequence[int]) -> LobeOperator:
-        """Restrict the operator to some of the axes."""
         moment = None if self.moment is None else self.moment.along_axes(indices)
         return LobeOperator(tuple(block.along_axes(indices) for block in self.blocks), self.shape, moment)
 
     def leaning(self, lean: np.ndarray) -> LobeOperator:
-        """Include the variation of F within a slice in the weights.
+        """Include the variation of F within a cell in the weights.
 
-        F is 1 at theta_d of the cells.
+        F is 1 at theta_d of the cell.
 
         lean: derivative of ln F with respect to theta_d, 1/rad, (slices,).
         """

@@ -64,23 +64,27 @@ class OperatorNodes(NamedTuple):
     axes: tuple[Axis, ...]
 
     def with_weights(self, weight: np.ndarray, along: Sequence[np.ndarray]) -> OperatorNodes:
-        """Replace the weights and their differences along the axes."""
         return self._replace(at=self.at._replace(weight=weight, along=tuple(along)))
 
     def plus(self, other: OperatorNodes, factor: np.ndarray) -> OperatorNodes:
-        """Add the weights of other nodes at the same positions, multiplied by a factor of each cell, (cells, 1, 1)."""
+        """Add the weights of other nodes at the same positions.
+
+        factor: factor of the added weights, (cells, 1, 1).
+        """
         pairs = zip(self.at.along, other.at.along, strict=True)
         return self.with_weights(
             self.at.weight + factor * other.at.weight, [one + factor[:, None] * more for one, more in pairs]
         )
 
     def along_axes(self, indices: Sequence[int]) -> OperatorNodes:
-        """Restrict the nodes to some of the axes."""
         along = tuple(self.at.along[k] for k in indices)
         return self._replace(at=self.at._replace(along=along), axes=tuple(self.axes[k] for k in indices))
 
     def weight_at(self, shifts: npt.ArrayLike) -> np.ndarray:
-        """Compute the weights of a rig with other parameters. shifts: coordinates along the axes, (axes,)."""
+        """Compute the weights of a rig with other parameters, (cells, directions, nodes).
+
+        shifts: coordinates along the axes, (axes,).
+        """
         weight, (scaled, _) = self.at.weight, scaled_changes(self.axes, np.asarray(shifts, dtype=float))
         for axis, differences, shift in zip(self.axes, self.at.along, scaled, strict=True):
             if shift:
@@ -102,7 +106,6 @@ class OperatorNodes(NamedTuple):
         return slopes.T @ own
 
     def masked(self, masking: Masking, table: np.ndarray | None) -> JointMasking | None:
-        """Evaluate G at the nodes from a table of Lambda. The result is None without masking."""
         if masking is None or table is None:
             return None
         return JointMasking(self, masking, self.at.light_and_view.one_plus_lambda(table))
@@ -166,7 +169,10 @@ _facets = kept_program(facets)
 
 @kept_program
 def masking_slopes(masking: Masking, lambdas: Any, azimuth: Any) -> jax.Array:
-    """Differentiate G with respect to ln(1 + Lambda) of light and view. lambdas: 1 + Lambda, see `JointMasking`."""
+    """Differentiate G with respect to ln(1 + Lambda) of light and view.
+
+    lambdas: 1 + Lambda, see `JointMasking`.
+    """
     _, pull = jax.vjp(lambda both: g2(masking, both[:, 0] - 1, both[:, 1] - 1, azimuth), lambdas)
     return pull(jnp.ones_like(azimuth))[0] * lambdas
 
@@ -175,7 +181,9 @@ T = TypeVar("T")
 
 
 def in_blocks(cells: T) -> list[T]:
-    """Divide arrays over cells into blocks of `CELLS` cells. The last block is padded with copies of the last cell.
+    """Divide arrays over cells into blocks of `CELLS` cells.
+
+    The last block is padded with copies of the last cell.
 
     cells: array, or tree of arrays, whose first axis is that of the cells.
     """
@@ -185,12 +193,10 @@ def in_blocks(cells: T) -> list[T]:
 
 
 def joined(blocks: Sequence[T], count: int) -> T:
-    """Join blocks, and remove the padding after `count` cells."""
     return jax.tree.map(lambda *parts: np.concatenate(parts)[:count], *blocks)
 
 
 def lambda_table(ndf: NDF, masking: Masking) -> np.ndarray | None:
-    """Compute the table of Lambda; None without masking."""
     return None if masking is None else np.asarray(compiled_table(ndf))
 
 

@@ -19,7 +19,9 @@ _INSIDE = 1 - 1e-9
 
 
 class PixelBlurs(NamedTuple):
-    """Blurs of a rig, at points of its parameter axes and for changes of its lens, with lamp and defocus in each pixel.
+    """Blurs of a rig in each pixel, widened by lamp and defocus.
+
+    They include the blurs at points of the parameter axes and the blurs for changes of the lens.
 
     Attributes:
         blurs: the blurs; the first is that of the rig, if it is included.
@@ -39,7 +41,6 @@ class PixelBlurs(NamedTuple):
 
     @property
     def terms(self) -> tuple[int, ...]:
-        """Indices of the terms of the blurs."""
         return self.blurs[0].terms
 
     def of(self, piece: slice) -> PixelBlurs:
@@ -58,7 +59,9 @@ def gaussian_blurs(
     pixels: tuple[np.ndarray, np.ndarray, np.ndarray],
     lenses: list[float],
 ) -> PixelBlurs:
-    """Build the Gaussians of a group of terms. A source disc much smaller than the blur is approximated by a Gaussian.
+    """Build the Gaussians of a group of terms.
+
+    A source disc much smaller than the blur is approximated by a Gaussian.
 
     Args:
         view: geometry of sample, camera and lamp.
@@ -124,14 +127,17 @@ def _variances(
     pixels: tuple[np.ndarray, np.ndarray, np.ndarray],
     more: tuple[float, float] = (0.0, 0.0),
 ) -> tuple[np.ndarray, ...]:
-    """Compute the variances that lamp, defocus and stretch add along x and y, px^2. more: variances due to the stretch."""
+    """Compute the variances that lamp, defocus and stretch add along x and y, px^2.
+
+    more: variances due to the stretch along x and y, px^2.
+    """
     x, y, lamp_angle = pixels
     added = variances_at(blur, rig.sample, view.on_sphere.normals(x, y)[2], lamp_angle, rig.lamp.nearness)  # type: ignore[arg-type]
     return tuple(variance + one for variance, one in zip(added, more, strict=True))
 
 
 def _widest_disc(view: SampleView, blur: Blur, x: np.ndarray, y: np.ndarray, std: float) -> np.ndarray:
-    """Compute the radius of the largest circle of confusion in the window of each pixel, px; 0 if defocus is Gaussian."""
+    """Compute the radius of the largest circle of confusion for each pixel, px; 0 if defocus is Gaussian."""
     if not blur.chords:
         return np.zeros(x.shape)
 

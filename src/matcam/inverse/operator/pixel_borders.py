@@ -29,7 +29,9 @@ _SIGNATURES = np.random.default_rng(0).random((64, 64))
 
 
 class Repeats(NamedTuple):
-    """Pairs of neighbouring cells near the highlight with equal values. Shapes: s slices, r rings, k azimuths.
+    """Pairs of neighbouring cells near the highlight with equal values.
+
+    In the shapes, s is the number of slices, r of rings, and k of azimuths.
 
     Attributes:
         outwards: (s, r - 1, k), 1 where a cell and its outer neighbour have equal values, 0 where they differ, -1 where a
@@ -54,7 +56,6 @@ class Repeats(NamedTuple):
 
 
 def repeats(table: xr.DataArray, slices: np.ndarray = SLICES) -> Repeats:
-    """Find neighbouring cells near the highlight that have equal values."""
     values = table.values[:RINGS][:, slices].transpose(1, 0, 2, 3)
 
     def same(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -109,7 +110,7 @@ class Borders:
 
 
 class MeanBorders(Borders):
-    """Comparison of borders, as in `Borders`, for cells that are means of the pixels inside."""
+    """Comparison of borders, as in `Borders`, for cells that are means of the pixels inside them."""
 
     def __init__(self, radius: float, sampling: Sampling, slices: np.ndarray, shown: Repeats, azimuth: float = 0.0):
         super().__init__(radius, sampling, slices, shown, azimuth)

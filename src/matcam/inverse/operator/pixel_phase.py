@@ -95,7 +95,6 @@ class FoundPhase(NamedTuple):
     unexplained: float
 
     def remark(self, rule: CellValue) -> Remark:
-        """Build the remark on the position of the pixels."""
         how = READ_FROM[rule]
         return Remark(
             "real-pixels-found", f"the table shows that cells were {how}; the centres of the pixels {self.words}"
@@ -103,7 +102,6 @@ class FoundPhase(NamedTuple):
 
     @property
     def words(self) -> str:
-        """Description of the position of the pixels' centres."""
         phases = np.atleast_2d(self.phase)
         if len(phases) == 1:
             return (
@@ -129,9 +127,9 @@ class LocatedRig(NamedTuple):
 
 
 def located_rig(rig: Rig, table: xr.DataArray) -> LocatedRig:
-    """Determine the cell rule and the lamp azimuth of a rig.
+    """Determine the cell rule, the lamp azimuth and the pixel phase of a rig.
 
-    Both are those of the rig, if it specifies them, or those of the table.
+    The values of the rig are used if it specifies them. Otherwise they are determined from the table.
 
     Raises:
         FitError: the cells contradict the rig.
@@ -209,7 +207,6 @@ def nearest_phase(table: xr.DataArray, radius: float) -> FoundPhase:
 
 
 def mean_phase(table: xr.DataArray, radius: float) -> FoundPhase:
-    """Estimate the common phase for cells that are means of pixels."""
     shown = repeats(table)
     found = _common_phase("mean", table, radius, shown)
     if shown.share < _LEAST_REPEATS or found.unexplained > _COMMON:
@@ -232,7 +229,6 @@ _BORDERS: dict[CellValue, type[Borders]] = {"nearest": Borders, "mean": MeanBord
 
 
 def _best_phase(borders: Borders) -> FoundPhase:
-    """Find the phase with the fewest unexplained borders, by a search with decreasing steps."""
     line = np.arange(-8, 8) * _COARSE
     fewest, *best = min((borders.wrong(u, v), u, v) for u in line for v in line)
     step = _COARSE
@@ -292,12 +288,14 @@ def _near_cells(table: xr.DataArray, radius: float, slices: np.ndarray, rings: i
 
 
 def _residual(rule: CellValue, phase: tuple[float, float], cells: list[_NearCells]) -> float:
-    """Compute the mean over slices of the share of their variance that a grid does not explain; it is 1 without cells."""
+    """Compute the share of the variance in a slice that a grid does not explain, averaged over slices.
+
+    The result is 1 without cells.
+    """
     return float(np.mean([_interpolation_residual(rule, one, phase) for one in cells])) if cells else 1.0
 
 
 def bilinear_phase(table: xr.DataArray, radius: float) -> FoundPhase:
-    """Estimate the phase for cells that were interpolated between pixels."""
     cells = _near_cells(table, radius, SLICES[::3], _FEW_RINGS, _FEW_AZIMUTHS)
 
     def log_residual(phase: Sequence[float], cells: list[_NearCells] = cells) -> float:
@@ -308,7 +306,10 @@ def bilinear_phase(table: xr.DataArray, radius: float) -> FoundPhase:
         return minimize(log_residual, corners[0], method="Nelder-Mead", options=options)
 
     def followed(before: float, u: float, v: float) -> OptimizeResult:
-        """Refine a starting point, unless the first steps detect no grid. before: ln of the residual at the starting point."""
+        """Refine a starting point, unless the first steps detect no grid.
+
+        before: ln of the residual at the starting point.
+        """
         first = descended(np.array([u, v]) + _CORNERS, _FIRST_TRIES)
         return first if first.fun > before + np.log(_FALLS) else descended(first.final_simplex[0], _TRIES)
 
@@ -390,7 +391,6 @@ _PHASES: dict[CellValue, Callable[[xr.DataArray, float], FoundPhase]] = {
 
 
 def _distinct(table: xr.DataArray) -> float:
-    """Compute the mean number of distinct values near the highlight in the slices with values."""
     values = table.values[:RINGS][:, SLICES, :, 0].transpose(1, 0, 2).reshape(SLICES.size, -1)
     counts = [np.unique(np.round(np.log(row[row > 0]), 9)).size for row in values]
     return float(np.mean([count for count in counts if count] or [0]))

@@ -23,7 +23,9 @@ _GAUSS = 0.5 + np.array([-1.0, 1.0]) / np.sqrt(12)
 
 
 class CellPositions(NamedTuple):
-    """Two positions on a sphere that show a cell. The last axis is over the two positions.
+    """Two positions on a sphere that show a cell.
+
+    The last axis is that of the two positions.
 
     Attributes:
         x: distance from the optical axis towards the lamp, px.
@@ -39,7 +41,9 @@ class CellPositions(NamedTuple):
 
 
 class PixelsBehind(NamedTuple):
-    """Pixels from which cells are read. The last axis is over the pixels of a cell in both directions.
+    """Pixels from which cells are read.
+
+    The last axis is that of the pixels of a cell in both directions.
 
     Attributes:
         x: distance of the pixel centres from the centre of the sphere, towards the lamp, px.
@@ -67,7 +71,7 @@ def cell_positions(radius: float, theta_h: np.ndarray, theta_d: np.ndarray, phi_
 
 
 def pixel_counts(radius: float, theta_d: np.ndarray) -> np.ndarray:
-    """Compute the mean number of pixels in each cell in both directions, (90, slices, 1).
+    """Compute the mean number of pixels in each cell, in both directions together, (90, slices, 1).
 
     Args:
         radius: radius of the sphere, px.
@@ -130,7 +134,7 @@ def _anywhere_in(radius: float, theta_d: float, i: np.ndarray, k: np.ndarray, az
 def _inside(
     phase: np.ndarray, radius: float, theta_d: float, i: np.ndarray, k: np.ndarray, azimuth: float
 ) -> PixelsBehind:
-    """Find the pixels of a grid inside cells, or the nearest pixel if there are none."""
+    """Find the pixels of a grid inside each cell, or the nearest pixel if a cell contains none."""
     n_p = GRID_SHAPE[2]
     whole = slice_pixels("mean", phase, radius, theta_d, azimuth=azimuth)
     rows = whole.share[i * n_p + k]
@@ -159,7 +163,10 @@ def _inside(
 def _same_moments(
     side: np.ndarray, x: np.ndarray, y: np.ndarray, share: np.ndarray, count: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Compute x, y and weight of four positions per side, (sides, 4), with the mean and covariance of its pixels."""
+    """Compute four positions with the mean and covariance of the pixels of each side.
+
+    The results are x, y and weight of the positions, (sides, 4) each.
+    """
     sides = count.size
     total = np.bincount(side, share, sides)
     safe = np.where(total > 0, total, 1.0)

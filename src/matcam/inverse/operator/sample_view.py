@@ -43,7 +43,6 @@ class SampleView(NamedTuple):
 
     @property
     def distant(self) -> bool:
-        """True if both camera and lamp are distant."""
         return self.on_sphere.distant
 
     @property
@@ -53,16 +52,14 @@ class SampleView(NamedTuple):
 
     @property
     def sphere(self) -> Sphere:
-        """Sphere with the radius and the camera distance of the view."""
         return Sphere(self.radius) if self.camera == 0 else Sphere(self.radius, 1 / self.camera)
 
     @property
     def cylinder(self) -> Cylinder:
-        """Cylinder with the radius and the camera distance of the view."""
         return Cylinder(self.radius) if self.camera == 0 else Cylinder(self.radius, 1 / self.camera)
 
     def position(self, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> Position:
-        """Compute image position and lamp angle of half and difference angles, rad."""
+        """Compute image position and lamp angle from half and difference angles, rad."""
         from matcam.sample.positions import positions_of
 
         nearness = np.array(self.lamp) if self.lamp else None
@@ -71,7 +68,7 @@ class SampleView(NamedTuple):
     def lamp_angles(self, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> np.ndarray:
         """Compute the lamp angles for the two positions of each cell, rad.
 
-        They are on a trailing axis of length 2.
+        The two positions are on a trailing axis.
         """
         return self.position(theta_h[..., None], theta_d[..., None], phi_d[..., None] + BOTH_DIRECTIONS).lamp_angle  # type: ignore[return-value]
 
@@ -83,13 +80,13 @@ class SampleView(NamedTuple):
         return 1.0 if self.lamp == 0 else np.asarray(closeness(self.lamp, xp.asarray(cos_i))) ** 2  # type: ignore[return-value]
 
     def highlight(self, lamp_angle: np.ndarray) -> np.ndarray:
-        """Compute the angle, rad, between the optical axis and the normal of the highlight for lamp angles, rad."""
+        """Compute the angle between optical axis and normal of the highlight, rad, from lamp angles, rad."""
         return np.asarray(self.sphere.highlight(xp.asarray(lamp_angle), self.lamp))
 
     def from_highlight(
         self, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Compute the image positions (x, y) of half and difference angles, rad, relative to the highlight, px."""
+        """Compute the image position (x, y) relative to the highlight, px, from half and difference angles, rad."""
         if self.distant:
             x = self.radius * (
                 np.sin(theta_d) * (np.cos(theta_h) - 1) - np.sin(theta_h) * np.cos(phi_d) * np.cos(theta_d)
@@ -99,7 +96,7 @@ class SampleView(NamedTuple):
         return np.asarray(position.x) - self.at_highlight(np.asarray(position.lamp_angle)), np.asarray(position.y)
 
     def at_highlight(self, lamp_angle: np.ndarray) -> np.ndarray:
-        """Compute the position of the highlight in the image, px along x."""
+        """Compute the x coordinate of the highlight in the image, px."""
         from matcam.forward.integral.scene import highlight_x
 
         return np.asarray(highlight_x(self.sphere, xp.asarray(lamp_angle), xp.asarray(self.lamp)))
@@ -116,7 +113,6 @@ class SampleView(NamedTuple):
 
     @property
     def on_sphere(self) -> SphereView:
-        """Radius and inverse distances, without the azimuth."""
         return SphereView(self.radius, self.camera, self.lamp)
 
 
@@ -131,10 +127,6 @@ FAR_AWAY = SampleView(256.0)
 
 
 def sample_view(rig: Rig | None) -> SampleView:
-    """Build the view of the sphere or cylinder of a rig.
-
-    Without a rig it is `FAR_AWAY`.
-    """
     if rig is None:
         return FAR_AWAY
     sample, lamp, azimuth = rig.sample, rig.lamp.nearness, rig.lamp_azimuth or 0.0

@@ -91,7 +91,6 @@ class Kernel(NamedTuple):
     pixel_nodes: int = 0
 
     def disc_at(self, index: np.ndarray) -> LampDisc | None:
-        """Select the disc of pixels by index."""
         return self.disc and LampDisc._make(np.asarray(a)[index] for a in self.disc)
 
 
@@ -186,7 +185,9 @@ def directions(normal: Any, sin: Any, cos: Any, q: Any, w: Any) -> Directions:
 
 
 class WindowArcs(NamedTuple):
-    """Arcs of circles about the highlight in the windows of pixels. They serve all kernels with support in the windows.
+    """Arcs of circles about the highlight in the windows of pixels.
+
+    The arcs are valid for all kernels whose support is in the windows.
 
     Attributes:
         windows: windows of the pixels.
@@ -250,7 +251,7 @@ def sphere_rules(
 def _kernel_sums(
     view: SphereView, at: WindowArcs, kernels: Sequence[Kernel], onto: ThetaRange, theta_d: np.ndarray
 ) -> np.ndarray:
-    """Compute the sums over the nodes of each arc for a few kernels, (kernels, sums, arcs); see `_arc_sums`."""
+    """Compute the sums of `_arc_sums` for a few kernels, (kernels, sums, arcs)."""
     windows, layout = at
     (window, angle, _), arcs = layout.circles, layout.arcs
     kernel, count = kernels[0], len(kernels)
@@ -293,7 +294,7 @@ def _kernel_sums(
 def _from_sums(
     view: SphereView, at: WindowArcs, sums: np.ndarray, onto: ThetaRange, theta_d: np.ndarray, factor: np.ndarray
 ) -> SphereRule:
-    """Compute the rule of a kernel from the sums over the nodes of each arc, (sums, arcs)."""
+    """Compute the rule of a kernel from its result of `_kernel_sums`, (sums, arcs)."""
     circles, arcs = at.layout.circles, at.layout.arcs
     angle, step = (a.reshape(factor.size, -1) for a in (circles.angle, circles.weight))
     near, spacing = not view.distant, onto.spacing()
@@ -317,7 +318,10 @@ def _from_sums(
 
 @cache
 def _tabulated_rules() -> np.ndarray:
-    """Tabulate Gauss-Legendre and then midpoint rules by their number of groups of nodes, (rules, 2, groups, nodes)."""
+    """Tabulate Gauss-Legendre rules, followed by midpoint rules, (rules, 2, groups, nodes).
+
+    The rules of each type are ordered by their number of groups of nodes.
+    """
     rules = np.concatenate([arc_rules(even, MOST_NODES, _GROUP)[:, ::_GROUP] for even in (False, True)], axis=1)
     return np.moveaxis(rules, 1, 0).reshape(-1, 2, MOST_NODES // _GROUP, _GROUP)
 
@@ -338,7 +342,7 @@ def _arc_sums(
     near: bool,
     pixel_nodes: int,
 ) -> jax.Array:
-    """Compute the sums over the nodes of each arc for each kernel, (kernels, sums, arcs).
+    """Sum over the nodes of each arc, for each kernel, (kernels, sums, arcs).
 
     The first 4 rows, or 7 rows in a near rig, are the sums of `CircleSums`. A near rig also has 40 sums of Legendre polynomials
     for weights, and 40 for moments.

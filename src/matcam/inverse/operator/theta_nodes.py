@@ -63,7 +63,7 @@ _LEAST_STD = 1e-7
 
 
 def _local_barycentric() -> np.ndarray:
-    """Compute the barycentric weights of each run of neighbouring nodes, (runs, nodes of each)."""
+    """Compute the barycentric weights of all runs of `_LOCAL` neighbouring nodes, (runs, nodes of a run)."""
     runs = NODES[0][np.arange(NODES[0].size - _LOCAL + 1)[:, None] + np.arange(_LOCAL)]
     return 1 / np.prod(runs[:, :, None] - runs[:, None] + np.eye(_LOCAL), axis=2)
 
@@ -72,7 +72,10 @@ _BARYCENTRIC = _local_barycentric()
 
 
 def _sample_cubics() -> np.ndarray:
-    """Compute the matrix of interpolation from samples to nodes by cubics through four samples, (nodes, samples)."""
+    """Compute the matrix that interpolates from samples to nodes, (nodes, samples).
+
+    The interpolant is a cubic through four samples.
+    """
     through = np.zeros((NODES[0].size, SAMPLED.size))
     for node, position in enumerate(NODES[0]):
         first = int(np.clip(np.searchsorted(SAMPLED, node, "right") - _CUBIC // 2, 0, SAMPLED.size - _CUBIC))
@@ -88,7 +91,7 @@ class Scale(NamedTuple):
     """Scale of the nodes about a highlight.
 
     Attributes:
-        largest: largest scale, rad: that at normal view, or infinite.
+        largest: largest scale, rad, which is reached at normal view; infinite: no limit.
         shrink: ratio of the scale to that determined by the range of angles, no unit. It is below 1 if the blur covers a
             large angle, as on a small sample, because a lobe covers the same angle on samples of all sizes.
     """
@@ -109,7 +112,7 @@ class Scale(NamedTuple):
         return cls(np.inf if single else min(own, _LARGEST_SCALE), min(1.0, _LARGEST_SCALE / own))
 
     def limit(self, high: Any) -> Any:
-        """Compute the largest scale, rad, of ranges of angles with the largest angles `high`, rad."""
+        """Compute the upper limit of the scale, rad, of a range of angles whose largest angle is `high`, rad."""
         return self.shrink * high / _RANGE_PER_SCALE
 
 
@@ -150,7 +153,7 @@ class NodeSpacing(NamedTuple):
         return self.share(xp.arcsinh(theta / self.scale))
 
     def share(self, stretched: Any) -> Any:
-        """Compute the positions of angles from asinh(theta / scale)."""
+        """Compute positions among the nodes, in [-1.1, 1.1], from asinh(theta / scale)."""
         return xp.clip(2 * (stretched - self.first) / (self.last - self.first) - 1, -_OUTSIDE, _OUTSIDE)
 
     def stretched(self, position: Any) -> Any:
@@ -176,7 +179,6 @@ class ThetaRange(NamedTuple):
     largest_scale: np.ndarray | float = np.inf
 
     def scaled(self, scale: Scale) -> ThetaRange:
-        """Limit the scale of the nodes."""
         return self._replace(largest_scale=np.minimum(scale.largest, scale.limit(self.high)))
 
     def parts(self) -> list[ThetaRange]:
@@ -196,7 +198,6 @@ class ThetaRange(NamedTuple):
         return spacing.angle(rule[0]), weight
 
     def spacing(self) -> NodeSpacing:
-        """Compute the spacing of the nodes."""
         return NodeSpacing.of(self.low, self.high, self.largest_scale)
 
     def carry(self, theta: np.ndarray, weight: np.ndarray) -> np.ndarray:
@@ -279,12 +280,14 @@ def rise_of(theta_d: jax.Array, cell: jax.Array) -> jax.Array:
 
 
 def cos_azimuth(cos_i: Any, cos_o: Any, theta_h: Any, theta_d: Any) -> jax.Array:
-    """Compute the cosine of the azimuth of the normal about the half vector, from the side of the lamp."""
+    """Compute the cosine of the azimuth of the normal about the half vector, measured from the side of the lamp."""
     return jnp.clip((cos_i - cos_o) / jnp.maximum(2 * jnp.sin(theta_h) * jnp.sin(theta_d), 1e-300), -1, 1)
 
 
 class CircleSums(NamedTuple):
-    """Sums over the parts of circles about the highlight in the window of a pixel. Arrays have shape (pixels, circles).
+    """Sums over circles about the highlight, inside the window of a pixel.
+
+    The arrays have shape (pixels, circles).
 
     Attributes:
         total: sum of the weights.

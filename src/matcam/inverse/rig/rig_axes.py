@@ -63,7 +63,9 @@ inaccurate elsewhere.
 
 
 class Axis(NamedTuple):
-    """Axis of one parameter. Its coordinate is s = ln((value^2 + softening^2) / (base^2 + softening^2)) / 2.
+    """Axis of one parameter.
+
+    The coordinate is s = ln((value^2 + softening^2) / (base^2 + softening^2)) / 2.
 
     Attributes:
         name: name of the parameter as in `Camera.parameters`, or of a field of `Rig`.
@@ -85,7 +87,7 @@ class Axis(NamedTuple):
     by_variance: bool = False
 
     def coordinate(self, value: float) -> float:
-        """Compute the coordinate of a value of a parameter that is not a change of the lens."""
+        """Compute the coordinate of a value. The parameter must not be a change of the lens."""
         return 0.5 * float(np.log((value**2 + self.softening**2) / (self.base**2 + self.softening**2)))
 
     def std(self, relative: float) -> float:
@@ -98,7 +100,6 @@ class Axis(NamedTuple):
         return self.coordinate(self.base * (1 + relative)) if self.softening else relative
 
     def value(self, coordinate: float) -> float:
-        """Compute the value of the parameter at a coordinate."""
         if self.name in CHANGES:
             return coordinate
         return float(np.sqrt(self.square(coordinate, 0.0)[0]))
@@ -127,7 +128,7 @@ class Axis(NamedTuple):
     def lens_share(self, coordinate: float) -> tuple[float, float]:
         """Compute the share of a lens in the variance of the whole blur, relative to the share at coordinate 0.
 
-        The second value is the derivative with respect to the coordinate.
+        The second result is the derivative of the first with respect to the coordinate.
         """
         others = self.softening**2 / (self.base**2 + self.softening**2)
         left = others * float(np.exp(-2 * coordinate))
@@ -137,8 +138,9 @@ class Axis(NamedTuple):
 def scaled_changes(axes: Sequence[Axis], coordinates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Scale changes of the lens by the share of the lens in the whole blur.
 
-    The changes are relative to the moments of the lens, so they vanish with its width. A change of its moment of order 2 k
-    changes that of the whole blur, divided by the variance to the power k, by the share to the power k.
+    The changes are relative to the moments of the lens, so they vanish with its width. Moments of order 2 k are divided by the
+    k-th power of the variance. A change d of such a moment of the lens changes the moment of the whole blur by d times the k-th
+    power of the share.
 
     Returns:
         Coordinates at which the lens of the rig has the same relative effect, and their derivatives with respect to the given
@@ -166,7 +168,6 @@ def shape_axes(rig: Rig) -> tuple[tuple[Axis, ...], tuple[float, ...]]:
 
 
 def change_axis(name: str) -> Axis:
-    """Build the axis of a change of the kernel of the lens."""
     change = CHANGES[name]
     return Axis(name, 0.0, 0.0, change.low, change.high, tuple(sorted((0.0, *change.points))))
 
@@ -215,12 +216,17 @@ def _is_lens_width(name: str) -> bool:
 
 
 def is_guess(name: str, relative: float) -> bool:
-    """Check whether a parameter is a guessed width of a lens. relative: relative standard deviation of the parameter."""
+    """Check whether a parameter is a guessed width of a lens.
+
+    relative: relative standard deviation of the parameter.
+    """
     return name == LENS and relative >= _GUESS
 
 
 def prior_axis(name: str, rig: Rig, std: float) -> Axis:
-    """Build the axis of a parameter of the camera with a prior. The axis of a guessed width of a lens covers its whole range.
+    """Build the axis of a parameter of the camera with a prior.
+
+    For a guessed width of a lens, the axis covers the whole range.
 
     std: relative standard deviation of the parameter.
     """
@@ -275,7 +281,7 @@ def free_axis(name: str, rig: Rig, *, nearby: bool = False) -> Axis:
 def _lens_axis(rig: Rig, half: float | None = None) -> Axis:
     """Build the axis of the width of a Gaussian lens.
 
-    Its points include the isotropic Gaussians of the changes of the lens, so that these require no rules of their own.
+    Its points include the isotropic Gaussians of the changes of the lens, so that these require no separate rules.
 
     half: half the range of the logarithm of the width. Default: None, the whole range.
     """
@@ -294,7 +300,10 @@ def _lens_axis(rig: Rig, half: float | None = None) -> Axis:
 
 
 def rig_with(rig: Rig, values: Mapping[str, float]) -> Rig:
-    """Replace values of parameters of a rig. values: value of each parameter by name, as in `Axis`."""
+    """Replace values of parameters of a rig.
+
+    values: value of each parameter by name, as in `Axis`.
+    """
     camera = rig.camera.with_parameters({name: value for name, value in values.items() if name not in WIDTHS})
     rig = eqx.tree_at(lambda r: r.camera, rig, camera)
     if LAMP in values:
@@ -318,7 +327,7 @@ def lens_coordinate(own: Blur, variance: float) -> float:
 def axis_selection(axes: Sequence[Axis], among: Sequence[Axis]) -> np.ndarray:
     """Build the matrix that maps coordinates along some axes to more axes.
 
-    It has shape (axes, among), and is 1 where the two axes are the same, otherwise 0.
+    The matrix has shape (axes, among). An element is 1 where the two axes are the same, otherwise 0.
     """
     return np.array([[axis == other for other in among] for axis in axes], dtype=float).reshape(len(axes), len(among))
 
@@ -326,7 +335,7 @@ def axis_selection(axes: Sequence[Axis], among: Sequence[Axis]) -> np.ndarray:
 def _softening(name: str, rig: Rig) -> float:
     """Compute the root of the variance of all other blurs, in the unit of the parameter.
 
-    It applies to the middle of the sphere, and is 0 for a parameter that is not a width.
+    The result is valid in the middle of the sphere. It is 0 for a parameter that is not a width.
     """
     pixel = float(rig.camera.pixel.half_width) / np.sqrt(3)
     if name == LENS:
@@ -348,7 +357,7 @@ def _count(half: float) -> int:
 def _points(low: float, high: float, count: int, given: Sequence[float] = ()) -> tuple[float, ...]:
     """Compute Leja points: 0, the given points, and points between `low` and `high` that are far from all others.
 
-    Each point maximises the product of its distances to those before it. Given points that are too close to others are
+    Each point maximises the product of its distances to the preceding points. Given points that are too close to others are
     omitted.
     """
     points = [0.0]

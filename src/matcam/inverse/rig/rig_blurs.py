@@ -1,4 +1,4 @@
-"""Blurs of a rig for which quadrature rules are computed, at the points of its axes and for changes of its lens."""
+"""Blurs for which quadrature rules are computed: at points of the axes of a rig, and for changes of its lens."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class MovedBlur(NamedTuple):
 
 
 class RigBlurs(NamedTuple):
-    """Blurs of a rig for which rules are computed: its own, those along its axes, and those for changes of its lens.
+    """Blurs for which rules are computed: of the rig itself, along its axes, and for changes of its lens.
 
     Attributes:
         axes: parameters of the rig that may change.
@@ -48,7 +48,10 @@ class RigBlurs(NamedTuple):
 
     @classmethod
     def of(cls, rig: Rig, own: Blur, axes: tuple[Axis, ...]) -> RigBlurs:
-        """Compute the blurs of a rig. own: blur of the rig without changes."""
+        """Compute the blurs of a rig.
+
+        own: blur of the rig without changes.
+        """
         # the dependence of the residual on lens parameters is second order and is neglected
         residual = own.residual if own.residual is not None and own.residual.even else None
         whole = own.residual is not None

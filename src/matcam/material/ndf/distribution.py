@@ -1,12 +1,12 @@
 """Normal distribution functions: the tilts of a rough surface's microfacets (docs/model.md 6).
 
-A facet's tilt is a slope: minus the gradient of the surface's height. P22 is the density of slopes, and D = P22 / cos^4
-theta_h that of normals per solid angle, where the integral of D cos over the hemisphere is 1. The record of a lobe by a
-camera depends on the lobe as a function of a tangent-plane coordinate r,
+A facet's tilt is a slope: minus the gradient of the surface's height. P22 is the density of slopes. D = P22 / cos^4
+theta_h is the density of normals per solid angle, and the integral of D cos over the hemisphere is 1. The record of a
+lobe by a camera depends on the lobe as a function of a tangent-plane coordinate r,
 
     D(theta_h) = D(0) flattening(theta_h) shape(r),     r = coordinate(theta_h),
 
-and has a closed form if the shape is a mixture of Gaussians (forward/peaks/lobe.py).
+and has a closed form if the shape is a mixture of Gaussians (forward/peaks/tangent_plane.py).
 """
 
 from __future__ import annotations
@@ -170,7 +170,7 @@ class SlopeNDF(NDF):
         return xp.tan(theta_h)
 
     def shape(self, r: jax.Array) -> jax.Array:
-        """Compute the density of slopes divided by that at slope 0."""
+        """Compute the density of slopes divided by its value at slope 0."""
         return self.slope_density(r**2) / self.slope_density(xp.zeros(()))
 
     def flattening(self, theta_h: jax.Array) -> jax.Array:
@@ -203,7 +203,7 @@ class MixtureNDF(NDF):
 class StretchedSlopes(SlopeDistribution):
     """Isotropic distribution of slopes, stretched by alpha_along and alpha_across.
 
-    Smith's masking of a stretched surface is that of an isotropic surface with the roughness projected on the direction,
+    A stretched surface has the Smith masking of an isotropic surface whose roughness is projected on the direction,
     alpha^2 = alpha_along^2 cos^2 phi + alpha_across^2 sin^2 phi (Heitz 2014).
     """
 

@@ -1,4 +1,4 @@
-"""Lobes of a family with spline modifications: a smooth factor of the lobe, and a free masking.
+"""Spline modifications of lobes: a smooth factor of the lobe, and a free masking.
 
 A spline-modified lobe can fit data of any family. A free masking is any smooth function of the angle instead of
 Smith's masking: Bagher, Snyder & Nowrouzezahrai (2016) explain measured materials by such "free shadowing". A camera
@@ -32,10 +32,10 @@ _NODES = np.polynomial.legendre.leggauss(160)
 class SplineNDF(SlopeNDF):
     """Lobe multiplied by a smooth factor of the slope.
 
-    P22 is that of the base times exp(sum_k c_k B_k), normalised again. B_k are cubic B-splines, evenly spaced in
+    P22 is P22 of the base times exp(sum_k c_k B_k), normalised again. B_k are cubic B-splines, evenly spaced in
     asinh(slope / 0.0015); the first has derivative 0 at the peak, and all are constant beyond a slope of 26 (88
-    degrees). This range includes the steep facets that mask others: with splines up to 45 degrees only, the masking
-    would be that of the family.
+    degrees). This range includes the steep facets that mask others: with splines up to 45 degrees only, the family
+    would determine the masking.
 
     Attributes:
         base: the lobe that is modified.
@@ -55,16 +55,13 @@ class SplineNDF(SlopeNDF):
         self.norm = _norm(base, coefficients)
 
     def slope_density(self, slope2: jax.Array) -> jax.Array:
-        """Compute the base times the modification, divided by the integral of the product."""
         return self.base.slope_density(slope2) * jnp.exp(spline_at(self.coefficients, slope2)) / self.norm
 
     def smith_lambda(self, cos: jax.Array) -> jax.Array:
-        """Compute Smith's Lambda by its integral over slopes."""
         return integrated_lambda(self.slope_density, self.base.roughness, cos)
 
     @property
     def roughness(self) -> jax.Array:
-        """Roughness of the base."""
         return self.base.roughness
 
     def __repr__(self) -> str:
@@ -107,10 +104,11 @@ def _knot_at(slope2: jax.Array) -> jax.Array:
 def spline_smoothness() -> np.ndarray:
     """Build the smoothness penalty of the coefficients, (rows, KNOTS).
 
-    The penalty is that of `smoothness`, with larger weights for facets steeper than about 45 degrees. Only few cells, in
-    the outermost pixels of the sphere, depend on such facets, but their number affects the masking at grazing angles. For
-    steep facets the tail of the lobe continues as a power law. If the standard deviation of second differences is 1, the
-    exponent of this power law differs from that of the family by about 0.5 (one standard deviation).
+    The penalty is the result of `smoothness`, with larger weights for facets steeper than about 45 degrees. Only few
+    cells, in the outermost pixels of the sphere, depend on such facets, but their number affects the masking at grazing
+    angles. For steep facets the tail of the lobe continues as a power law. If the standard deviation of second
+    differences is 1, the exponent of this power law departs from the exponent of the family with a standard deviation
+    of about 0.5.
     """
     rows, between = smoothness(KNOTS), np.arange(KNOTS - 1) + 0.5
     steep = slope_of_knot(np.concatenate([np.arange(1.0, KNOTS - 1), between, [0.0]])) > _STEEP
@@ -162,23 +160,18 @@ class ShadowedNDF(NDF):
     largest = 1.0
 
     def d(self, theta_h: ArrayLike) -> jax.Array:
-        """Compute D of the base."""
         return self.base.d(theta_h)
 
     def slope_density(self, slope2: jax.Array) -> jax.Array:
-        """Compute P22 of the base."""
         return self.base.slope_density(slope2)
 
     def coordinate(self, theta_h: jax.Array) -> jax.Array:
-        """Compute the coordinate of the base."""
         return self.base.coordinate(theta_h)
 
     def shape(self, r: jax.Array) -> jax.Array:
-        """Evaluate the shape of the base."""
         return self.base.shape(r)
 
     def flattening(self, theta_h: jax.Array) -> jax.Array:
-        """Compute the flattening of the base."""
         return self.base.flattening(theta_h)
 
     def smith_lambda(self, cos: jax.Array) -> jax.Array:
@@ -187,7 +180,6 @@ class ShadowedNDF(NDF):
 
     @property
     def roughness(self) -> jax.Array:
-        """Roughness of the base."""
         return self.base.roughness
 
     def __repr__(self) -> str:

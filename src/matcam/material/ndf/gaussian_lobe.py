@@ -1,4 +1,4 @@
-"""The Gaussian lobe of Holzschuch & Pacanowski (2017)."""
+"""Gaussian lobe (Holzschuch & Pacanowski 2017)."""
 
 from __future__ import annotations
 

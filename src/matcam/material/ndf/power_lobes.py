@@ -77,13 +77,13 @@ class SGD(SlopeNDF, MixtureNDF):
     D = K exp(-x) / (pi x^p cos^4 theta_h), 1/sr, with x = alpha + tan^2 theta_h / alpha and
     K = 1 / (alpha Gamma(1 - p, alpha)); Gamma is the upper incomplete gamma function.
 
-    The denominator of the published BRDF contains pi instead of the 4 of a microfacet BRDF. At equal F, the published BRDF is
-    therefore larger than that of `Microfacet` by the factor `published_over_ours`. The authors also fit their own masking
-    and Fresnel term.
+    The denominator of the published BRDF contains pi instead of the 4 of a microfacet BRDF. At equal F, the published
+    BRDF is therefore larger than the BRDF of `Microfacet` by the factor `published_over_ours`. The authors also fit
+    masking and Fresnel term.
 
     Args:
-        alpha: roughness, a slope, no unit, (0, 1]. The width of the core of the lobe is about alpha, and that of its
-            flanks sqrt(alpha).
+        alpha: roughness, a slope, no unit, (0, 1]. The core of the lobe has a width of about alpha, and its flanks have
+            a width of sqrt(alpha).
         power: p, no unit, (0, 2]. Larger values make the core sharper relative to its flanks.
 
     Raises:

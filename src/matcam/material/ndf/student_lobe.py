@@ -1,4 +1,7 @@
-"""Student's t distribution of slopes: tails between those of GGX and of Beckmann, and longer ones."""
+"""Student's t distribution of slopes.
+
+Its tails lie between those of GGX and Beckmann, or are longer than those of GGX.
+"""
 
 from __future__ import annotations
 
@@ -30,16 +33,13 @@ class StudentLobe(SlopeNDF):
     largest = 1.0
 
     def slope_density(self, slope2: jax.Array) -> jax.Array:
-        """Compute P22, the density of slopes."""
         g = 1 + self.excess
         square = g * self.beta**2
         return self.excess / (xp.pi * square) * xp.exp(-g * xp.log1p(slope2 / square))
 
     def smith_lambda(self, cos: jax.Array) -> jax.Array:
-        """Compute Smith's Lambda by its integral over slopes."""
         return integrated_lambda(self.slope_density, self.beta, cos)
 
     @property
     def roughness(self) -> jax.Array:
-        """Roughness beta."""
         return self.beta

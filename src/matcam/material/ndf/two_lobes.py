@@ -38,16 +38,13 @@ class TwoLobes(SlopeNDF):
     largest = 1.0
 
     def slope_density(self, slope2: jax.Array) -> jax.Array:
-        """Compute P22 of the mixture."""
         return sum((share * lobe.slope_density(slope2) for share, lobe in self._parts()), xp.zeros(()))
 
     def smith_lambda(self, cos: jax.Array) -> jax.Array:
-        """Compute Smith's Lambda of the mixture."""
         return sum((share * lobe.smith_lambda(cos) for share, lobe in self._parts()), xp.zeros(()))
 
     @property
     def roughness(self) -> jax.Array:
-        """Roughness of the narrower lobe."""
         return xp.minimum(self.alpha, self.other_alpha)
 
     def _parts(self) -> list[tuple[jax.Array, GGX | Beckmann]]:

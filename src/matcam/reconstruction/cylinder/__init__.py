@@ -1,1 +1,1 @@
-"""Photographs of a cylinder: strips of material around it, each at its own angle."""
+"""Reconstruction from photographs of a cylinder with strips of material of several orientations."""

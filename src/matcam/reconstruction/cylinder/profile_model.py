@@ -110,7 +110,10 @@ class ProfileModel(eqx.Module):
     def _mean_over_rows(
         self, p: jax.Array, frame: LampFrame, out: jax.Array, depth: jax.Array, turn: jax.Array, rows: jax.Array
     ) -> tuple[jax.Array, jax.Array]:
-        """Average the radiance of lobe and diffuse part over the rows of a strip. rows: shape (..., rule), px."""
+        """Average the radiance of lobe and diffuse part over the rows of a strip.
+
+        `rows` are the positions of the rows, px, (..., rule).
+        """
         parts = self._radiance(p, frame, out[..., None], depth[..., None], turn[..., None], rows)
         lobe, lambert = (jnp.sum(part * self.row_weights, axis=-1) for part in parts)
         return lobe, lambert
@@ -154,7 +157,7 @@ class ProfileModel(eqx.Module):
 
 @cache
 def _compiled(method: str, slopes: bool) -> Callable[..., tuple[Recorded, Recorded | None]]:
-    """Compile a method of `ProfileModel`, with derivatives on request, once for all scenes with arrays of the same shapes."""
+    """Compile a method of `ProfileModel` once for all scenes with arrays of the same shapes."""
     of = getattr(ProfileModel, method)
 
     def value(model: ProfileModel, p: jax.Array, *rest: Any) -> tuple[Recorded, None]:

@@ -1,1 +1,1 @@
-"""Photographs of a flat textured sample under several lights: maps of its texels, up to the resolution of the camera."""
+"""Maps of a flat textured sample from photographs under several lights, up to the resolution of the camera."""

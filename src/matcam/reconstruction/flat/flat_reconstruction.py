@@ -294,7 +294,10 @@ def reconstructed_flat(
 
 
 def _budgets(fitted: FlatRoughness, alpha: float, unit: float) -> tuple[UncertaintyBudget, ...]:
-    """Build the budgets of the roughness and of the mean of each map. unit: value to which both maps are relative."""
+    """Build the uncertainty budgets of the roughness and of the mean of each map.
+
+    `unit` is the value to which both maps are relative.
+    """
     stated = [Statement("gains of the images, as specified", fitted.stated)]
     readings = Readings("images: texture of coarse frequencies", "A", fitted.freedom)
     by_alpha = np.zeros(len(fitted.covariance))

@@ -131,7 +131,7 @@ def _transfer(camera: Camera, along: np.ndarray, across: np.ndarray) -> np.ndarr
 
 
 def _lens_slope(camera: Camera, frequency: np.ndarray) -> np.ndarray:
-    """Compute d ln MTF / d ln width of the lens. Scaling the width scales the frequencies."""
+    """Compute d ln MTF / d ln width of the lens by scaling the frequencies."""
     here, beyond = (np.asarray(camera.optics.mtf(frequency * factor)) for factor in (1 - _STEP, 1 + _STEP))
     passed = (here > _PASSED) & (beyond > _PASSED)
     return np.where(passed, np.log(np.where(passed, beyond, 1.0) / np.where(passed, here, 1.0)) / (2 * _STEP), 0.0)

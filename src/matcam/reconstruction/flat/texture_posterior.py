@@ -121,7 +121,6 @@ def _inverse(information: np.ndarray, prior: np.ndarray) -> np.ndarray:
 
 
 def _power_law(estimate: np.ndarray, variance: np.ndarray, radius: np.ndarray) -> PowerLaw:
-    """Fit a power law to the mean power, less the noise, in rings of frequencies."""
     rings = []
     for low, high in pairwise(_BINS):
         ring = (radius >= low) & (radius < high)
@@ -143,7 +142,10 @@ def _power_law(estimate: np.ndarray, variance: np.ndarray, radius: np.ndarray) -
 
 
 def _folded(stack: FlatStack, loadings: np.ndarray, laws: tuple[PowerLaw, ...]) -> np.ndarray:
-    """Compute the power that aliasing from beyond the Nyquist limit of the sensor adds, at each frequency of each image."""
+    """Compute the aliased power at each frequency of each image.
+
+    This power originates beyond the Nyquist limit of the sensor.
+    """
     along, across = stack.frequency
     folded = np.zeros(stack.noise.shape)
     for k, tilt in enumerate(stack.tilts):

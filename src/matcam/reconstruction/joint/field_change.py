@@ -35,7 +35,6 @@ class FieldChange(NamedTuple):
     seen: np.ndarray
 
     def window(self, window: Window, change: np.ndarray) -> Window:
-        """Compute the nodes of a window after the change."""
         return through_lens(window, changed_field(self.field, change), self.highlight)
 
     def positions(self, change: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -39,17 +39,14 @@ class JointLayout(NamedTuple):
 
     @property
     def shared(self) -> int:
-        """Number of parameters that all images share."""
         return self.sample_radius + 1 + self.shape
 
     @property
     def each(self) -> int:
-        """Number of the own parameters of each image."""
         return len(OWN) + 1 + self.channels
 
     @property
     def size(self) -> int:
-        """Total number of parameters."""
         return self.shared + self.pictures * self.each
 
     @property
@@ -58,12 +55,10 @@ class JointLayout(NamedTuple):
         return slice(self.lobe, self.lobe + len(SCENE))
 
     def of(self, name: str) -> int:
-        """Return the index of a parameter of `SCENE`."""
         return self.lobe + SCENE.index(name)
 
     @property
     def diffuse(self) -> slice:
-        """Indices of the diffuse parts."""
         return slice(self.scene.stop, self.scene.stop + self.channels)
 
     @property
@@ -83,7 +78,6 @@ class JointLayout(NamedTuple):
 
     @property
     def diffuse_shape(self) -> slice:
-        """Indices of the terms of the diffuse part."""
         return slice(self.sample_radius + 1, self.shared)
 
     def own(self, k: int) -> slice:
@@ -104,12 +98,10 @@ class JointLayout(NamedTuple):
         return self.own(k).stop
 
     def strengths(self, k: int) -> slice:
-        """Return the indices of the strengths of an image, one per channel."""
         first = self.gain(k) + 1
         return slice(first, first + self.channels)
 
     def of_picture(self, k: int) -> np.ndarray:
-        """Return the indices of the parameters of the model of an image."""
         return np.r_[: self.scene.stop, self.diffuse_shape, self.own(k)]
 
 
@@ -199,7 +191,6 @@ class JointProblem:
         return value, Recorded(*map(joined, near_slopes, far_slopes))
 
     def picture(self, p: np.ndarray, k: int, *, slopes: bool) -> PictureFit:
-        """Compute the model of the chosen pixels of image k, and its derivatives."""
         layout, pixels = self.layout, self.pixels[k]
         recorded, derivative = self.recorded(p, k, slopes=slopes)
         channel = pixels.channel

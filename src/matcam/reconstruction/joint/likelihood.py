@@ -104,7 +104,6 @@ def unexplained_share(problem: JointProblem, p: np.ndarray, pictures: Sequence[i
 
 
 def likelihood_at(problem: JointProblem, p: np.ndarray) -> Likelihood:
-    """Estimate the unexplained share and the correlation between neighbouring pixels; see `unexplained_share`."""
     bright = [_Bright.of(problem, p, k) for k in range(problem.layout.pictures)]
     share = _share(bright)
     if share == 0:

@@ -33,7 +33,6 @@ class Rounds:
         self._started = time.monotonic()
 
     def begin(self) -> None:
-        """Report the start of a round. From the second round, the report includes an upper bound of the remaining time."""
         done = len(self.shares)
         line = f"round {done + 1} of at most {self.most}, {self.pictures} images"
         if done:
@@ -42,7 +41,6 @@ class Rounds:
         self.say(line)
 
     def end(self, share: float) -> None:
-        """Store the unexplained share after a round."""
         self.shares.append(share)
 
     @property

@@ -1,1 +1,1 @@
-"""Rig of a reconstruction: its document, and the rig of an earlier reconstruction."""
+"""JSON document of a reconstruction's rig, and its use as a prior of another reconstruction."""

@@ -141,7 +141,6 @@ class EarlierRig(NamedTuple):
 
 
 def json_schema() -> dict[str, Any]:
-    """Return the JSON Schema of the output of `matcam reconstruct`."""
     return _Document.model_json_schema()
 
 

@@ -93,7 +93,6 @@ def gains_of(
 
 
 def with_light(scene: SphereScene, light: PatchLight) -> SphereScene:
-    """Add the irradiance of the images, with the covariance of its errors, to the prior knowledge of a capture."""
     std = np.sqrt(np.diag(light.covariance))
     return replace(
         scene, gain_std=std, gain=light.gain, gain_correlation=np.asarray(light.covariance / np.outer(std, std))

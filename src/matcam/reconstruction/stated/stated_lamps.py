@@ -25,7 +25,11 @@ _UNKNOWN = float(np.radians(20.0))
 def stated_lamps(
     capture: Capture, names: Sequence[str], lamps: np.ndarray, remarks: list[Remark]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Choose the specified direction of each lamp, otherwise that of its highlight, with standard deviations, rad."""
+    """Choose the specified direction of each lamp, or the direction from its highlight if none is specified.
+
+    Returns:
+        Directions, (pictures, 3), and their standard deviations, rad, (pictures,).
+    """
     stated, stds = lamps.copy(), np.full(len(names), _UNKNOWN)
     for k, name in enumerate(names):
         direction = capture.lamps[name].direction
@@ -47,7 +51,10 @@ def stated_lamps(
 
 
 def first_lamps(lamps: np.ndarray, covariances: np.ndarray, stated: np.ndarray, stds: np.ndarray) -> np.ndarray:
-    """Choose the directions from which a fit starts: those of the highlights, or of the table if one highlight contradicts it.
+    """Choose the directions from which a fit starts.
+
+    The direction of each lamp is that of its highlight, or that of the table if the two directions are inconsistent and
+    the highlight is less certain.
 
     Near the limb a highlight narrower than a pixel hardly determines its lamp. A fit whose window does not contain the
     highlight does not converge to it.

@@ -51,7 +51,7 @@ def frame_size(capture: Capture) -> tuple[int, int] | None:
 
 
 def without_field(camera: Camera, sample: str, remarks: list[Remark]) -> Camera:
-    """Remove distortion and blur over the field from a camera for a sample that does not support them, and add a remark."""
+    """Remove the lens field from a camera, with a remark, because the sample does not support a field."""
     if camera.field is None:
         return camera
     text = (
@@ -69,7 +69,6 @@ def known_radius(capture: Capture) -> Stated | None:
 
 
 def with_radius(nearness: Stated, radius: Stated | None) -> Stated:
-    """Add the standard deviation of the radius of the sample to that of an inverse distance."""
     share = 0.0 if radius is None else radius.std / radius.value
     return Stated(nearness.value, float(np.hypot(nearness.std, share * nearness.value)))
 

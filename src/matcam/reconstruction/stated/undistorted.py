@@ -15,7 +15,6 @@ from matcam.camera.lens_field import LensField
 def undistorted_sphere(
     field: LensField | None, ball: MirrorBall, centres: np.ndarray | None, highlights: Sequence[Highlight | None]
 ) -> tuple[MirrorBall, np.ndarray | None, list[Highlight | None]]:
-    """Remove the distortion of the lens from sphere, centres and highlights."""
     if field is None or (field.k1.value == 0 and field.k2.value == 0):
         return ball, centres, list(highlights)
     column, row, radius = field.true_circle(ball.column, ball.row, ball.radius)
