@@ -69,7 +69,7 @@ def _physical() -> int:
 
 def _of_machine() -> int:
     try:
-        for line in Path("/proc/meminfo").read_text(encoding="ascii").splitlines():
+        for line in Path("/proc/meminfo").read_text(encoding="utf-8").splitlines():
             if line.startswith("MemAvailable:"):
                 return int(line.split()[1]) * 1024
     except (OSError, ValueError, IndexError):
@@ -77,13 +77,18 @@ def _of_machine() -> int:
     return _physical()
 
 
-def _own_limit() -> int:
-    try:
-        import resource
-    except ImportError:  # not a Unix
+# The import is not in the function: a fork waits for ever for a module that a thread of its parent was importing.
+try:
+    from resource import RLIM_INFINITY, RLIMIT_AS, getrlimit
+except ImportError:  # not a Unix
+
+    def _own_limit() -> int:
         return 1 << 62
-    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
-    return 1 << 62 if limit == resource.RLIM_INFINITY else limit
+else:
+
+    def _own_limit() -> int:
+        limit = getrlimit(RLIMIT_AS)[0]
+        return 1 << 62 if limit == RLIM_INFINITY else limit
 
 
 def _of_process() -> int:
@@ -91,7 +96,7 @@ def _of_process() -> int:
     if limit >= 1 << 62:
         return limit
     try:
-        used = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0]) * os.sysconf("SC_PAGE_SIZE")
+        used = int(Path("/proc/self/statm").read_text(encoding="utf-8").split()[0]) * os.sysconf("SC_PAGE_SIZE")
     except (OSError, ValueError, IndexError):
         return limit
     return limit - used
@@ -125,7 +130,7 @@ def _groups() -> list[tuple[int, int]]:
 
 def _number(path: Path) -> int | None:
     try:
-        text = path.read_text(encoding="ascii").strip()
+        text = path.read_text(encoding="utf-8").strip()
         return int(text) if text.isdigit() and int(text) < 1 << 60 else None
     except (OSError, ValueError):
         return None
