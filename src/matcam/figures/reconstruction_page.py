@@ -119,10 +119,11 @@ def overview_figure(result: Reconstruction, picture: MergedPicture) -> Figure:
     low, high = np.percentile(values, [5, 99.5])
     floor = max(high * 1e-4, 1e-12)
     turn = np.linspace(0, 2 * np.pi, 361)
-    with drawing(6.8, 6.4) as figure:
+    first_row, first_column = picture.origin
+    height, width = values.shape
+    # 4.9 inches are left for the image beside its labels and the colour bar; a figure of its shape has no blank bands
+    with drawing(6.8, float(np.clip(4.9 * height / width + 0.7, 2.5, 9.0))) as figure:
         axes = figure.subplots()
-        first_row, first_column = picture.origin
-        height, width = values.shape
         shown = axes.imshow(
             np.log10(np.maximum(values - min(low, 0.0), floor)),
             cmap="gray",
