@@ -67,7 +67,7 @@ SOURCE = matcam.UncertaintySource("a", 1.0, 0.1, 1.0, "B")
         ),
         (
             lambda: matcam.inverse.tabulated_fresnel(xr.Dataset(), wavelengths=[]),
-            "result must be a Dataset from fresnel, but it lacks theta_d, raw, corrected, supported_angle, attrs['norm",
+            "result must be a Dataset from fresnel, but these entries are missing or have other dimensions: theta_d, raw, corr",
         ),
         (lambda: matcam.camera.LensField((1, 2), 3, k2=[[1], [1, 2]]), "k2 must be an array, got a list of rows"),
         (lambda: matcam.camera.LensField(b"x", 3), "centre_px must be a number or an array of numbers, got b'x'"),
@@ -88,8 +88,8 @@ SOURCE = matcam.UncertaintySource("a", 1.0, 0.1, 1.0, "B")
             "source must be a str, got array([1., 1., 1.])",
         ),
         (lambda: matcam.edge_mtf_stack([[1], [1, 2]]), "images must be an array, got a list of rows"),
-        (lambda: matcam.calibration.level_frequency(TABLE, 0.5), "edge must be a EdgeMTF, got <xarray.DataArray"),
-        (lambda: matcam.UncertaintyBudget("x", 1, [1]), "entry 1 of sources must be a UncertaintySource, got 1"),
+        (lambda: matcam.calibration.level_frequency(TABLE, 0.5), "edge must be an EdgeMTF, got <xarray.DataArray"),
+        (lambda: matcam.UncertaintyBudget("x", 1, [1]), "entry 1 of sources must be an UncertaintySource, got 1"),
         (
             lambda: matcam.UncertaintyBudget("x", "a\nb", []),
             "value must be a number or an array of numbers, got 'a\\nb'",
@@ -108,7 +108,7 @@ SOURCE = matcam.UncertaintySource("a", 1.0, 0.1, 1.0, "B")
         ),
         (
             lambda: matcam.UncertaintyBudget.of("x", len, [3]),
-            "entry 1 of sources must be a UncertaintySource, got 3",
+            "entry 1 of sources must be an UncertaintySource, got 3",
         ),
         (
             lambda: matcam.forward.with_pixel_noise(MERL, RIG, matcam.camera.PixelNoise(0.01, 0.0), seed=-1),
@@ -133,7 +133,7 @@ SOURCE = matcam.UncertaintySource("a", 1.0, 0.1, 1.0, "B")
             lambda: matcam.edge_mtf_stack([np.ones((20, 20))], gain=np.ones((2, 3)), read_noise=0.5),
             "gain must be a single number, got an array of shape (2, 3)",
         ),
-        (lambda: matcam.io.write_budgets("a.csv", [3]), "entry 1 of budgets must be a UncertaintyBudget, got 3"),
+        (lambda: matcam.io.write_budgets("a.csv", [3]), "entry 1 of budgets must be an UncertaintyBudget, got 3"),
     ],
 )
 def test_the_message_names_what_is_wrong(call, message):
@@ -154,7 +154,7 @@ def test_a_picture_with_labels_is_measured_as_one_without():
 @pytest.mark.parametrize("name", ["x" * 300, "a\0b", "none"])
 def test_a_folder_that_cannot_be(tmp_path, monkeypatch, name):
     monkeypatch.chdir(tmp_path)
-    words = {"none": "none: no such folder", "a\0b": "a\\x00b: not a valid path"}
+    words = {"none": "none: no such folder", "a\0b": "a\\x00b: the path is not valid"}
     with pytest.raises(FileFormatError) as caught:
         matcam.reconstruct(name)
     assert str(caught.value) == words.get(name, f"{name}: cannot be read: {os.strerror(36)}")

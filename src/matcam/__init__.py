@@ -1,7 +1,8 @@
-"""matcam: effect of a camera on reflectance measurements, and its correction.
+"""matcam: prediction and correction of camera effects on reflectance measurements.
 
-Angles are in rad, lengths on the sensor in px (pixel pitches), and wavelengths and other lengths in m. The public names
-are listed in `__init__.pyi`; each is loaded on first use, so that importing matcam is fast.
+Unless a docstring specifies another unit, angles are in rad, lengths on the sensor in px (pixel pitches), and wavelengths
+and other lengths in m. The public names are listed in `__init__.pyi`. Each name is loaded on first use, so that importing
+matcam is fast.
 """
 
 import lazy_loader

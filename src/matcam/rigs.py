@@ -61,13 +61,14 @@ class Rig(Module):
             "nearest": the pixel whose centre is nearest to the cell; "bilinear": the interpolation between four pixels;
             "unknown": a fit estimates the meaning from the table. "centre" is used if the table does not determine the
             meaning, and for a simulated table. Default: "centre".
-        pixel_phase: position of the real pixels for "nearest", "bilinear" and "mean": the coordinates of their centres,
-            relative to the centre of the sphere, are whole numbers plus this (x, y), px, each in [-0.5, 0.5]; or 90 such
-            pairs, one for the image of each slice of theta_d. Default: None, a fit estimates the phase from the table,
-            and averages over all phases if `cell_value` is "mean" and the table does not determine the phase.
+        pixel_phase: position (x, y) of the real pixels, px, each coordinate in [-0.5, 0.5], for "nearest", "bilinear" and
+            "mean". The coordinates of the centres of the pixels, relative to the centre of the sphere, are whole numbers
+            plus (x, y). Alternatively, 90 such pairs, one for the image of each slice of theta_d. Default: None, a fit
+            estimates the phase from the table. If `cell_value` is "mean" and the table does not determine the phase, the
+            fit averages over all phases.
         lamp_azimuth: azimuth of the lamp about the optical axis, from +x towards +y, rad, in [-2 pi, 2 pi]. It applies to
-            single images and to the images from which a table is made; the pixels do not rotate. Default: None,
-            attrs["lamp_azimuth"] of the table, or 0.
+            single images and to the images from which a table is made. The pixels do not rotate with the lamp. Default:
+            None, attrs["lamp_azimuth"] of the table, or 0.
 
     Raises:
         ArgumentError: a part is of the wrong kind, or a parameter is out of range.
@@ -113,7 +114,7 @@ class Rig(Module):
         if not isinstance(sample, Sample):
             raise ArgumentError(f"sample must be a Sphere, Cylinder or Flat, got {type(sample).__name__}")
         if lamp is not None and lamp_radius is not None:
-            raise ArgumentError("lamp_radius is the radius of a DistantLamp: give lamp_radius or a lamp, not both")
+            raise ArgumentError("lamp_radius is that of a distant lamp: give lamp_radius or lamp, not both")
         if lamp is None:
             lamp = DistantLamp(0.0 if lamp_radius is None else lamp_radius)
         if not isinstance(lamp, Lamp):
@@ -139,7 +140,7 @@ class Rig(Module):
         return self.lamp.angular_radius
 
     def azimuths(self, azimuth: ArrayLike | None = None) -> jax.Array:
-        """Check azimuths of the lamp, rad.
+        """Check azimuths of the lamp, rad, and convert them to an array.
 
         Args:
             azimuth: azimuths in [-2 pi, 2 pi], rad, any shape. Default: None, `lamp_azimuth` of the rig, or 0, towards
@@ -160,7 +161,7 @@ class Rig(Module):
         The rotation is relative to the half vector, which also rotates for a near camera or lamp.
 
         Args:
-            theta_d: half the angle between lamp and camera, seen from the highlight, rad.
+            theta_d: half the angle between lamp and camera, seen from the highlight, rad, any shape.
 
         Returns:
             Shift in the plane of camera and lamp and perpendicular to it; infinite for a constant normal.
@@ -186,8 +187,8 @@ class Rig(Module):
         """Build the description of the rig for an image sidecar.
 
         Returns:
-            Sections "camera", "sample" and "blur", and the angular radius and distance of the lamp (None: infinite);
-            units are in the names.
+            Sections "camera", "sample" and "blur", and the angular radius and the distance of the lamp. The names contain
+            the units. A distance of None is infinite.
         """
         sample: dict[str, Any] = {"kind": self.sample.kind}
         if isinstance(self.sample, Curved):
@@ -264,10 +265,10 @@ def merl() -> Rig:
     """Build the rig of the MERL database.
 
     The rig is that assumed by Holzschuch & Pacanowski (2017). It has a QImaging Retiga 1300 and a sphere that covers
-    half the height of the image, with a limb of radius 256 px. Pixels have a fill factor of 100 %, and the blur of the
-    optics is sigma_mtf = half a pixel. This blur is an assumption of that paper. Its standard deviation is 100 %, so
-    that a fit estimates the blur from the data, down to no blur. The rule by which cells were read from pixels is
-    unpublished, and is estimated from each table.
+    half the height of the image, with a limb of radius 256 px. Pixels have a fill factor of 100 %. The blur of the optics
+    is Gaussian with a standard deviation of half a pixel, an assumption of that paper. The uncertainty of this value is
+    100 %, so that a fit estimates the blur from the data, down to no blur. The rule by which the cells of the table were
+    read from pixels is unpublished. A fit estimates the rule from each table.
 
     Returns:
         The rig. Replace its parts to describe another rig.

@@ -121,7 +121,7 @@ def test_clipping_in_the_shortest_exposure_is_found(tmp_path):
 def test_gaps_are_named():
     lamps = {f"{t}": LampGuess(np.radians(2 * t), 0.0) for t in (15, 25, 45, 60)}
     texts = [str(remark) for remark in coverage_remarks(lamps)]
-    assert any("below 15" in text for text in texts)
+    assert any("begin at theta_d = 15" in text for text in texts)
     assert any("theta_d between 25 and 45, between 45 and 60 degrees" in text for text in texts)
     assert any("end at theta_d = 60" in text for text in texts)
     assert len(texts) == 3

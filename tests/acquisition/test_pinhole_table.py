@@ -110,7 +110,7 @@ def test_cropped_and_clipped_pictures(pictures):
     clipped.add(MergedPicture("c", one.values, one.std, bright, one.channel, one.channels), BALL, LAMPS[0])
     assert clipped.pixels + clipped.clipped == whole.pixels
     assert clipped.clipped > 50
-    with pytest.raises(ArgumentError, match="its colours"):
+    with pytest.raises(ArgumentError, match="the colours of the image are"):
         PinholeTable(("grey",)).add(one, BALL, LAMPS[0])
     with pytest.raises(FitError, match="no pixel"):
         PinholeTable().table()

@@ -137,7 +137,7 @@ def test_photographs_that_have_gone_are_one_line(folder, tmp_path):
     ],
 )
 def test_damaged_pictures_are_one_line(change):
-    with pytest.raises(FileFormatError, match=r"^a\.nc: damaged: ") as error:
+    with pytest.raises(FileFormatError, match=r"^a\.nc: the images in the file are damaged: ") as error:
         fitted_pictures("a.nc", change(windows()))
     assert "\n" not in str(error.value)
 

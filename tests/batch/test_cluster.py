@@ -160,7 +160,9 @@ def test_workers_that_must_not_be_used(somewhere, tmp_path, monkeypatch):
         "metadata.version = lambda name, real=metadata.version: '0.0.9' if name == 'matcam' else real(name)\n"
     )
     somewhere.add("--preload", older)
-    with pytest.raises(ClusterError, match=r"has matcam 0\.0\.9, but this client has 0\.1\.0: install the same"):
+    with pytest.raises(
+        ClusterError, match=r"has matcam 0\.0\.9, but this process has matcam 0\.1\.0: install the same"
+    ):
         start()
     somewhere.close_last()
     somewhere.add("--nthreads", 2)

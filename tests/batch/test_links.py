@@ -66,7 +66,7 @@ def test_a_link_in_a_run_s_folder(tables, tmp_path, name):
         ("material", {"shape": [1 << 40]}, "1099511627776 materials"),
         ("material", {"shape": [-1]}, "has invalid lengths [-1]"),
         ("material", {"zarr_format": 2, "codecs": None}, "not the Zarr store of a run"),
-        ("material", {"chunk_key_encoding": {"name": "v2"}}, "the names of its chunks are not those of a run"),
+        ("material", {"chunk_key_encoding": {"name": "v2"}}, "the names of the chunks must be those of a run"),
         ("brdf", {"shape": [1, 90, 90, 180, 300]}, "shape (1, 90, 90, 180, 300) and type 'float64'"),
         ("brdf", {"data_type": "float32"}, "type 'float32'"),
         (

@@ -32,7 +32,7 @@ def test_results_do_not_depend_on_the_workers(stand_in, tmp_path):
         code, said = corrected(database, tmp_path / f"out{workers}", workers)
         assert code == 1
         assert len(said["corrected"]) == 2
-        assert "short.binary: truncated" in said["failed"][0]["reason"]
+        assert "short.binary: the file is truncated" in said["failed"][0]["reason"]
     for material in ("gold-metallic-paint", "nickel"):
         one, two = (read_netcdf(tmp_path / f"out{workers}" / f"{material}.nc") for workers in (1, 2))
         for name in ("brdf", "brdf_std", "response"):

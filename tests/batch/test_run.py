@@ -267,7 +267,7 @@ def test_refused_before_any_work(tmp_path, database, here):
         (lambda: start(glare=2), "glare must lie in"),
         (lambda: start(sampling="corner"), "sampling must be one of"),
         (lambda: start(corrector=lambda *_: None), "top level of a module"),
-        (lambda: correct_all([tmp_path], rigs.merl(), out), r"contains no \*\.binary file"),
+        (lambda: correct_all([tmp_path], rigs.merl(), out), r"there is no \*\.binary file"),
         (lambda: correct_all([], rigs.merl(), out), "no path"),
         (lambda: correct_all([database], Rig(rigs.merl().camera, Flat()), out), "must be a Sphere or a Cylinder"),
     ):

@@ -55,7 +55,7 @@ def test_any_four_fiducials_position_the_chart(tmp_path, kept):
 
 def test_three_fiducials_do_not(tmp_path):
     chart, frame = drawn(tmp_path, 620, 0, hand=False)
-    with pytest.raises(FitError, match="it shows 3 of the 8 fiducials, but at least 4 are needed"):
+    with pytest.raises(FitError, match="the image shows 3 of the 8 fiducials, but at least 4 are needed"):
         register_chart(covered(frame, chart, (1, 3, 5)), chart)
 
 

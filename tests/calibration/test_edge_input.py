@@ -153,10 +153,20 @@ def refused(clean, noisy):
         "noise alone": (rng.poisson(5000, (160, 80)).astype(float), {}, FitError, "edge"),
         "flat": (np.full((160, 80), 7.0), {}, FitError, "only one value, 7"),
         "nothing": (np.full((160, 80), np.nan), {}, FitError, "0 usable samples"),
-        "along the grid": (along, {}, FitError, "an edge at 0.0 degrees to the pixel grid samples too few"),
-        "diagonal": (diagonal, {}, FitError, "an edge at 45.0 degrees to the pixel grid samples too few"),
-        "noisy and along": (rng.poisson(along).astype(float), {}, FitError, "samples too few distances"),
-        "noisy and diagonal": (rng.poisson(diagonal).astype(float), {}, FitError, "samples too few distances"),
+        "along the grid": (
+            along,
+            {},
+            FitError,
+            "the edge is at 0.0 degrees to the pixel grid",
+        ),
+        "diagonal": (
+            diagonal,
+            {},
+            FitError,
+            "the edge is at 45.0 degrees to the pixel grid",
+        ),
+        "noisy and along": (rng.poisson(along).astype(float), {}, FitError, "sample too few distances"),
+        "noisy and diagonal": (rng.poisson(diagonal).astype(float), {}, FitError, "sample too few distances"),
         "clipped codes": (codes, {}, FitError, "saturated"),
         "clipped numbers": (np.minimum(noisy, 9500), {}, FitError, "saturated"),
         "sharpened": (sharpened, {}, FitError, "image is sharpened: the edge overshoots"),
@@ -216,7 +226,10 @@ def test_a_stack_says_which_edges_cannot_be_measured(clean):
     assert [problem and problem.code for problem in result.problems] == [None, "flat", None]
     assert result.good.tolist() == [0, 2]
     assert [edge.mtf50 for edge in result] == pytest.approx(result.mtf50, nan_ok=True)
-    assert result.to_dict()["problems"][1]["text"] == "region has only one value, 3: it contains no edge"
+    assert (
+        result.to_dict()["problems"][1]["text"]
+        == "the region has only one value, 3: choose a region that contains the target"
+    )
     planes = [LinearImage(clean, corner=(7, 9)), LinearImage(clean[:, ::-1])]
     placed = edge_mtf_stack(planes)
     assert placed.mtf50 == pytest.approx(result.mtf50[[0, 2]], rel=1e-9)

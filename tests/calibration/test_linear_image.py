@@ -54,7 +54,7 @@ def test_what_a_photograph_says_of_itself():
     assert (plane.f_number, plane.source, plane.saturation) == (5.6, "a.png", 255.0)
     assert plane.values[0, 0] == pytest.approx(0.503, abs=1e-3)
     assert [(r.code, r.text) for r in plane.remarks] == [
-        ("tone-assumed", "no tone curve is specified: sRGB is assumed for 8 bits (--tone)")
+        ("tone-assumed", "no tone curve is specified: sRGB is assumed for 8 bits; give the tone curve (--tone)")
     ]
     assert LinearImage.of(photograph).remarks == ()
     # tone curves come after demosaicing
@@ -90,7 +90,7 @@ def test_what_is_refused():
         ({"tone": None}, "tone must be 'auto', 'linear', 'srgb', a gamma or a table"),
         ({"roi": (0, 0, 31, 20)}, "roi must lie inside the image of 30 x 40 px"),
         ({"roi": (0, 0, "a", 20)}, "four whole numbers"),
-        ({"channel": "G"}, "give cfa if it is a mosaic"),
+        ({"channel": "G"}, "give cfa if the image is a mosaic"),
     ):
         with pytest.raises(ArgumentError, match=words):
             LinearImage.of(MOSAIC, **options)

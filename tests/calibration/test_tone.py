@@ -75,14 +75,14 @@ def test_measured_from_patches():
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        ("0\n1\n2\n1\n", "must be monotone, but falls from code 2 to 3"),
-        ("0 0\n10 4\n20 3\n", "must be monotone, but falls from code 10 to 20"),
-        ("0 0\n10 4\n10 5\n", "codes must increase strictly"),
+        ("0\n1\n2\n1\n", "must be monotone, but decreases from code 2 to 3"),
+        ("0 0\n10 4\n20 3\n", "must be monotone, but decreases from code 10 to 20"),
+        ("0 0\n10 4\n10 5\n", "codes of the tone curve must increase strictly"),
         ("0\none\n", "line 2: 'one' must consist of numbers"),
         ("0 1\n2\n", "line 2 has 1 numbers"),
         ("1 2 3 4\n", "line 1 has 4 numbers"),
         ("", "at least 2 codes"),
-        ("5\n5\n5\n", "all codes have the same linear value"),
+        ("5\n5\n5\n", "all codes of a channel have the same linear value"),
         ("0\nnan\n", "finite"),
     ],
 )

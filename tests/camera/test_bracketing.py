@@ -78,7 +78,7 @@ def test_colours_and_mosaics():
         ((np.ones((2, 4, 4)), EXPOSURES), "pictures must have shape (3, H, W) or (3, H, W, channels)"),
         ((np.ones((3, 4)), EXPOSURES), "one per exposure, got (3, 4)"),
         ((np.ones((2, 4, 4)), (1.0, 0.0)), "exposures must lie in (0, inf) e- per unit of radiance, got 0"),
-        ((np.ones((0, 4, 4)), ()), "exposures must be a list of numbers"),
+        ((np.ones((0, 4, 4)), ()), "exposures must be a list of at least one number"),
         ((np.ones((2, 4, 4)), (1.0, 2.0), (1.0,)), "times must have one value for each of the 2 exposures, got 1"),
         ((np.ones((2, 4, 4)), (1.0, 2.0), (1.0, -1.0)), "times must lie in [0, inf) s, got -1"),
     ],

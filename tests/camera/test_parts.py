@@ -22,7 +22,7 @@ from matcam.core.errors import ArgumentError
         (lambda: DiffractionOptics(0, 550e-9, 5e-6), "f_number"),
         (lambda: DiffractionOptics(8, 550, 5e-6), "550 nm is 550e-9"),
         (lambda: DiffractionOptics(8, 550e-9, 5), "5 um is 5e-6"),
-        (lambda: MeasuredOptics([0, 0.1, 0.2], [1, 0.9, 0.8]), "equal length, at least 4"),
+        (lambda: MeasuredOptics([0, 0.1, 0.2], [1, 0.9, 0.8]), "equal length with at least 4 numbers"),
         (lambda: MeasuredOptics([0.1, 0.2, 0.3, 0.4], [1, 0.9, 0.8, 0]), "start at 0"),
         (lambda: MeasuredOptics([0, 0.2, 0.2, 0.4], [1, 0.9, 0.8, 0]), "increase strictly"),
         (lambda: MeasuredOptics([0, 0.1, 0.2, 0.4], [0.9, 0.9, 0.8, 0]), "divide the curve by its first sample"),
@@ -99,7 +99,7 @@ def test_uncertainty_is_checked():
         Uncertainty(["a", "b"], [[1.0, 2.0], [2.0, 1.0]])
     with pytest.raises(ArgumentError, match="differ from each other"):
         Uncertainty(["a", "a"], np.eye(2))
-    with pytest.raises(ArgumentError, match=r"'optics.sigma', but the camera has only optics.sigma_px"):
+    with pytest.raises(ArgumentError, match=r"the parameter 'optics.sigma', but the camera has only optics.sigma_px"):
         Camera(GaussianOptics(0.5), uncertainty=Uncertainty.of({"optics.sigma": 0.01}))
     with pytest.raises(ArgumentError, match="standard deviation of x"):
         Uncertainty.of({"x": -1})

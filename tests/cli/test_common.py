@@ -97,7 +97,7 @@ def test_a_rig_file_stands_for_options(matcam, rig_file):
     ("text", "command", "words"),
     [
         ("x = [", "predict", "not TOML"),
-        ('schema = "other"', "predict", 'is not a rig file, which begins with schema = "matcam-rig-1"'),
+        ('schema = "other"', "predict", 'is not a rig file, which must contain schema = "matcam-rig-1"'),
         (RIG + "[lamp]\ncolour = 3\n", "predict", "lamp.colour; the entries of a rig file are camera, sample.shape"),
         (RIG.replace("100", '"wide"'), "predict", "sample.radius_px must be a number, got 'wide'"),
         (RIG.replace("camera.json", "../camera.json"), "predict", "the name of a profile in the folder of this file"),

@@ -138,7 +138,7 @@ def test_one_edge_has_a_figure_and_a_row_of_a_table(edge, photograph, tmp_path):
 
 BAD = [
     (("chart.tif", *ROI, "--channel", "all", "-o", "a.png"), "-o needs one region of one image"),
-    (("chart.tif", *ROI, "--rois", "rois.csv"), "--roi and --rois both give regions"),
+    (("chart.tif", *ROI, "--rois", "rois.csv"), "--roi and --rois both specify regions"),
     (("chart.tif", *ROI, "--at", 3), "--at must lie in [0, 1.25] cycles/px"),
     (("chart.tif", *ROI, "--method", "mtf"), "'mtf' is not one of"),
     (("chart.tif", *ROI, "--pitch", -1), "--pitch must lie in (0, inf) um"),

@@ -25,11 +25,11 @@ COMMANDS = typer.main.get_command(app).commands
     [
         ("edge", "output a_b.png exists: use force=True to replace it", "output a_b.png exists: use --force to replace it"),
         ("edge", "half_width must lie in (0, 0.5] px, got 0.7", "--half-width must lie in (0, 0.5] px, got 0.7"),
-        ("edge", "roi must be at least 16 x 16 px, got 10 x 60", "--roi must be at least 16 x 16 px, got 10 x 60"),
+        ("edge", "roi must lie inside the image of 9 x 9 px, got 0", "--roi must lie inside the image of 9 x 9 px, got 0"),
         (
             "edge",
-            "channel must not be 'R' for a grey image: give cfa if it is a mosaic",
-            "--channel must not be 'R' for a grey image: give --cfa if it is a mosaic",
+            "channel must not be 'R' for a grey image: give cfa if the image is a mosaic",
+            "--channel must not be 'R' for a grey image: give --cfa if the image is a mosaic",
         ),
         ("edge", "wavelength must be given in m for the defocus model", "--wavelength must be given for the defocus model"),
         (
@@ -60,7 +60,7 @@ COMMANDS = typer.main.get_command(app).commands
             "--exposure needs a camera with a sensor: a profile with a sensor (--camera)",
         ),
         ("correct", "workers must be a whole number, got 0", "--workers must be a whole number, got 0"),
-        ("correct", "instead of fit_camera=True, or tables", "instead of --fit-camera, or tables"),
+        ("correct", "instead of fit_camera=True, or give tables", "instead of --fit-camera, or give tables"),
         ("calibrate", "is known: give f_numbers", "is known: give --f-number"),
         ("inspect", "power must be given", "power must be given"),
     ],
@@ -135,16 +135,16 @@ def test_the_halo_is_checked_by_its_own_options():
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (("render", "a.binary"), "rendering needs an extra: run python -m pip install 'matcam[render]'"),
+        (("render", "a.binary"), "rendering needs optional packages: run python -m pip install 'matcam[render]'"),
         (
             ("correct", "a.binary", "-o", "run", "--zarr"),
-            "a run's Zarr store needs an extra: run python -m pip install 'matcam[scale]'",
+            "a run's Zarr store needs optional packages: run python -m pip install 'matcam[scale]'",
         ),
         (
             ("correct", "a.binary", "-o", "run", "--cluster", "local:2"),
-            "a cluster needs an extra: run python -m pip install",
+            "a cluster needs optional packages: run python -m pip install",
         ),
-        (("convert", "a.binary", "b.zarr"), "Zarr needs an extra: run python -m pip install 'matcam[scale]'"),
+        (("convert", "a.binary", "b.zarr"), "Zarr needs optional packages: run python -m pip install 'matcam[scale]'"),
     ],
 )
 def test_an_extra_that_is_not_installed_is_named_before_any_work(words, message, tmp_path, monkeypatch, capsys):

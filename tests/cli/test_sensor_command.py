@@ -53,7 +53,7 @@ def test_sensor_writes_a_figure_a_table_a_page_maps_and_a_profile(matcam, folder
 def test_sensor_prints_values_with_standard_deviations(matcam, folder, tmp_path):
     text = matcam("sensor", folder).stdout
     assert "gain, DN per e-" in text
-    assert "beyond saturation or clipped, and therefore not used" in text
+    assert "exposures that are beyond saturation or clipped were not used" in text
     assert "exposures-sensor.png" in text
     assert "next:" not in text
     Camera(GaussianOptics(0.6)).save(tmp_path / "lens.json")

@@ -83,7 +83,7 @@ def test_a_flat_samples_table_is_the_materials_own(simulate, tmp_path):
         (("-o", "a.exr", "--exposure", 100), "camera with a sensor"),
         (("--capture", "shots", "--seed", -1), "--seed must be a whole number >= 0, got -1"),
         (("-o", "a.exr", "--size", 0, 5), "--size must be (height, width)"),
-        (("-o", "a.binary", "--sample", "cylinder", "--azimuth", 20), "the azimuth must be left out"),
+        (("-o", "a.binary", "--sample", "cylinder", "--azimuth", 20), "omit the azimuth of the lamp"),
         (("-o", "a.binary", "--preview", "a.png"), "--preview shows an image"),
         (("-o", "a.exr", "--sample", "flat"), "a flat sample has only one normal"),
         (("-o", "a.binary", "--crop", 0, 5), "--crop must be (height, width)"),

@@ -73,5 +73,5 @@ def test_wrong_arguments_are_refused():
         MitsubaFilm(CAMERA, reach=0)
     with pytest.raises(ArgumentError, match="camera must be a Camera"):
         MitsubaFilm(GaussianOptics(0.8))
-    with pytest.raises(ArgumentError, match="image must have 4 x 4 subpixels for each pixel"):
+    with pytest.raises(ArgumentError, match="and have 4 x 4 subpixels for each pixel"):
         MitsubaFilm(CAMERA).record(np.ones((10, 12)))

@@ -54,12 +54,12 @@ def test_pbrt_text():
 def test_what_renderers_do_not_have_is_refused():
     table = Tabulated(brdf_table(np.ones((90, 90, 180, 3)), "centre"))
     for export, material, words in (
-        (mitsuba_material, table, "convert it to a .bsdf"),
+        (mitsuba_material, table, "write the material as a .bsdf"),
         (mitsuba_material, Microfacet(EPD(0.1, 0.5), METAL), "GGX and Beckmann"),
         (mitsuba_material, Microfacet(GGX(0.1), Schlick(0.5)), "Schlick"),
         (mitsuba_material, Microfacet(GGX(0.1), Dielectric(1.5)), "Dielectric"),
         (mitsuba_material, Microfacet(GGX(0.1), METAL, 1.0), "leaves no share"),
-        (mitsuba_material, Microfacet(GGX(0.1), [0.9, 0.5, 0.1], 0.5), "must not exceed 1 together"),
+        (mitsuba_material, Microfacet(GGX(0.1), [0.9, 0.5, 0.1], 0.5), "must not exceed 1 in Mitsuba"),
         (mitsuba_material, Microfacet(GGX(0.1), Conductor([1.0] * 4, 2.0)), "3 channels"),
         (pbrt_material, Microfacet(Beckmann(0.1), METAL), "GGX facets"),
         (pbrt_material, Microfacet(GGX(0.1), METAL, 0.1), "without a diffuse part"),

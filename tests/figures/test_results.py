@@ -161,7 +161,7 @@ def test_options_of_plots(results):
     for call, words in (
         (lambda: results["fit"].plot(chanel=1), "unknown option of .* 'chanel'; did you mean 'channel'"),
         (lambda: results["fit"].plot(channel=3), r"channel must be a whole number in \[0, 2\]"),
-        (lambda: results["camera"].plot(3), "ax must be a Axes"),
+        (lambda: results["camera"].plot(3), "ax must be an Axes"),
         (lambda: results["correction"].plot(theta_d=75), r"if 75 is in degrees, give np.radians\(75\)"),
         (lambda: xr.Dataset({"a": 1.0}).matcam.summary(), "a result of fresnel, correct, limits or predict"),
         (lambda: results["edge"].parametric.plot(), "has no figure of one panel"),

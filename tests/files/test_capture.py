@@ -141,7 +141,7 @@ BAD_ROWS = {
         True,
     ),
     "name": (row("frames/x.tif", "L 1;", "25", "90", "E3", "1"), "x.tif: lamp must consist of letters", True),
-    "suffix": (row("frames/x.txt", "L1", "20", "90", "E3", "1"), "x.txt: its suffix is not that of an image", True),
+    "suffix": (row("frames/x.txt", "L1", "20", "90", "E3", "1"), "the suffix is not that of a supported image", True),
     "other time": (row("frames/x.tif", "L3", "25", "90", "E2", "1"), "x.tif: exposure E2 has 1 s here and 0.04", True),
 }
 
@@ -259,7 +259,7 @@ def test_the_lamps_light_may_be_a_table(tmp_path):
     [
         (("1", "1", "", ""), TABLE, "gives no intensity of lamp L2"),
         (("1", "1", "2", ""), {"lamp": {"intensity": "constant"}}, "set lamp.intensity to 'table'"),
-        (("1", "1", "2", ""), {"lamp": {"intensity": "table"}}, "delete one of them"),
+        (("1", "1", "2", ""), {"lamp": {"intensity": "table"}}, "delete this section"),
         (("", "", "", ""), {"reference": None}, "there is no .reference."),
     ],
 )

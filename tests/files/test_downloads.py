@@ -121,7 +121,7 @@ def test_progress_counts_to_the_end(server, tmp_path, source):
 @pytest.mark.parametrize(
     ("material", "source", "words"),
     [
-        ("brass", "folder", "the connection ended after 5119999 of 5120000 bytes"),
+        ("brass", "folder", "the data end after 5119999 of 5120000 bytes"),
         ("silver", "folder", "SHA-256 differs"),
         ("silver", "database.zip", "SHA-256 differs"),
         ("brass", "database.zip", "lists brass.binary with 15360000 bytes, but the published file has 5120000"),
@@ -155,7 +155,7 @@ def test_an_archive_that_breaks_off_or_is_spoiled_inside(server, tmp_path, monke
         archive.writestr("chrome.binary", noise)
     monkeypatch.setattr(downloads, "_SIZE", 300_000)
     monkeypatch.setattr(Server, "stops", 100_000)
-    with pytest.raises(DownloadError, match=r"chrome: (cannot be fetched from )?http.*large.zip: ."):
+    with pytest.raises(DownloadError, match=r"chrome: (the file cannot be fetched from )?http.*large.zip: ."):
         downloads.fetch_merl("chrome", tmp_path / "out", f"{server}/large.zip")
     monkeypatch.setattr(Server, "stops", 0)
     whole = bytearray((root / "large.zip").read_bytes())

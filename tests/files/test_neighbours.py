@@ -122,7 +122,7 @@ def test_zemax_directions_are_about_the_mirror_direction(tmp_path):
         ("PlaneSymmetrical", "ASymmetrical4D", "Symmetry must be PlaneSymmetrical, got ASymmetrical4D"),
         ("8 13 14\n", "8 13\n", "block 2 must have 3 rows of 3 non-negative values"),
         ("ScatterRadial 3", "ScatterRadial x", "ScatterRadial must have a count, followed by as many angles"),
-        ("TIS 0.2\n8 9 10\n8 11 12\n8 13 14\n", "", "has 1 blocks of values, but each channel must have one"),
+        ("TIS 0.2\n8 9 10\n8 11 12\n8 13 14\n", "", "has 1 blocks of values, but each channel must occur once"),
         ("DataBegin", "", "is not a complete BSDF of Zemax"),
     ],
 )
@@ -179,7 +179,7 @@ def test_wrong_light_positions_are_not_written(tmp_path):
     ):
         with pytest.raises(ArgumentError, match=message):
             write_light_positions(tmp_path / "a.lp", [LightPosition(name, np.array(position, float))])
-    with pytest.raises(ArgumentError, match="at least one position"):
+    with pytest.raises(ArgumentError, match="at least one LightPosition"):
         write_light_positions(tmp_path / "a.lp", [])
     assert not (tmp_path / "a.lp").exists()
 

@@ -128,7 +128,7 @@ def test_what_is_refused(tmp_path, monkeypatch):
     write_dng(tmp_path / "odd.dng", COUNTS, "RRGB")
     for name, words in {
         "a.cr2": "camera raw", "a.nef": "unknown camera raw", "words.png": "neither TIFF, PNG, JPEG, OpenEXR nor camera raw",
-        "cut.dng": "camera raw", "odd.dng": "its mosaic is RRGB", "missing.png": "no such file", ".": "is a folder",
+        "cut.dng": "camera raw", "odd.dng": "the mosaic is RRGB", "missing.png": "no such file", ".": "is a folder",
     }.items():  # fmt: skip
         with pytest.raises(FileFormatError, match=words) as caught:
             open_photograph(tmp_path / name)

@@ -131,7 +131,7 @@ def holed(value):
         (([["a"]], rig(), 0.1), "texture must be a number"),
         ((np.ones((4, 4)), rig(), np.pi / 2), "theta_o must lie in [0, 1.5708) rad"),
         ((np.ones((4, 4)), rig(), [0.1, 0.2]), "theta_o must be a single number"),
-        ((np.ones((4, 4)), rig(), 0.1, (0, 4)), "shape must be two whole numbers"),
+        ((np.ones((4, 4)), rig(), 0.1, (0, 4)), "shape must be a tuple of two whole numbers"),
         ((np.ones((4, 4)), rig(), 0.1, (4, 4), 0.0), "texture_pitch must lie in (0, inf) px, got 0"),
         ((np.ones((4, 4)), rig(), 0.1, (4, 4), 1.0, "nearest"), "texels must be one of 'band-limited', 'squares'"),
         ((np.ones((4, 4)), rig(), 0.1, (4, 4), 1e4, "squares"), "give a smaller texture"),

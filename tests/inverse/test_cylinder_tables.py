@@ -170,7 +170,7 @@ def test_a_cylinder_and_a_sphere_of_one_size_do_not_share_a_rule():
 def test_cylinders_whose_tables_cannot_be_fitted_are_refused():
     camera = RIG.camera
     for rig, words in (
-        (Rig(camera, Cylinder(100.0), lamp_azimuth=0.3), "azimuth must be left out"),
+        (Rig(camera, Cylinder(100.0), lamp_azimuth=0.3), "omit the azimuth of the lamp"),
         (Rig(camera, Cylinder(100.0), cell_value="nearest"), "needs a sphere"),
     ):
         with pytest.raises(ArgumentError, match=words):

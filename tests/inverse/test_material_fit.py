@@ -59,7 +59,7 @@ def test_noisy_data_are_told_within_their_errors():
     assert found.determined
     assert abs(found.params["alpha"] - 0.003) < 4 * found.std["alpha"]
     assert 0.8 < found.misfit < 1.25
-    assert texts(found.remarks) == ["the camera is assumed to be exact"]
+    assert texts(found.remarks) == ["the camera is assumed to be exact: the errors do not include its uncertainty"]
     assert set(found.params) == {"alpha", "n[G]", "k[G]"}
     assert found.correlation("n[G]", "n[G]") == pytest.approx(1)
     assert np.nanstd(found.residual["residual"]) == pytest.approx(1, abs=0.15)
@@ -103,7 +103,7 @@ def test_free_reflectance_and_a_blind_fit():
     blind = fit(table, None, fresnel="free", noise=recorded.NOISE, slice_step=EVERY)
     assert blind.params["alpha"] > 1.3 * lobe.alpha
     assert blind.camera is None
-    assert blind.remarks[0].text == "no rig: fitted as if the camera were perfect"
+    assert blind.remarks[0].text == "no rig is given, so the fit assumes a perfect camera"
 
 
 @pytest.mark.slow
@@ -148,7 +148,7 @@ def test_a_lobe_too_narrow_for_the_camera_is_said_to_be():
     table = noisy(oracle.GGX(2e-5), 8)
     found = fit(table, recorded.rig(), noise=recorded.NOISE, slice_step=EVERY)
     assert not found.determined
-    assert any("narrower than this camera can resolve" in remark.text for remark in found.remarks)
+    assert any("has the smallest width that a fit allows" in remark.text for remark in found.remarks)
 
 
 def test_bad_data_are_refused_before_the_operator_is_computed(monkeypatch):
@@ -182,7 +182,7 @@ def test_bad_arguments_are_refused():
         ({"fresnel": "metal"}, "fresnel must be one of"),
         ({"camera_parameters": "guess"}, "camera_parameters must be one of"),
         ({"camera_parameters": "prior"}, "needs a camera with an uncertainty"),
-        ({"camera_parameters": "free", "free": ["optics.f_number"]}, "free must name parameters of this rig"),
+        ({"camera_parameters": "free", "free": ["optics.f_number"]}, "a free parameter must be one of"),
         ({"slice_step": 0}, "slice_step must be"),
         ({"noise": PixelNoise(-1, 0)}, "noise.relative"),
         ({"masking": "none"}, "masking must be one of"),

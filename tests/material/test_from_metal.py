@@ -36,5 +36,5 @@ def test_channels():
 def test_wrong_names_and_units_are_refused():
     with pytest.raises(ArgumentError, match=r"unknown metal 'Chrome'"):
         Conductor.from_metal("Chrome")
-    with pytest.raises(ArgumentError, match="wavelengths are in m: 550 nm is 550e-9"):
+    with pytest.raises(ArgumentError, match="give wavelengths of this range, in m, such as 550e-9 for 550 nm"):
         Conductor.from_metal("Cr", 550)

@@ -91,7 +91,7 @@ def test_a_stated_circle_is_an_outline(drawn, tmp_path):
         (np.zeros((50, 60), np.uint8), "has 60 x 50 px, but the frames have 220 x 220"),
         (np.zeros(VIEW.shape, np.uint8), "shows no disc"),
         (np.kron([[0, 0, 0], [0, 1, 0], [0, 0, 0], [0, 0, 0]], np.ones((55, 73))).astype(np.uint8), "has 219"),
-        (np.pad(np.ones((100, 100), np.uint8), 60), "shows no disc, because its area"),
+        (np.pad(np.ones((100, 100), np.uint8), 60), "the shape in the mask is not a disc"),
     ],
 )
 def test_what_is_no_mask_is_left_out_and_named(drawn, tmp_path, mask, words):

@@ -1,7 +1,7 @@
 """Selected pixels of every lamp position in all its exposures, for estimates of exposure ratios, gain and clip level.
 
-Pixels are selected and grouped by the mean of their neighbours of the same colour, never by their own codes. Selection
-by a noisy value would bias the estimates.
+A pixel is selected, and assigned to a range of brightness, by the mean of its neighbours of the same colour. Selection by
+its own noisy code would bias the estimates.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ other pixel of a pair, would favour pairs with noise of opposite signs.
 
 
 class BracketSample(NamedTuple):
-    """Selected pixels of one lamp position.
+    """Selected pixels of one lamp position: n pixels in k exposures.
 
     Attributes:
         lamp: name of the lamp position.
@@ -33,7 +33,7 @@ class BracketSample(NamedTuple):
         light: `codes` less the dark level, float32 (k, n), DN.
         around: mean of the neighbours in each exposure, less the dark level, float32 (k, n), DN.
         reference: mean of the reference region in each exposure and channel, less the dark level, (k, channels), DN;
-            NaN if there is no reference or it is clipped.
+            NaN if there is no reference or if its pixels may be clipped.
         reference_pixels: number of pixels of each channel in the reference region, (channels,).
         median: median code of each frame, (k,), DN.
         tops: `light.pile_up.TopCodes` of each frame, (k, 8).
@@ -51,7 +51,7 @@ class BracketSample(NamedTuple):
 
     @property
     def reference_total(self) -> np.ndarray:
-        """Total light of the reference region in each exposure, (k,), DN; NaN if the region is absent or clipped."""
+        """Sum of the light of the reference region in each exposure, (k,), DN; NaN where `reference` is NaN."""
         return np.asarray(self.reference @ self.reference_pixels.astype(float))
 
     def part(self, frames: np.ndarray) -> BracketSample:
@@ -72,11 +72,11 @@ class BracketSample(NamedTuple):
 
 
 def same_colour_neighbours(light: np.ndarray, step: int) -> np.ndarray:
-    """Average the eight nearest pixels of the same colour, without the pixel itself.
+    """Compute, for each pixel, the mean of its eight neighbours of the same colour.
 
     Args:
-        light: image, (height, width).
-        step: distance of the nearest pixel of the same colour, px: 2 in a mosaic, 1 in a grey image.
+        light: image, (height, width), in any unit.
+        step: distance between pixels of the same colour along a row, px: 2 in a mosaic, 1 in a grey image.
     """
     padded = np.pad(light, step, mode="reflect" if min(light.shape) > step else "edge")
     height, width = light.shape
@@ -93,7 +93,7 @@ def noise_correlation(light: np.ndarray, noise: float) -> tuple[float, float]:
     """Estimate the correlation of noise between neighbouring dark pixels, and its standard deviation.
 
     The noise of raw pixels is uncorrelated. Sharpening causes a negative correlation, demosaicing and smoothing a
-    positive one.
+    positive correlation. If the frame has too few dark pixels, the result is 0 with an infinite standard deviation.
 
     Args:
         light: dark-subtracted frame, (height, width), DN.
@@ -118,7 +118,10 @@ def noise_correlation(light: np.ndarray, noise: float) -> tuple[float, float]:
 
 
 def _lagged(light: np.ndarray, dark: np.ndarray, axis: int, lag: int) -> tuple[float, float, int]:
-    """Compute covariance and variance of dark pixels `lag` px apart along an axis, and the number of pairs."""
+    """Compute covariance and variance, DN^2, of pairs of dark pixels, and the number of pairs.
+
+    The pixels of a pair are `lag` px apart along the axis. With fewer than 100 pairs, covariance and variance are 0.
+    """
     first, second = ((slice(None),) * axis + (part,) for part in (slice(lag, None), slice(-lag)))
     both = dark[first] & dark[second]
     a, b = light[first][both].astype(np.float64), light[second][both].astype(np.float64)
@@ -129,12 +132,15 @@ def _lagged(light: np.ndarray, dark: np.ndarray, axis: int, lag: int) -> tuple[f
 
 
 def choose_pixels(around: np.ndarray, noise: float, seed: int) -> np.ndarray:
-    """Select pixels for a sample: those with the brightest neighbours, and some other lit pixels.
+    """Select at most `MOST` lit pixels for a sample, and return their indices.
+
+    If there are more lit pixels, one half of the selection has the brightest neighbours. The other half is selected at
+    random from the other lit pixels.
 
     Args:
-        around: mean of the neighbours in each exposure, flattened, (k, n), the shortest exposure first.
+        around: mean of the neighbours of each of n pixels in k exposures, the shortest exposure first, (k, n), DN.
         noise: standard deviation of one pixel's read noise, DN.
-        seed: seed of the random selection among the other pixels.
+        seed: seed of the random selection.
     """
     top = max(float(around.max()), 1.0)
     score = (np.minimum(around, 0.9 * top)).sum(0)

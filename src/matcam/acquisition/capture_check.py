@@ -1,8 +1,9 @@
-"""Check of a capture in the lab: clipping, gaps, wrong times, a drifting lamp, a moved sample, a rotated lamp table.
+"""Quick check of a capture in the lab.
 
-All exposures of a few lamp positions are read, but only the shortest frame of the others, so a check takes seconds. A
-sphere is checked by its disc and highlights, a cylinder by its stripe and bright lines, and a flat sample by its
-specified angles.
+The check detects clipping, gaps between lamp angles, wrong exposure times, a drifting lamp, a moved sample, and a rotated
+lamp table. All exposures are read only for a few lamp positions, and usually only the shortest frame for the others, so a
+check takes seconds. A sphere is checked by its outline and highlights, and a cylinder by its outline and bright lines. A
+flat sample is checked by its specified angles.
 """
 
 from __future__ import annotations
@@ -47,17 +48,17 @@ class CaptureCheck:
     """Result of the check of a capture.
 
     Attributes:
-        findings: faults, each with its frame or lamp position; empty: no faults.
+        findings: remarks on faults; empty if no fault was found.
         notes: remarks that are not faults.
         radiometry: radiometric calibration from the lamp positions that were read completely; None if it is not
             measurable.
-        highlights: (column, row) of the highlight of each lamp position, px; row is NaN for the bright line of a
-            cylinder.
-        centre: column, row and radius of the sample, px, from outline, highlights and specified directions; NaN if
-            unknown.
+        highlights: (column, row) of the highlight, px, by lamp position; row is NaN for the bright line of a cylinder.
+            Lamp positions without a highlight are omitted.
+        centre: column, row and radius of the sample, px, fitted to highlights, outline and specified directions; row is
+            NaN for a cylinder. All are NaN if the comparison with the lamp table is not possible.
         turn: rotation vector that aligns the lamp table with the highlights, rad (3,), about x (right), y (up) and z
             (to the camera).
-        turn_std: standard deviations of `turn`, rad (3,); NaN if the rotation about that axis is not determined.
+        turn_std: standard deviations of `turn`, rad (3,); NaN for an axis about which no rotation was fitted.
     """
 
     findings: tuple[Remark, ...]
@@ -76,7 +77,7 @@ def check_capture(capture: Capture) -> CaptureCheck:
         capture: capture from `read_capture`.
 
     Returns:
-        The faults and notes. Bad frames are reported as faults and raise no exception.
+        Faults, notes and estimates. Bad frames are reported as faults and raise no exception.
     """
     found: list[Remark] = []
     names = list(capture.lamps)
@@ -128,10 +129,12 @@ def check_capture(capture: Capture) -> CaptureCheck:
 
 
 def coverage_remarks(lamps: dict[str, LampGuess]) -> list[Remark]:
-    """List gaps in the angles of the lamp positions.
+    """Report ranges of theta_d without a lamp position.
+
+    theta_d is half the angle between the lamp and the optical axis.
 
     Args:
-        lamps: specified directions of the lamp positions. Without angles there are no remarks.
+        lamps: specified directions, by lamp position. If one of the angles is unknown, there are no remarks.
     """
     angles = np.array([guess.angle for guess in lamps.values()])
     if np.isnan(angles).any() or not angles.size:
@@ -142,7 +145,7 @@ def coverage_remarks(lamps: dict[str, LampGuess]) -> list[Remark]:
         found.append(
             Remark(
                 "angles-missed",
-                f"no lamp position has theta_d below {theta_d[0]:.0f} degrees: add a position below {_FIRST:.0f} degrees",
+                f"the lamp positions begin at theta_d = {theta_d[0]:.0f} degrees: add a position below {_FIRST:.0f} degrees",
             )
         )
     if theta_d[-1] < _LAST:
@@ -151,20 +154,24 @@ def coverage_remarks(lamps: dict[str, LampGuess]) -> list[Remark]:
         found.append(Remark("angles-missed", text))
     gaps = [f"{low:.0f} and {high:.0f}" for low, high in pairwise(theta_d) if high - low > _GAP]
     if gaps:
-        text = (
-            f"no lamp position has theta_d between {', between '.join(gaps)} degrees: add positions, so that steps of "
+        found.append(
+            Remark(
+                "angles-missed",
+                f"no lamp position has theta_d between {', between '.join(gaps)} degrees: add positions, so that steps of "
+                f"theta_d are at most {_GAP:.0f} degrees",
+            )
         )
-        found.append(Remark("angles-missed", f"{text}theta_d are at most {_GAP:.0f} degrees"))
     return found
 
 
 def _lamp_remarks(capture: Capture, radiometry: Radiometry | None, sample: tuple[float, float, float]) -> list[Remark]:
-    """Compare the scatter of the lamp's light on the reference with the specified scatter.
+    """Report light on the reference that scatters more than specified, or too few usable images of the reference.
 
     Args:
         capture: capture with the specified properties of the lamps.
         radiometry: radiometric calibration with the light of the reference.
-        sample: column, row and radius, px, the origin of the position of a diffuse reference; NaN: unknown.
+        sample: column, row and radius of the sample, px; NaN: unknown. Its centre is the origin of the position of a
+            diffuse reference.
     """
     if radiometry is None or capture.reference_position is None:
         return []
@@ -173,8 +180,8 @@ def _lamp_remarks(capture: Capture, radiometry: Radiometry | None, sample: tuple
         return []  # the light on the reference depends on directions that `reconstruct` measures
     seen = {lamp: out for lamp, out in radiometry.lamp_output.items() if math.isfinite(out.value)}
     if len(seen) < 2:
-        text = "the reference is dark, clipped or absent, so lamp drift is not measured: expose it without clipping"
-        return [Remark("no-reference", text)]
+        text = "fewer than two lamp positions show a usable reference, so lamp drift is not measured: expose the reference "
+        return [Remark("no-reference", text + "brightly, but without clipping, at several lamp positions")]
     light = np.array([out.value for out in seen.values()]) / _near_light(capture, list(seen), sample)
     light /= light.mean()
     values = dict(zip(seen, light.tolist(), strict=True))
@@ -188,19 +195,20 @@ def _lamp_remarks(capture: Capture, radiometry: Radiometry | None, sample: tuple
     if scatter <= 2 * stated + 0.002 or chdtrc(light.size - 1, chi2) > _CHANCE:
         return []
     worst = max(values, key=lambda lamp: abs(values[lamp] - 1))
-    text = (
-        f"lamp {worst}: the reference differs by {values[worst] - 1:+.1%} from the mean, and the light of all lamps "
-        f"scatters by {scatter:.1%}, "
-    )
     return [
         Remark(
-            "lamp-drifts", f"{text}more than lamp.gain_std = {stated:.1%}: let the lamp warm up, or raise lamp.gain_std"
+            "lamp-drifts",
+            f"lamp {worst}: the reference differs by {values[worst] - 1:+.1%} from the mean, and the light of all lamps "
+            f"scatters by {scatter:.1%}, more than lamp.gain_std = {stated:.1%}: let the lamp warm up, or raise lamp.gain_std",
         )
     ]
 
 
 def _near_light(capture: Capture, lamps: Sequence[str], sample: tuple[float, float, float]) -> np.ndarray:
-    """Compute the irradiance of a white patch under near lamps relative to distant lamps; 1 if it is not determined."""
+    """Compute the ratio of the irradiances of a diffuse reference under near and under distant lamps, (lamps,).
+
+    The ratio is 1 for other references, or if positions, directions or the distance of the lamps are unknown.
+    """
     section, position, far = capture.settings["reference"], capture.reference_position, capture.lamp_radii
     towards = np.array([capture.lamps[lamp].direction for lamp in lamps])
     column, row, radius = sample

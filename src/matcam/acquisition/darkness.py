@@ -21,13 +21,13 @@ _HOT = 12.0
 
 @dataclass(frozen=True)
 class Darkness:
-    """Dark level of the frames of one exposure, which is subtracted.
+    """Dark signal of the frames of one exposure.
 
     Attributes:
         level: dark code of each pixel, float32 (height, width), or one value for all pixels, DN.
-        hot: pixels whose dark code differs too much from the level, (height, width), or False.
-        read_noise: standard deviation of the noise of one dark frame, DN; NaN without dark frames. The noise of a single
-            frame includes its fixed pattern.
+        hot: mask of the pixels whose dark code differs too much from the mean, (height, width); False if unknown.
+        read_noise: standard deviation of the noise of one dark frame, DN; NaN without dark frames. If there is only one
+            dark frame, the fixed pattern is included.
         frames: number of dark frames.
     """
 
@@ -44,17 +44,20 @@ class Darkness:
     def hot_pixels(self, shape: tuple[int, ...]) -> np.ndarray:
         """Return the mask of hot pixels of a frame, (height, width).
 
-        No pixel is selected if the hot pixels are unknown for this shape.
+        All values are False if the hot pixels of frames of this shape are unknown.
         """
         hot = np.asarray(self.hot)
         return hot if hot.shape == shape else np.zeros(shape, bool)
 
 
 def dark_of(stack: Sequence[np.ndarray]) -> Darkness:
-    """Estimate level and noise from the dark frames of one exposure, each (height, width).
+    """Estimate the dark signal from the dark frames of one exposure.
 
-    The mean of each pixel is shrunk towards the level of the frame, according to the excess of the scatter over noise
-    (James and Stein).
+    The mean of each pixel is shrunk towards the mean of all pixels (James and Stein 1961). The shrinkage depends on the
+    ratio of fixed pattern to noise.
+
+    Args:
+        stack: the dark frames, (height, width) each, DN.
     """
     n = len(stack)
     mean = np.mean(np.asarray(stack, np.float32), axis=0)
@@ -86,12 +89,13 @@ def measure_darkness(
         reader: the reader of frames.
         capture: the capture.
         region: part of the frames that is used; None: the entire frame.
-        exposures: names of the exposures.
+        exposures: names of the exposures, in the order of their times.
         frame_levels: low code (5 % quantile) of one frame of each exposure, DN.
 
     Returns:
-        Dark signal of each exposure, and the remarks. An exposure without dark frames gets the dark signal of the nearest
-        exposure. If there are no dark frames at all, the specified level is used, or otherwise that of `frame_levels`.
+        Dark signal of each exposure, and the remarks. An exposure without usable dark frames has the dark signal of the
+        nearest exposure. If no dark frame is usable, the dark level is camera.black_level_dn. If this value is not
+        specified, the dark level is that of `frame_levels`.
     """
     found: dict[str, Darkness] = {}
     remarks: list[Remark] = []
@@ -128,8 +132,8 @@ def measure_darkness(
             nearest = min(found, key=lambda other: abs(list(exposures).index(other) - list(exposures).index(name)))
             found[name] = found[nearest]
         text = (
-            f"there is no dark frame of exposure {', '.join(missing)}, so that of the nearest exposure was subtracted: take "
-            "dark frames of each exposure"
+            f"there is no usable dark frame of exposure {', '.join(missing)}, so that of the nearest exposure was "
+            "subtracted: take dark frames of each exposure"
         )
         remarks.append(Remark("dark-missing", text))
     if not found:
@@ -137,16 +141,17 @@ def measure_darkness(
         for name in exposures:
             found[name] = Darkness(frame_levels.get(name, 0.0) if stated is None else stated, False, float("nan"), 0)
         what = "a low code of the frames" if stated is None else "camera.black_level_dn"
-        remarks.append(Remark("dark-missing", f"there are no dark frames, so {what} was subtracted: add dark frames"))
+        text = f"there are no usable dark frames, so {what} was subtracted: add dark frames"
+        remarks.append(Remark("dark-missing", text))
     return found, remarks
 
 
 def pair_correlation(pairs: Sequence[np.ndarray], step: int = 1) -> tuple[float, float]:
-    """Estimate the correlation of noise between neighbouring pixels, and its standard deviation.
+    """Estimate the correlation of the noise of neighbouring pixels, and the standard deviation of the correlation.
 
     Args:
         pairs: differences of two frames without light, (height, width) each, DN.
-        step: distance of the two pixels, px. Default: 1.
+        step: distance of the two pixels along rows and columns, px. Default: 1.
 
     Example:
         >>> flicker = np.random.default_rng(0).standard_normal((200, 200))
@@ -166,7 +171,10 @@ def pair_correlation(pairs: Sequence[np.ndarray], step: int = 1) -> tuple[float,
 
 
 def _trimmed_mean(values: np.ndarray) -> float:
-    """Average the values without hot pixels; unlike a median, the result is exact for rounded codes."""
+    """Compute the mean of the values without hot pixels, DN.
+
+    Rounding of the codes limits the accuracy of a median, but not that of a mean.
+    """
     middle = np.median(values)
     width = 6 * max(robust_std(values - middle), 1.0)
     return float(values[np.abs(values - middle) <= width].mean(dtype=np.float64))

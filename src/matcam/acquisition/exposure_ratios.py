@@ -1,9 +1,9 @@
 """Exposure ratios, clip level, photon transfer and linearity from brackets: images of one scene in several exposures.
 
-The light of a pixel in exposure k is e_k f, where f is its flux and e_k the exposure. Sums over groups of pixels obey
-the same law. The quasi-likelihood equations sum_p w (d_k - e_k f) = 0 are linear in the data d. Unlike in a regression,
-noise in f therefore causes no bias. A group contains pixels of one lamp position, one brightness and one set of
-exposures that do not clip them.
+The expected light of a pixel in exposure k is e_k f, where f is the flux of the pixel and e_k the relative exposure. A
+group contains pixels of one lamp position, one brightness and one set of exposures that do not clip them. The sum of the
+light of a group is also proportional to e_k. With the measured sums d_k and weights w, the quasi-likelihood equations
+sum w (d_k - e_k f) = 0 are linear in the data. Unlike in a regression, noise in f therefore causes no bias.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ class ClipLevel(NamedTuple):
 
     Attributes:
         level: code of clipped pixels as read, DN.
-        std: standard deviation of the level, DN.
+        std: standard deviation of the level, DN; NaN if no clipping was found.
         spread: standard deviation of the codes of clipped pixels, DN.
-        pixels: number of clipped pixels; 0: no clipping, and `level` is the largest code.
+        pixels: number of clipped pixels; 0: no clipping was found, and `level` is the largest code.
     """
 
     level: float
@@ -47,16 +47,16 @@ class ClipLevel(NamedTuple):
 
 
 class ExposureRatios(NamedTuple):
-    """Exposure ratios from brackets.
+    """Ratios of k exposures from brackets.
 
     Attributes:
-        value: exposure relative to the shortest, (k,).
-        covariance: covariance of the logarithms of `value`, (k, k); 0 for the shortest, infinite on the diagonal for
-            exposures without a link to the shortest.
-        misfit: scatter relative to noise, chi2 per degree of freedom.
-        curve: code above dark relative to the largest code, relative departure from linearity at this code, and the
-            standard deviation of the departure, (n, 3).
-        linked: True if overlapping pixels link all exposures.
+        value: each exposure relative to the shortest, (k,).
+        covariance: covariance of the logarithms of `value`, (k, k); 0 for the shortest exposure. If `linked` is False, the
+            diagonal is infinite for all other exposures.
+        misfit: scatter relative to noise, chi2 per degree of freedom; NaN without degrees of freedom.
+        curve: n rows, one for each range of codes, (n, 3): code above dark relative to the largest code, relative departure
+            from linearity, and standard deviation of the departure.
+        linked: True if pixels that are usable in several exposures link all exposures.
     """
 
     value: np.ndarray
@@ -66,7 +66,10 @@ class ExposureRatios(NamedTuple):
     linked: bool
 
     def std(self, reference: int = 0) -> np.ndarray:
-        """Compute the relative standard deviation of the ratio of each exposure to that at index `reference`, (k,)."""
+        """Compute the relative standard deviation of the ratio of each exposure to the exposure `reference`, (k,).
+
+        `reference` is an index. The standard deviation is infinite if it is not determined.
+        """
         own = np.diag(self.covariance)
         with np.errstate(invalid="ignore"):
             variance = own + own[reference] - 2 * self.covariance[reference]
@@ -78,9 +81,17 @@ class ExposureRatios(NamedTuple):
 def first_guess(
     samples: Sequence[BracketSample], count: int, top: float, noise: float, nominal: np.ndarray
 ) -> np.ndarray:
-    """Estimate relative exposures from ratios of the light in neighbouring exposures.
+    """Estimate the relative exposures from ratios of the light in neighbouring exposures.
 
-    The nominal ratio is used if two neighbouring exposures have no common well-exposed pixels.
+    The nominal ratio is used if two neighbouring exposures have no common well-exposed pixels. A ratio that is unknown or
+    not above 1 is replaced by 2.
+
+    Args:
+        samples: samples of all lamp positions.
+        count: number of exposures.
+        top: largest code above dark, DN.
+        noise: read noise, DN.
+        nominal: nominal times of the exposures, s (count,); NaN: unknown.
     """
     guess = np.ones(count)
     for k in range(1, count):
@@ -122,7 +133,11 @@ def measure_clip_level(samples: Sequence[BracketSample], guess: np.ndarray, larg
 
 
 def usable(sample: BracketSample, exposures: np.ndarray, clip: ClipLevel, noise: float) -> np.ndarray:
-    """Compute the mask of the pixels, (k, n), that neither their code nor a shorter exposure indicates as clipped."""
+    """Compute the mask of the usable pixels of a sample, (k, n).
+
+    A pixel is not usable if its code reaches the clip threshold. If clipping was found, it is also not usable where its
+    neighbours or shorter exposures predict a code near the clip level.
+    """
     relative = exposures[sample.exposures]
     below = sample.codes < clip.threshold
     height = max(clip.level - float(np.median(sample.codes[0] - sample.light[0])), 1.0)
@@ -177,9 +192,10 @@ def fit_ratios(
 def fit_gain(samples: Sequence[BracketSample], ratios: np.ndarray, clip: ClipLevel, noise: float) -> Stated:
     """Fit the gain, DN per electron, and its standard deviation, from differences between exposures of one scene.
 
-    The difference u = d_a - (e_a/e_b) d_b has variance K m (1 + e_a/e_b) + read noise^2 (1 + (e_a/e_b)^2), where m is
-    the mean of d_a. The slope over m is K, so pairs of equal frames are not required. The variance is estimated
-    robustly in bins of brightness.
+    Let d_a and d_b be the light of a pixel in two exposures, r the ratio of these exposures, K the gain, and m the mean of
+    d_a. The difference d_a - r d_b has the variance K m (1 + r) + read noise^2 (1 + r^2). K is fitted to this variance, so
+    pairs of equal frames are not required. The variance is estimated robustly in bins of brightness. The result is
+    `UNKNOWN_GAIN` if too few pixels are usable.
     """
     rows = []
     for sample in samples:
@@ -224,10 +240,11 @@ def fit_gain(samples: Sequence[BracketSample], ratios: np.ndarray, clip: ClipLev
 
 
 def fit_gain_of_single(samples: Sequence[BracketSample], clip: ClipLevel, noise: float) -> Stated:
-    """Estimate an upper bound of the gain from differences between neighbouring pixels of a single exposure.
+    """Estimate an upper bound of the gain, DN per electron, from differences between neighbouring pixels.
 
-    Like noise, texture and gradients increase the variance, so the lower quartile of variance over mean in bins of
-    brightness is used. The result is the gain, DN per electron, and its standard deviation.
+    The longest exposure of each lamp position is used. Texture and gradients increase the variance of the differences, so
+    the bound is the lower quartile of the ratio of variance to mean in bins of brightness. Its standard deviation is
+    assumed to be 50 %. The result is `UNKNOWN_GAIN` if too few pixels are usable.
     """
     light = np.concatenate([sample.light[-1] for sample in samples])
     around = np.concatenate([sample.around[-1] for sample in samples])
@@ -257,7 +274,10 @@ def _brightness_bins(brightness: np.ndarray) -> Iterator[np.ndarray]:
 def _groups(
     samples: Sequence[BracketSample], exposures: np.ndarray, clip: ClipLevel, noise: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Compute sums of light (DN) and pixel counts, (groups, exposures) each; both are 0 for unused exposures."""
+    """Compute the sum of light, DN, and the number of pixels of each group in each exposure, (groups, exposures) each.
+
+    Both are 0 for exposures that the group does not use. Groups that use only one exposure are omitted.
+    """
     sums, counts = [], []
     for sample in samples:
         use = usable(sample, exposures, clip, noise)
@@ -288,7 +308,10 @@ def _groups(
 def _solve(
     sums: np.ndarray, counts: np.ndarray, exposures: np.ndarray, noise: float, gain: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Solve the quasi-likelihood equations for exposures and flux of each group (DN per pixel at exposure 1)."""
+    """Solve the quasi-likelihood equations for the relative exposures and the flux of each group.
+
+    The flux is the light per pixel at a relative exposure of 1, DN.
+    """
     used = counts > 0
     exposures = exposures.copy()
     flux = sums.sum(1) / np.maximum((counts * exposures).sum(1), 1e-300)
@@ -307,7 +330,7 @@ def _solve(
 
 
 def _curve(sums: np.ndarray, counts: np.ndarray, mean: np.ndarray, variance: np.ndarray) -> np.ndarray:
-    """Compute code, relative departure from linearity and its standard deviation for each half octave of the code."""
+    """Compute the rows of `ExposureRatios.curve`, one for each half octave of the code."""
     used = counts > 0
     code, residual, var, size = mean[used], (sums - counts * mean)[used], variance[used], (counts * mean)[used]
     if not code.size:

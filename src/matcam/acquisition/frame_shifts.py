@@ -60,7 +60,7 @@ def find_shifts(
         The outline at the mean position, and a shift for each image.
 
     Raises:
-        FitError: no image shows the limb.
+        FitError: no image shows enough of the limb.
     """
     position = np.array([outline.row, outline.column, outline.radius])
     shifts = np.zeros((len(pictures), 2))
@@ -91,7 +91,7 @@ def find_shifts(
             used.append(chosen)
         if not any(chosen.any() for chosen in used):
             raise FitError(
-                "no image shows the limb in front of its background: photograph the outline in front of a bright field"
+                "no image shows enough of the limb of the sphere: photograph the outline in front of a bright field"
             )
         step, covariance = _solved(np.array(blocks), np.array(pulls), shifts, shift_std)
         position, shifts = position + step[:3], shifts + step[3:].reshape(-1, 2)
@@ -127,7 +127,10 @@ def find_shifts(
 def _solved(
     blocks: np.ndarray, pulls: np.ndarray, shifts: np.ndarray, shift_std: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Compute the step of (row, column, radius, shifts...) and its covariance; the shifts have mean 0 in the prior."""
+    """Compute the Gauss-Newton step of row, column, radius and all shifts, px, and its covariance, px^2.
+
+    The prior mean of the shifts is 0.
+    """
     count = len(blocks)
     information, pull = np.zeros((3 + 2 * count, 3 + 2 * count)), np.zeros(3 + 2 * count)
     information[:3, :3], pull[:3] = blocks.sum(0), pulls.sum(0)

@@ -1,8 +1,9 @@
 """Highlight in an image of a sphere, and the direction of its lamp.
 
-The highlight is fitted on the sphere: an isotropic lobe about one normal, foreshortened, blurred by the lens, on a uniform
-background. The model thus includes the shift by foreshortening towards the limb, and the fitted position is the mirror
-point. Clipped pixels are lower bounds.
+The highlight is fitted on the sphere by a lobe about one normal, on a uniform background. The lobe has separate widths in
+the plane of incidence and across it, is foreshortened, and is blurred by the lens. Foreshortening shifts the highlight
+towards the limb. The model includes this shift, so the fitted position is the mirror point. The value of a clipped pixel is
+treated as a lower bound.
 """
 
 from __future__ import annotations
@@ -41,7 +42,8 @@ class Highlight:
         normal: normal of the sphere at the mirror point, unit vector (3,).
         width: width of the lobe across the plane of incidence, without the lens's blur, as a rotation of the normal, rad.
         clipped: number of clipped pixels in the highlight.
-        others: (row, column, light) of other bright spots, px and relative to the light of this highlight.
+        others: (row, column, light) of each other bright spot. Row and column are in px, and the light is relative to that
+            of this highlight.
         remarks: warnings and limitations.
     """
 
@@ -65,10 +67,11 @@ def find_highlight(picture: MergedPicture, ball: MirrorBall, *, blur: float = 0.
         blur: standard deviation of lens and pixel together, px. Default: 0.6.
 
     Returns:
-        The highlight with its mirror point, and a list of other bright spots.
+        The highlight. If the lobe cannot be fitted, its position is the centroid of the bright spot.
 
     Raises:
-        FitError: the image shows no highlight, the sphere is clipped, or the brightest spot is too broad.
+        FitError: the image contains too few pixels of the sphere, more than 30 % of the sphere is clipped, there is no
+            highlight, or the brightest spot is too broad.
     """
     shape = picture.values.shape
     rows, columns = np.indices(shape) + np.array(picture.origin)[:, None, None]
@@ -77,7 +80,8 @@ def find_highlight(picture: MergedPicture, ball: MirrorBall, *, blur: float = 0.
     one = on & np.isfinite(picture.values) & (picture.channel == main)
     if one.sum() < 30:
         raise FitError(
-            f"{picture.name}: the disc of the sphere contains only {one.sum()} values: check that it lies inside the frame"
+            f"{picture.name}: the disc of the sphere contains {one.sum()} values, but at least 30 are required: check the "
+            "centre and the radius of the outline"
         )
     lost = float(np.mean(picture.clipped[on]))
     if lost > _LOST:
@@ -91,15 +95,18 @@ def find_highlight(picture: MergedPicture, ball: MirrorBall, *, blur: float = 0.
     area = first[3] / np.count_nonzero(on)
     if area > _BROADEST:
         raise FitError(
-            f"{picture.name}: the brightest spot covers {area:.0%} of the sphere, which is too large for a highlight; specify "
-            "the lamp's direction"
+            f"{picture.name}: the brightest spot covers {area:.0%} of the sphere, but a highlight covers at most "
+            f"{_BROADEST:.0%}; specify the lamp's direction in frames.csv"
         )
     remarks = []
     others = tuple((s[0] + picture.origin[0], s[1] + picture.origin[1], s[2] / first[2]) for s in spots[1:])
     if others:
         at = "; ".join(f"row {r:.0f}, column {c:.0f} ({share:.0%})" for r, c, share in others[:3])
         remarks.append(
-            Remark("several-highlights", f"{picture.name}: there are other bright spots, at {at}: remove their cause")
+            Remark(
+                "several-highlights",
+                f"{picture.name}: there are bright spots besides the highlight, at {at}: remove their cause",
+            )
         )
     near = (rows - picture.origin[0] - first[0]) ** 2 + (columns - picture.origin[1] - first[1]) ** 2
     near = near < max(5.0, 3.0 * np.sqrt(first[3] / np.pi) + 2) ** 2
@@ -132,7 +139,10 @@ def find_highlight(picture: MergedPicture, ball: MirrorBall, *, blur: float = 0.
 def _spots(
     picture: MergedPicture, one: np.ndarray, on: np.ndarray
 ) -> tuple[list[tuple[float, float, float, int]], float]:
-    """Find bright spots (row, column, light, number of pixels), the brightest first, and the background."""
+    """Find the bright spots, the brightest first, and the background level.
+
+    Each spot consists of row and column, px, its light above the background, and its number of pixels.
+    """
     light = np.where(one, picture.values, -np.inf)
     background = float(np.median(picture.values[one]))
     noise = float(np.median(picture.std[one]))
@@ -175,10 +185,10 @@ class _LobeFit:
         self.size, self.background = size, max(abs(background), float(np.median(self.std)))
 
     def model(self, p: np.ndarray) -> np.ndarray:
-        """Evaluate the light of each pixel.
+        """Evaluate the light of each pixel, in the unit of the image.
 
-        `p` contains the position, px, and the logarithms of the two widths and of the exponent. The logarithm of the height
-        and the relative background of each channel follow.
+        `p` contains the shift (row, column) from the start position, px, the logarithms of the two widths in rad, and the
+        logarithm of the exponent. For each channel, the logarithm of the height and the relative background follow.
         """
         centre = self.ball.normals(*(self.start + p[:2]))
         if not np.isfinite(centre).all():
@@ -200,13 +210,19 @@ class _LobeFit:
         return np.exp(height) * shape + level * self.background
 
     def residual(self, p: np.ndarray) -> np.ndarray:
-        """Compute (value - model) / error; the residual of a clipped pixel is 0 if the model exceeds its value."""
+        """Compute (value - model) / error of each pixel, followed by the residual of the prior of the exponent.
+
+        The residual of a clipped pixel is 0 if the model exceeds its value.
+        """
         residual = (self.values - self.model(p)) / self.error
         # weak prior: the exponent of the lobe is about 2
         return np.append(np.where(self.clipped, np.maximum(residual, 0.0), residual), (p[4] - np.log(2.0)) / 1.0)
 
     def solved(self) -> tuple[np.ndarray, np.ndarray, float]:
-        """Solve for the position, px (2,), its covariance, px^2 (2, 2), and the width of the lobe, rad."""
+        """Fit row and column of the mirror point, px (2,), their covariance, px^2 (2, 2), and the width of the lobe, rad.
+
+        A FitError is raised if the fitted position is beside the sphere or far from the bright spot.
+        """
         width = max(np.sqrt(self.size / np.pi), self.blur) / self.ball.radius
         first = [0.0, 0.0, np.log(width), np.log(width), np.log(2.0)]
         for k in range(len(self.channels)):
@@ -244,7 +260,8 @@ def lamp_from_highlight(
         lamp_distance: distance of the lamp from the sphere's centre, radii. Default: infinite.
 
     Returns:
-        Unit vector from the sphere's centre (3,), and its covariance, propagated from the highlight, rad^2 (3, 3).
+        Unit vector from the sphere's centre to the lamp (3,), and its covariance, rad^2 (3, 3). The covariance is
+        propagated from that of the highlight.
     """
     here = ball.lamp_seen_at(highlight.normal, lamp_distance)
     step = 1e-3
@@ -257,7 +274,7 @@ def lamp_from_highlight(
 
 
 def lamp_angles_apart(lamps: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Compute the angles between directions (..., 3), rad."""
+    """Compute the angle between the directions of each pair (..., 3), rad."""
     lamps, others = np.broadcast_arrays(unit(np.asarray(lamps, float)), unit(np.asarray(others, float)))
     return np.arctan2(np.linalg.norm(np.cross(lamps, others), axis=-1), (lamps * others).sum(-1))
 
@@ -273,8 +290,8 @@ def find_highlights(
         blur: standard deviation of lens and pixel together, px. Default: 0.6.
 
     Returns:
-        A highlight for each image, or None and a remark if there is no highlight; and all remarks. Equal remarks on many
-        images are combined.
+        The highlight of each image, and the remarks. The highlight is None, with a remark, if none was found. Remarks of
+        one kind on more than three images are combined.
     """
     found: list[Highlight | None] = []
     remarks: list[tuple[str, Remark]] = []

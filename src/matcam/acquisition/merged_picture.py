@@ -14,10 +14,10 @@ class MergedPicture:
         values: linear radiance of each pixel, of shape (height, width), in one unit for all images of a capture:
             electrons, or digital numbers, of the reference exposure. The dark level is subtracted. NaN: no value.
         std: standard deviation of `values` due to photon and read noise, same shape and unit.
-        clipped: pixels that were clipped in every exposure, same shape: the true value is at least `values`.
+        clipped: mask of the pixels that were clipped in every exposure, same shape; their true value is at least `values`.
         channel: index into `channels` of each pixel, same shape; mosaics are not interpolated.
         channels: names of the colours, ("R", "G", "B") or ("grey",).
-        origin: row and column of the first pixel in the frame, if the image was cropped.
+        origin: row and column of the first pixel in the whole frame, px. Default: (0, 0).
     """
 
     name: str

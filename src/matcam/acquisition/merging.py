@@ -1,10 +1,10 @@
 """Merging of the exposures of each lamp position into one linear image with its noise.
 
-Clipped pixels are censored, never dropped.
+The value of a pixel that is clipped in every exposure is a lower bound.
 
-The flux of a pixel is the weighted mean of its exposures, f = sum w d / sum w e with w = e / (K e f + r^2). Here K is
-the gain and r the read noise. Clipping of a pixel in an exposure is predicted from shorter exposures, because selection
-by the noisy code itself would bias the flux.
+The flux f of a pixel is a weighted mean over its exposures, f = sum w d / sum w e with w = e / (K e f + r^2). Here d is the
+dark-subtracted code in an exposure, e the relative exposure, K the gain, and r the read noise. Clipping of a pixel in an
+exposure is predicted from shorter exposures, because selection by the noisy code itself would bias the flux.
 """
 
 from __future__ import annotations
@@ -176,7 +176,8 @@ def merge_position(
 def bracket_misfit(capture: Capture, lamp: str, radiometry: Radiometry, picture: MergedPicture) -> float:
     """Compute the misfit between the exposures of a lamp position, chi2 per degree of freedom.
 
-    A value well above 1 indicates that the sample, camera or lamp moved between the exposures.
+    A value well above 1 indicates that the sample, camera or lamp moved between the exposures. The result is NaN if no
+    pixel is bright enough.
     """
     reader = MosaicReader(capture)
     noise = radiometry.read_noise.value
@@ -206,8 +207,11 @@ def bracket_misfit(capture: Capture, lamp: str, radiometry: Radiometry, picture:
 def misfit_remark(lamp: str, misfit: float) -> Remark | None:
     if not misfit > 2.0:
         return None
-    text = f"lamp {lamp}: the differences of its exposures are {math.sqrt(misfit):.1f} times their noise: "
-    return Remark("bracket-moved", text + "fasten sample, camera and lamp, and repeat the exposures")
+    return Remark(
+        "bracket-moved",
+        f"lamp {lamp}: the differences between the exposures are {math.sqrt(misfit):.1f} times the expected noise: fasten "
+        "sample, camera and lamp, and repeat the exposures",
+    )
 
 
 def _usable(
@@ -219,7 +223,7 @@ def _usable(
     step: int,
     seen: bool,
 ) -> np.ndarray:
-    """Find the usable exposures of each pixel, (k, height, width)."""
+    """Compute the mask of the pixels that are usable in each of k exposures, (k, height, width)."""
     use = np.stack([~one for one in full])
     if not seen:
         return use
@@ -238,7 +242,7 @@ def _usable(
 def _weighted(
     light: list[np.ndarray], use: np.ndarray, relative: np.ndarray, gain: float, noise: float, step: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Compute the flux of every pixel (DN at the reference exposure) and its variance, float32."""
+    """Compute the flux of every pixel, DN at the reference exposure, and its variance, DN^2, both float32."""
     top, under, own = (np.zeros(light[0].shape, np.float32) for _ in range(3))
     for one, d, e in zip(use, light, relative.astype(np.float32), strict=True):
         top += np.multiply(d, one, out=own)

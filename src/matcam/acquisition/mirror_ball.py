@@ -1,8 +1,8 @@
 """Sphere in front of a camera as a mirror: normals of pixels, and mirror images of lamps (Alhazen's problem).
 
-Axes: x right, y up, z to the camera and parallel to its axis; the origin is the sphere's centre, lengths are in its
-radii. Rows increase downwards. The formulas are exact for a near camera, a near lamp and a sphere beside the camera's
-axis.
+Axes: x right, y up, z parallel to the optical axis and towards the camera. The origin is the centre of the sphere, and
+lengths are in radii of the sphere. Rows increase downwards. The formulas are exact for a near camera, a near lamp and a
+sphere beside the optical axis.
 """
 
 from __future__ import annotations
@@ -27,11 +27,13 @@ class MirrorBall(NamedTuple):
     """Sphere in a frame.
 
     Attributes:
-        row: row of the image of its centre, px.
-        column: column of the image of its centre, px.
-        radius: radius of its limb if its centre were on the optical axis, px.
-        distance: distance of the camera from its centre, radii; infinite for an orthographic camera. Default: infinite.
-        axis: (row, column) of the intersection of the optical axis with the frame, px. Default: the centre.
+        row: row of the image of the sphere's centre, px.
+        column: column of the image of the sphere's centre, px.
+        radius: radius that the limb would have if the sphere's centre were on the optical axis, px.
+        distance: distance of the camera from the sphere's centre, radii; infinite for an orthographic camera. Default:
+            infinite.
+        axis: (row, column) of the intersection of the optical axis with the frame, px. Default: the image of the sphere's
+            centre.
 
     Example:
         A lamp 60 degrees to the right, far away like the camera, is seen where the normal is at 30 degrees:
@@ -84,7 +86,7 @@ class MirrorBall(NamedTuple):
             return foot - np.sqrt(1 - (foot**2).sum(-1, keepdims=True)) * ray
 
     def position(self, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Compute the row and column of normals (..., 3) in the frame, px; NaN for invisible points."""
+        """Compute row and column, px, of the points of the sphere with given normals (..., 3); NaN for invisible points."""
         normals = np.asarray(normals, float)
         camera = self.towards_camera
         seen = normals @ camera > 1 / self.distance
@@ -100,20 +102,20 @@ class MirrorBall(NamedTuple):
         return self.row - y + hidden, self.column + x + hidden
 
     def views(self, normals: np.ndarray) -> np.ndarray:
-        """Compute unit vectors from points of the sphere, given by their normals (..., 3), to the camera."""
+        """Compute unit vectors to the camera from the points of the sphere with given normals (..., 3)."""
         if np.isinf(self.distance):
             return np.broadcast_to(self.towards_camera, np.shape(normals))
         return unit(self.towards_camera * self.distance - normals)
 
     def lamp_seen_at(self, normals: np.ndarray, lamp_distance: float | np.ndarray = np.inf) -> np.ndarray:
-        """Compute the direction, from the centre of the sphere, of the lamp that is mirrored at a normal.
+        """Compute the direction of a lamp from the normal of the sphere at its mirror image.
 
         Args:
             normals: normals of the mirror points (..., 3).
             lamp_distance: distance of the lamp from the centre, radii. Default: infinite.
 
         Returns:
-            Unit vectors (..., 3).
+            Unit vectors from the sphere's centre to the lamp (..., 3).
         """
         normals = np.asarray(normals, float)
         views = self.views(normals)
@@ -145,7 +147,10 @@ class MirrorBall(NamedTuple):
     def mirror_position(
         self, lamps: np.ndarray, lamp_distance: float | np.ndarray = np.inf
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Compute row and column of the mirror images of lamps, px. The arguments are those of `mirror_normals`."""
+        """Compute row and column of the mirror images of lamps, px; NaN for invisible images.
+
+        The arguments are the same as those of `mirror_normals`.
+        """
         return self.position(self.mirror_normals(lamps, lamp_distance))
 
 
@@ -156,15 +161,18 @@ def cylinder_line(
     height: Callable[[float], float] = lambda depth: 0.0,
     lean: float = 0.0,
 ) -> float:
-    """Compute the distance of the brightest line on an upright cylinder to the right of its axis, radii.
+    """Compute the position of the brightest line of an upright cylinder in the image.
+
+    The result is the distance of the line to the right of the axis, divided by the radius of the outline.
 
     Args:
         lamp: unit vector from the axis to the lamp (3,).
-        distance: distance of the camera, radii. Default: infinite.
-        lamp_distance: distance of the lamp, radii. Default: infinite.
-        height: height above the centre of a point of the line, radii, as a function of its depth. Default: 0.
-        lean: slope around the cylinder per slope along it at which the lobe has its largest density. Default: 0, the lobe is
-            symmetric.
+        distance: distance of the camera from the axis, radii. Default: infinite.
+        lamp_distance: distance of the lamp from the axis, radii. Default: infinite.
+        height: function that returns the height of a point of the line above the centre from the depth of the point, both
+            in radii. Default: 0.
+        lean: ratio of the slope around the cylinder to the slope along it at the largest density of the lobe, no unit.
+            Default: 0, the lobe is symmetric.
     """
     camera, source = 1 / distance, 1 / lamp_distance
     u, end = float(np.arctan2(lamp[0], 1 + lamp[2])), np.arccos(camera) - 1e-3

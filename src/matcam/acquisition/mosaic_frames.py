@@ -1,7 +1,8 @@
 """Frames of a capture as mosaics of linear codes: one value per pixel, with its colour.
 
-Grey images and raw mosaics are used directly. Of an image in full colour, one of the three values of each pixel is used,
-as in a mosaic of the specified colours. If the image was demosaiced from that mosaic, these are the measured values.
+Grey images and raw mosaics are used directly. In an image in full colour, only one of the three values of each pixel is
+used, as in a mosaic of the specified colours. If the image was demosaiced from the same mosaic, the used values are the
+measured ones.
 """
 
 from __future__ import annotations
@@ -25,18 +26,18 @@ values are interpolated, but do not mix colours.
 
 
 def origin_of(region: Region | None) -> tuple[int, int]:
-    """Return row and column of the first pixel of a region; None: a whole frame."""
+    """Return row and column of the first pixel of a region, px; (0, 0) for None, the whole frame."""
     return (0, 0) if region is None else (region[1], region[0])
 
 
 @dataclass
 class MosaicReader:
-    """Reader of the frames of a capture as mosaics, which checks that they are of one kind.
+    """Reader of the frames of a capture as mosaics. It requires that all frames are of one kind.
 
     Attributes:
         capture: the capture.
         remarks: remarks on the kind of the frames, without duplicates.
-        saturation: largest code that the frames' format can hold; infinite if unknown.
+        saturation: largest code that the format of the frames can hold, DN; infinite if unknown.
     """
 
     capture: Capture
@@ -46,7 +47,10 @@ class MosaicReader:
 
     @property
     def cfa(self) -> str | None:
-        """Colours of the first 2 x 2 px of an entire frame, as specified or from its file; None: grey."""
+        """Colours of the first 2 x 2 px of an entire frame, row by row; None: grey.
+
+        The capture or the first frame specifies the colours. Otherwise `ASSUMED_CFA` is used for frames in full colour.
+        """
         stated = self.capture.settings["camera"]["cfa"] or (self._first[1] if self._first else None)
         return stated or (ASSUMED_CFA if self._first and self._first[3] else None)
 
@@ -56,7 +60,7 @@ class MosaicReader:
 
     @property
     def step(self) -> int:
-        """Distance of the nearest pixel of the same colour, px."""
+        """Distance between pixels of the same colour along a row, px."""
         return 1 if self.cfa is None else 2
 
     def channel_map(self, shape: tuple[int, ...], region: Region | None = None) -> np.ndarray:
@@ -67,16 +71,16 @@ class MosaicReader:
         return tile[rows[:, None] % 2, columns % 2]
 
     def channel_means(self, codes: np.ndarray, region: Region) -> tuple[np.ndarray, np.ndarray]:
-        """Compute the mean code of a region, and its number of pixels, by channel, (channels,)."""
+        """Compute the mean code, DN, and the number of pixels of each channel in a region, (channels,) each."""
         of, count = self.channel_map(codes.shape, region).ravel(), len(self.channels)
         pixels = np.bincount(of, minlength=count)
         return np.bincount(of, codes.ravel().astype(np.float64), count) / np.maximum(pixels, 1), pixels
 
     def read(self, frame: CaptureFrame, region: Region | None = None) -> np.ndarray:
-        """Read the codes of a frame or a region, float32 (height, width).
+        """Read the codes of a frame or a region, float32 (height, width), DN.
 
-        A FileFormatError is raised if the kind of the frame differs from that of the first frame, or if the frame is
-        processed and accept_processed is not set.
+        A FileFormatError is raised if the file cannot be read, if its kind differs from that of the first frame, or if its
+        mosaic differs from camera.cfa. It is also raised if the frame is processed and accept_processed is not set.
         """
         photograph = self.capture.read(frame, region)
         self._check(frame, photograph)
@@ -111,7 +115,8 @@ class MosaicReader:
             self._first, self.saturation = kind, photograph.saturation
             if camera["cfa"] and photograph.cfa and camera["cfa"] != photograph.cfa:
                 raise FileFormatError(
-                    f"{path}: its mosaic is {photograph.cfa}, but capture.toml has {camera['cfa']}: correct camera.cfa"
+                    f"{path}: the mosaic of the frame is {photograph.cfa}, but capture.toml has {camera['cfa']}: correct "
+                    "camera.cfa"
                 )
         elif kind != self._first:
             what = [
@@ -146,4 +151,4 @@ class MosaicReader:
                 f"{', and specify its original mosaic as camera.cfa' if colour and camera['cfa'] is None else ''}"
             )
         for text in processed:
-            self.remarks.setdefault(text, Remark("processed", f"frames are {text}"))
+            self.remarks.setdefault(text, Remark("processed", f"the frames are {text}"))

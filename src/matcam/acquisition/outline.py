@@ -1,8 +1,9 @@
 """Outline of a sphere in an image: centre and radius of the limb, corrected for the blur of the lens, with covariance.
 
-An image shows the limb of a sphere that a lamp lights up to the limb, or of a dark sphere in front of a bright field.
-Its edges are measured in sectors of azimuth (`limb/limb_edges.py`). The outline is the conic of a sphere at a known
-distance: a circle on the camera's axis, an ellipse beside it. Sectors with a stand, dust or a highlight are omitted.
+The image shows a sphere that a lamp lights up to the limb, or a dark sphere in front of a bright field. The edges of the
+limb are measured in sectors of azimuth (`limb/limb_edges.py`). The outline is the image of a sphere at a known distance: a
+circle if the sphere is on the camera's axis, and an ellipse otherwise. Sectors with a stand, dust or a highlight are
+omitted.
 """
 
 from __future__ import annotations
@@ -46,8 +47,10 @@ class Sighting(NamedTuple):
     """Geometry of the camera relative to the sphere.
 
     Attributes:
-        distance: distance of the camera from the sphere's centre, radii; infinite for an orthographic camera.
-        axis: (row, column) of the intersection of the optical axis with the frame, px; None: the sphere's centre.
+        distance: distance of the camera from the sphere's centre, radii; infinite for an orthographic camera. Default:
+            infinite.
+        axis: (row, column) of the intersection of the optical axis with the frame, px. Default: None, the image of the
+            sphere's centre.
     """
 
     distance: float = np.inf
@@ -59,8 +62,8 @@ class Sighting(NamedTuple):
         Args:
             azimuth: azimuth, from +column towards +row, rad.
             row: row of the image of the sphere's centre, px.
-            column: column of that image, px.
-            radius: radius of the limb if the centre were on the optical axis, px.
+            column: column of the image of the sphere's centre, px.
+            radius: radius that the limb would have if the sphere's centre were on the optical axis, px.
         """
         if self.axis is None or np.isinf(self.distance):
             return np.full(np.shape(azimuth), radius)
@@ -83,9 +86,10 @@ class Outline:
 
     Attributes:
         row: row of the image of the sphere's centre, px; rows increase downwards, pixel centres are integers.
-        column: column of that image, px.
-        radius: radius of the limb if the centre of the sphere were on the optical axis, px.
-        covariance: covariance of (row, column, radius), px^2 (3, 3), from noise, edges, lens and light.
+        column: column of the image of the sphere's centre, px.
+        radius: radius that the limb would have if the sphere's centre were on the optical axis, px.
+        covariance: covariance of (row, column, radius), px^2 (3, 3), due to noise, scatter of the edges, and uncertainties
+            of the lens and of the light near the limb.
         sigma: standard deviation of the lens's blur, px.
         sigma_std: standard deviation of `sigma`, px.
         sighting: geometry of the camera relative to the sphere.
@@ -137,7 +141,11 @@ def stacked(pictures: Sequence[MergedPicture]) -> MergedPicture:
         pictures: images of one sphere at one position, of one shape and origin.
 
     Returns:
-        The mean over the images that have a value, pixel by pixel. Pixels that are clipped in any image are clipped.
+        The mean image. Each pixel is the mean over the images in which the pixel has a value. A pixel is marked as clipped
+        if it is clipped in any image.
+
+    Raises:
+        ArgumentError: there is no image, or the images differ in shape or origin.
     """
     shapes = {(one.values.shape, one.origin) for one in pictures}
     if len(shapes) != 1:
@@ -184,7 +192,8 @@ def find_outline(
 
     Raises:
         ArgumentError: `light` is unknown.
-        FitError: the image shows no sphere or two spheres, the frame cuts the sphere, or too little of the limb is lit.
+        FitError: the image shows no sphere or two spheres, the frame cuts the sphere, or too little of the limb is visible
+            against the background.
 
     Source:
         docs/outline.md.
@@ -207,7 +216,7 @@ def find_outline(
 def _likelier(one: Outline, other: Outline) -> Outline:
     """Choose the outline with the better model of the light.
 
-    The distance of the other outline from this outline is added to the covariance.
+    The covariance of the result includes the difference between the outlines, weighted by the likelihood of each model.
     """
     both = one.used & other.used
     chi2, freedom = (
@@ -246,13 +255,15 @@ def _refuse_cut(picture: MergedPicture, circle: FoundCircle) -> None:
     left = min(circle.row, height - 1 - circle.row, circle.column, width - 1 - circle.column) - circle.radius
     if left < -0.5:
         raise FitError(
-            f"{picture.name}: the frame cuts the sphere, whose limb of radius {circle.radius:.0f} px ends {-left:.0f} px "
-            f"outside; show the entire sphere in the frame"
+            f"{picture.name}: the frame cuts the sphere: the limb of radius {circle.radius:.0f} px extends {-left:.0f} px "
+            "beyond the border; show the entire sphere in the frame"
         )
 
 
 class OutlineFit:
-    """Iterative fit of an outline: edges of sectors about the current curve, then the curve through the edges.
+    """Iterative fit of an outline.
+
+    Each iteration measures the edge of each sector relative to the current curve, and fits a new curve to the edges.
 
     Args:
         picture: image with the limb.
@@ -300,7 +311,10 @@ class OutlineFit:
             return sharp & (edges.misfit < _MISFIT * np.median(edges.misfit[sharp])) if sharp.any() else sharp
 
     def slopes(self, position: np.ndarray, azimuth: np.ndarray) -> np.ndarray:
-        """Compute the derivatives of the limb's distance with respect to row, column and radius at azimuths (n, 3)."""
+        """Compute the derivatives of the limb's position with respect to row, column and radius, (n, 3).
+
+        The limb's position is measured outwards, along each of n azimuths.
+        """
         matrix = np.stack([np.sin(azimuth), np.cos(azimuth), np.ones_like(azimuth)], axis=1)
         if self.sighting.axis is not None:
             at = self.sighting.radius_at(azimuth, *position)
@@ -312,7 +326,11 @@ class OutlineFit:
     def settle(
         self, position: np.ndarray, sigma: float, exponents: Sequence[float], turns: int = 6, wider: float = 0.0
     ) -> tuple[np.ndarray, LimbSectors, np.ndarray, np.ndarray, float]:
-        """Iterate the fit to convergence, and compute position, edges, used edges, covariance and rms distance."""
+        """Iterate the fit to convergence.
+
+        The results are row, column and radius, px (3,), the edges, the mask of the used edges, the covariance, px^2 (3, 3),
+        and the rms distance of the used edges from the curve, px.
+        """
         for _ in range(turns):
             edges = self.edges(position, sigma, exponents, wider)
             step, used, covariance, scatter = self.solve(position, edges, wider)
@@ -324,13 +342,17 @@ class OutlineFit:
     def solve(
         self, position: np.ndarray, edges: LimbSectors, wider: float
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
-        """Compute the step to the curve through the edges, the used edges, the covariance and the rms distance."""
+        """Fit the curve to the edges.
+
+        The results are the step of row, column and radius, px (3,), the mask of the used edges, the covariance, px^2 (3, 3),
+        and the rms distance of the used edges from the curve, px. A FitError is raised if the edges are too few.
+        """
         with np.errstate(invalid="ignore"):
             used = self.usable(edges) & (np.abs(edges.offset) < 2.0 + wider)
         if used.sum() < FEWEST_SECTORS:
             raise FitError(
-                f"{self.picture.name}: only {used.sum()} of {self.count} sectors of the limb stand out from the background; "
-                "light the limb, or photograph the outline in front of a bright field"
+                f"{self.picture.name}: only {used.sum()} of {self.count} sectors of the limb have a usable edge, but at least "
+                f"{FEWEST_SECTORS} are required; light the limb, or photograph the outline in front of a bright field"
             )
         matrix = self.slopes(position, edges.azimuth)
         std = np.nan_to_num(edges.std * np.sqrt(np.maximum(edges.misfit, 1.0)), nan=1.0)
@@ -352,8 +374,8 @@ class OutlineFit:
         covariance = np.linalg.pinv(a.T @ a) * max(1.0, chi2 / freedom)
         if np.sqrt(np.diag(covariance)).max() > 1.0:
             raise FitError(
-                f"{self.picture.name}: the lit part of the limb is too short to determine the centre of the sphere; "
-                f"use images of more lamps, or one with light from behind"
+                f"{self.picture.name}: the visible part of the limb is too short to determine centre and radius of the "
+                "sphere; use images of more lamps, or an image with light from behind"
             )
         return step, used, covariance, float(np.sqrt(np.mean(left[used] ** 2)))
 
@@ -383,15 +405,17 @@ class OutlineFit:
                 remarks.append(
                     Remark(
                         "backlight-reach-not-given",
-                        f"the mirrored backlight may shift the radius by {shrunk_std:.2f} px: specify the backlight extent",
+                        f"the mirror image of the bright field may reduce the radius by {shrunk_std:.2f} px: specify the "
+                        "extent of the field (backlight_reach)",
                     )
                 )
         seen = int(np.sum(edges.contrast > _CONTRAST))
         lost = seen - int(used.sum())
         if lost > 0.5 * seen or scatter > _RAGGED:
             raise FitError(
-                f"{self.picture.name}: {seen} edges stand out near the limb, but only {seen - lost} follow one outline, within "
-                f"{scatter:.2f} px: the background, or its mirror image in the sphere, hides the limb; use a plain background"
+                f"{self.picture.name}: {seen} edges are visible near the limb, and {seen - lost} of them follow one outline "
+                f"with an rms distance of {scatter:.2f} px: the background, or its mirror image in the sphere, probably hides "
+                "the limb; use a plain background"
             )
         if lost > 0.1 * self.count:
             remarks.append(
@@ -418,7 +442,7 @@ class OutlineFit:
         )
 
     def lens(self, position: np.ndarray, about: float | None = None) -> tuple[float, float]:
-        """Estimate the blur of the lens from the edges, and its standard deviation, px."""
+        """Estimate the standard deviation of the lens's blur from the edges, and the error of this estimate, px."""
 
         def misfit(log_sigma: float) -> float:
             edges = self.edges(position, float(np.exp(log_sigma)), self.exponents)

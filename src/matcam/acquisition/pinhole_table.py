@@ -1,9 +1,9 @@
 """Binning of images of a sphere as if the camera were a pinhole: a table without correction for the lens.
 
 Each pixel represents the normal at its centre. The ratio of its radiance to its irradiance is added to the cell of its
-half and difference angles. The value of a cell is the mean of its pixels. Published tables of measured materials result
-from this binning. The difference from a reconstruction shows the effect of the camera. Images are added one at a time,
-so memory does not grow with their number.
+half and difference angles. The value of a cell is the mean of its pixels. Published tables of measured materials were
+computed in this way. The difference between this table and a reconstruction shows the effect of the camera. Images are
+added one at a time, so memory does not grow with their number.
 """
 
 from __future__ import annotations
@@ -27,6 +27,9 @@ class PinholeTable:
         channels: colours of the images: ("R", "G", "B"), or a single colour, which is used for all three.
         isotropic: True to use each pixel at the mirrored azimuth, too. Default: True.
         steepest: largest angle of light or view to the normal of a pixel that is used, rad. Default: 87 degrees.
+
+    Raises:
+        ArgumentError: the number of channels is neither 1 nor 3.
 
     Example:
         >>> values = np.full((40, 40), 0.25)
@@ -64,10 +67,13 @@ class PinholeTable:
             lamp_distance: distance of the lamp from the centre, radii. Default: infinite.
             irradiance: irradiance of a surface at the sphere's centre that faces the lamp, as the value of a pixel
                 divided by BRDF and cosine; one value, or one for each channel. Default: 1.
+
+        Raises:
+            ArgumentError: the colours of the image are not those of the table.
         """
         if picture.channels != self.channels:
             raise ArgumentError(
-                f"{picture.name}: its colours are {picture.channels}, but the table requires {self.channels}"
+                f"{picture.name}: the colours of the image are {picture.channels}, but must be {self.channels}, as in the table"
             )
         reach, centre = 1.1 * ball.radius, np.array([ball.row, ball.column]) - picture.origin
         first, last = (np.maximum(end, 0).astype(int) for end in (np.floor(centre - reach), np.ceil(centre + reach)))
@@ -115,11 +121,12 @@ class PinholeTable:
         """Compute the table, the mean of the pixels in every cell, 1/sr; NaN without pixels.
 
         Raises:
-            FitError: no pixel was added.
+            FitError: no pixel was used.
         """
         if not self.pixels:
             raise FitError(
-                "no pixel of any image is lit and visible: check the lamps' directions, which must point to the lamp"
+                "no pixel of any image is lit, visible and unclipped: add images, and check that each lamp direction points "
+                "to the lamp"
             )
         total, number = (a.reshape(-1, *GRID_SHAPE) for a in (self._sum, self._number))
         if self.isotropic:  # phi_d and pi - phi_d mirror each other

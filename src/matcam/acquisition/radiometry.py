@@ -1,8 +1,8 @@
 """Radiometric calibration of a capture: dark, gain, read noise, exposure ratios, clip level, linearity, lamp output.
 
-All quantities are estimated from the images. Nominal values and metadata are compared with the estimates and never
-replace them (docs/model.md 10). There are two passes: the calibration keeps some pixels of every lamp position, and
-`merging.py` reads the frames again.
+All quantities are estimated from the images, as far as the images determine them. Nominal values and metadata are compared
+with the estimates, and are used only for quantities that the images do not determine (docs/model.md 10). There are two
+passes: the calibration keeps some pixels of every lamp position, and `merging.py` reads the frames again.
 """
 
 from __future__ import annotations
@@ -60,13 +60,13 @@ class Radiometry:
         gain: DN per electron, with standard deviation; NaN: not determined, and merged values are DN.
         read_noise: read noise, DN, with standard deviation.
         lamp_output: light of each lamp position from the reference, relative to the mean, with standard deviation; NaN
-            without a reference. Merged values are not divided by it, because it is the prior of an image's gain.
+            without a usable reference. Merged values are not divided by this light, which is the prior of an image's gain.
         reference_light: merged value of the reference at each lamp position, by channel, with standard deviation; NaN
-            if the reference is clipped.
+            without a usable reference.
         reference_between: relative standard deviation of the change of the lamp's light between an image of the
             reference and one of the sample; 0 if one frame shows both.
-        linearity: departure from linearity: code relative to the largest code, relative departure, its standard
-            deviation, (n, 3).
+        linearity: departure from linearity in n ranges of codes, (n, 3): code relative to the largest code, relative
+            departure, and standard deviation of the departure.
         tone_exponent: exponent of codes as a power of the nominal exposure time, with standard deviation; 1 for linear
             frames, NaN if the frames do not determine it.
         misfit: scatter of the exposures about the fitted ratios relative to noise, chi2 per degree of freedom.
@@ -75,7 +75,7 @@ class Radiometry:
         channels: names of the colours.
         region: part of the frames that is used; None: the entire frame.
         remarks: warnings and limitations, with the names of the frames.
-        flat: uniformity of the pixels; None without flat frames.
+        flat: response of the pixels; None without usable flat frames.
     """
 
     exposures: dict[str, Stated]
@@ -194,7 +194,8 @@ def measure_radiometry(
     remarks += [
         Remark(
             "missing-frame",
-            f"lamp{'s' * (len(of) > 1)} {some_of(of)}: no usable frame of exposure {', '.join(lacking)}; add such a frame",
+            f"lamp{'s' * (len(of) > 1)} {some_of(of)}: there is no usable frame of exposure {', '.join(lacking)}; add such a "
+            "frame",
         )
         for lacking, of in missing.items()
     ]
@@ -288,7 +289,7 @@ def _clip_level(
     saturation: float,
     noise: float,
 ) -> tuple[ClipLevel, list[Remark]]:
-    """Determine the clip level from shorter exposures, or from a pile-up at one code, or from the file format."""
+    """Determine the clip level from shorter exposures, from a pile-up at one code, or from the file format; and remarks."""
     clip = measure_clip_level(samples, guess, largest)
     if clip.pixels:
         return clip, []
@@ -299,11 +300,11 @@ def _clip_level(
         return (clip if largest < saturation else ClipLevel(largest, 0.29, 0.0, 1)), []
     where = [f"lamp {sample.lamp}, exposure {names[k]}" for sample in samples for k in sample.exposures]
     frames = f"{len(found.frames)} frame{'s' * (len(found.frames) > 1)}"
-    text = f"{found.clip.pixels} pixels of {frames} have the largest code, {found.clip.level:.0f} DN"
     remarks = [
         Remark(
             "clip-by-pile-up",
-            f"{text}, which is used as the clip level, because noise would distribute unclipped pixels over several codes",
+            f"{found.clip.pixels} pixels of {frames} pile up at the largest code, {found.clip.level:.0f} DN, which is used as "
+            "the clip level, because noise would distribute unclipped pixels over several codes",
         )
     ]
     if found.apart:
@@ -358,9 +359,10 @@ def _between(
     noise: float,
     remarks: list[Remark],
 ) -> float:
-    """Determine the relative change of light between an image of the reference and one of the sample.
+    """Determine the relative standard deviation of the change of light between images of reference and sample.
 
-    The change is specified, or it is estimated from the images of the reference.
+    It is specified, or it is estimated from the images of the reference. If there are too few images, it is
+    lamp.gain_std.
     """
     stated = capture.settings["reference"]["between_std"]
     if stated is not None:
@@ -388,7 +390,10 @@ def _frame_levels(
 
 
 def _order(samples: Sequence[BracketSample], count: int) -> np.ndarray:
-    """Order the exposures by their light, as determined from the codes, the smallest first."""
+    """Sort the indices of the exposures by the mean light of the samples, the smallest first.
+
+    If no lamp position has all exposures, the given order is returned.
+    """
     total, weight = np.zeros(count), np.zeros(count)
     for sample in samples:
         if len(sample.exposures) == count:

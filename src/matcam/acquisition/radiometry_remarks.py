@@ -35,11 +35,10 @@ and below which it was sharpened (few other causes make it negative).
 def tone_exponent(ratios: ExposureRatios, nominal: np.ndarray) -> Stated:
     """Estimate the exponent of codes as a power of the nominal exposure time, with its standard deviation.
 
-    The exponent is 1 for linear frames.
-
-    A tone curve changes every ratio of exposures approximately to a power of the ratio, with an exponent of 0.45 for a
-    gamma of 2.2. Wrong nominal times scatter about the nominal ratios instead. The result is NaN if the frames link
-    fewer than three exposures with times. A single wrong time then has the same effect as a power.
+    The exponent is 1 for linear frames. A tone curve changes every ratio of exposures approximately to a power of the ratio,
+    with an exponent of 0.45 for a gamma of 2.2. In contrast, wrong nominal times cause scatter of the measured ratios about
+    the nominal ratios. The result is NaN for fewer than three exposures, because a single wrong time then has the same
+    effect as a power. It is also NaN if the exposures are not linked, or if a nominal time is unknown.
     """
     if len(nominal) < _EXPOSURES_OF_A_POWER or not ratios.linked or not np.isfinite(nominal).all():
         return Stated(math.nan, math.inf)
@@ -72,14 +71,17 @@ def exposure_remarks(names: Sequence[str], ratios: ExposureRatios, nominal: np.n
         found.append(
             Remark(
                 "exposures-not-linked",
-                "no pixels are well exposed in two exposures, so nominal times are used: take exposures with smaller steps",
+                "some exposures share no well-exposed pixels with the others, so nominal times are used for their ratios: take "
+                "exposures with smaller steps",
             )
         )
     if np.isnan(nominal).any():
         missing = ", ".join(name for name, time in zip(names, nominal, strict=True) if math.isnan(time))
         found.append(
             Remark(
-                "times-missing", f"the nominal time of exposure {missing} is unknown; the frames determine its ratio"
+                "times-missing",
+                f"the nominal time of exposure {missing} is unknown, so the measured ratio is not checked: add time_s to "
+                "frames.csv",
             )
         )
         return found
@@ -87,15 +89,23 @@ def exposure_remarks(names: Sequence[str], ratios: ExposureRatios, nominal: np.n
         return found
     if (np.diff(nominal) < 0).any():
         found.append(
-            Remark("times-contradict", "brightness and nominal time order the exposures differently: check frames.csv")
+            Remark(
+                "times-contradict",
+                "the exposures have a different order by brightness and by nominal time: check time_s in frames.csv",
+            )
         )
     said = nominal / nominal[0]
     wrong = ratios.value / said - 1
     for name, error, std in zip(names, wrong, ratios.std(), strict=True):
         if np.isfinite(std) and abs(error) > max(_WRONG_TIME, 4 * std):
             measured = with_std(1 + error, max(std, 1e-9))
-            text = f"exposure {name}: its light relative to {names[0]} is {measured} times the nominal ratio"
-            found.append(Remark("times-wrong", text + "; the measured ratio is used: check time_s in frames.csv"))
+            found.append(
+                Remark(
+                    "times-wrong",
+                    f"exposure {name}: the light relative to exposure {names[0]} is {measured} times the nominal ratio; the "
+                    "measured ratio is used: check time_s in frames.csv",
+                )
+            )
     slope = float(np.polyfit(np.log(said), np.log(ratios.value), 1)[0]) if said[-1] > 1.5 else 1.0
     proof = tone_curve_proof(tone_exponent(ratios, nominal))
     if proof is not None:
@@ -118,8 +128,12 @@ def clip_remarks(clip: ClipLevel, names: Sequence[str], samples: Sequence[Bracke
         peak = (sample.codes[0] >= clip.threshold).sum() if sample.codes.size else 0
         if peak:
             pixels = "pixel is" if peak == 1 else "pixels are"
-            text = f"lamp {sample.lamp}: {peak} {pixels} clipped in the shortest exposure, {names[int(sample.exposures[0])]}"
-            peaks.append((sample.lamp, Remark("peak-clipped", f"{text}: add a shorter exposure")))
+            exposure = names[int(sample.exposures[0])]
+            remark = Remark(
+                "peak-clipped",
+                f"lamp {sample.lamp}: {peak} {pixels} clipped in the shortest exposure, {exposure}: add a shorter exposure",
+            )
+            peaks.append((sample.lamp, remark))
     return found + gathered(peaks)
 
 
@@ -134,8 +148,13 @@ def processing_remarks(where: str, correlation: float, std: float) -> list[Remar
     if _SHARPENED < correlation < _CORRELATED or abs(correlation) < 5 * std:
         return []
     what = "sharpened: highlights overshoot and appear too narrow" if correlation < 0 else "smoothed or demosaiced"
-    text = f"{where}: the noise of neighbouring pixels has a correlation of {correlation:+.2f}: the frames were probably {what}"
-    return [Remark("sharpened" if correlation < 0 else "smoothed", f"{text}; use raw frames")]
+    return [
+        Remark(
+            "sharpened" if correlation < 0 else "smoothed",
+            f"{where}: the noise of neighbouring pixels has a correlation of {correlation:+.2f}: the frames were probably "
+            f"{what}; use raw frames",
+        )
+    ]
 
 
 def linearity_remarks(ratios: ExposureRatios) -> list[Remark]:
@@ -147,5 +166,10 @@ def linearity_remarks(ratios: ExposureRatios) -> list[Remark]:
     if not bad.any():
         return []
     worst = curve[bad][np.abs(curve[bad][:, 1]).argmax()]
-    text = f"codes deviate by {worst[1]:+.1%} from linearity at {worst[0]:.0%} of the largest code: "
-    return [Remark("not-linear", text + "check for a tone curve, or a sample that moved")]
+    return [
+        Remark(
+            "not-linear",
+            f"codes deviate by {worst[1]:+.1%} from linearity at {worst[0]:.0%} of the largest code: check for a tone curve, "
+            "or for motion of the sample",
+        )
+    ]

@@ -1,4 +1,4 @@
-"""View for the calibration of a camera: images with edges and MTF50, one selected region, and the profile to save."""
+"""View for the calibration of a camera: images with their edges, one selected region, MTF curves, and the profile to save."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ class OpenedPicture:
         path: path of the file.
         photograph: values of the file.
         shown: displayed pixels in the order of the file, subsampled for the page, 0 to 1, encoded for a screen.
-        about: description, with the assumed tone curve.
+        about: description of name, size, colours, kind of values and subsampling.
     """
 
     path: Path
@@ -54,7 +54,8 @@ def open_picture(path: Path) -> OpenedPicture:
     if height * width > _LARGEST:
         megapixels = height * width / 1e6
         raise FileFormatError(
-            f"{path.name}: the image has {megapixels:.0f} megapixels, but at most {_LARGEST // 10**6} can be shown: crop it"
+            f"{path.name}: the image has {megapixels:.0f} megapixels, but at most {_LARGEST // 10**6} can be shown: crop the "
+            "image"
         )
     shown, step = drawn_values(values, linear=photograph.linear)
     kind = f"mosaic {photograph.cfa}" if photograph.cfa else "colour" if values.ndim == 3 else "grey"
@@ -86,7 +87,8 @@ def measured_edge(
 ) -> Any:
     """Measure the MTF across an edge as `matcam edge` does.
 
-    `region` contains x, y, width and height of the region with the edge, px. None: the entire image.
+    `region` contains x, y, width and height of the region with the edge, px; None: the entire image. `half_width` is the
+    half width of a pixel, px.
     """
     from matcam.calibration.edge.edge import edge_mtf
 
@@ -96,7 +98,8 @@ def measured_edge(
 def calibrated(paths: Sequence[Path], model: str, tone: str, half_width: float, chart: Path | None = None) -> Any:
     """Calibrate the camera of these images as `matcam calibrate` does.
 
-    `chart` is the description of the chart in the images. Default: None, edges are found automatically.
+    `half_width` is the half width of a pixel, px. `chart` is the file with the description of the chart in the images.
+    Default: None, edges are found automatically.
     """
     from matcam.calibration.camera.calibration import calibrate
 
@@ -113,7 +116,7 @@ def is_chart(path: Path) -> bool:
 
 
 def about_chart(path: Path) -> str:
-    """Count the targets of each kind of a chart, in words.
+    """Describe the targets of a chart by the number and name of each kind.
 
     Raises:
         FileFormatError: the file is not the description of a chart.
@@ -142,9 +145,9 @@ def targets_in(picture: OpenedPicture, chart: Path, tone: str, half_width: float
 
 
 def target_columns(samples: Sequence[Any]) -> dict[str, list[Any]]:
-    """Tabulate position, kind and one MTF sample of each target.
+    """Tabulate position (px), kind and one MTF sample of each target.
 
-    The sample is the one whose MTF is nearest to one half.
+    The frequency (cycles/px) of this sample is that at which the MTF is nearest to 0.5.
     """
     nearest = [int(np.argmin(np.abs(one.mtf - 0.5))) for one in samples]
     return {
@@ -193,7 +196,8 @@ def opened_or_why(path: Path) -> OpenedPicture | tuple[Path, str] | MatcamError:
     """Open an image or the description of a chart.
 
     Returns:
-        The image; or the path and the targets of the chart; or the error if the file cannot be opened.
+        The image, or the path and the description of the targets of a chart. If the file cannot be opened, the error is
+        returned.
     """
     try:
         return (path, about_chart(path)) if path.suffix.lower() == ".json" else open_picture(path)

@@ -31,11 +31,11 @@ class Setting:
     Attributes:
         name: name of the parameter in the program.
         title: label with unit.
-        low: smallest value.
-        high: largest value.
-        value: initial value.
+        low: smallest value, in the unit of the title.
+        high: largest finite value, in the same unit.
+        value: initial value, in the same unit.
         log: True if the slider is logarithmic.
-        infinite: True if the value may be infinite, which is set by a box beside the title.
+        infinite: True if the value may be infinite. A box beside the title then sets the value to infinite.
     """
 
     name: str
@@ -47,9 +47,9 @@ class Setting:
     infinite: bool = False
 
     def to_slider(self, value: float) -> float:
-        """Convert a value to the position of the slider.
+        """Convert a value to the position of the slider: the value, or its logarithm to base 10 if `log` is True.
 
-        An infinite value is at the right end.
+        The position of an infinite value is the right end of the slider.
         """
         value = min(value, self.high)
         return math.log10(value) if self.log else value
@@ -119,7 +119,7 @@ class NumberControl:
         return min(self.setting.value, self.setting.high) if self.field.value is None else float(self.field.value)
 
     def set(self, value: float) -> None:
-        """Show a value without calling the listeners."""
+        """Show a value without calling `changed` and `released`."""
         self._own = True
         self.infinite.active = math.isinf(value)
         self.field.value = None if math.isinf(value) else value
@@ -161,12 +161,12 @@ CUSTOM = "custom"
 
 
 class ConductorControl:
-    """Choice of a metal with its n and k, or of custom n and k.
+    """Control for the choice of a metal, or of custom values of refractive index n and extinction coefficient k.
 
     Args:
-        title: label of the choice.
+        title: label of the control.
         changed: called after the user has changed the choice.
-        indices: function that returns n and k of a metal, no unit.
+        indices: function that returns n and k of the metal with a given name, no unit.
     """
 
     def __init__(self, title: str, changed: Callable[[], None], indices: Callable[[str], tuple[float, float]]):
@@ -185,7 +185,7 @@ class ConductorControl:
 
     @property
     def n_and_k(self) -> tuple[float, float] | None:
-        """Custom n and k, no unit; None: those of the metal."""
+        """Custom n and k, no unit; None if a metal is chosen."""
         if self.name.value != CUSTOM:
             return None
         n, k = (float(field.value or 0.0) for field in self.numbers)

@@ -1,7 +1,8 @@
-"""Access control of the app: every request is checked first, including that of a websocket.
+"""Access control of the app: every request is checked first, including requests for a websocket.
 
-- The Host must be an address of this server, so that another page cannot reach it under its own name (DNS rebinding).
-- An Origin header, if present, must be the same address; a websocket must have an Origin header.
+- The Host header must be an address of this server. This prevents access by a page of another server whose host name was
+  redirected to this machine (DNS rebinding).
+- An Origin header, if present, must contain the same address; a request for a websocket must have an Origin header.
 - The first request must contain the token in its address. The answer redirects to an address without the token, and sets a
   cookie. All other requests must contain this cookie.
 """
@@ -33,7 +34,7 @@ _POLICY = (
 
 
 class Guard(HTTPServerConnectionDelegate):
-    """Filter that passes requests of the user of this machine, and rejects all others.
+    """Filter that passes permitted requests to the application, and answers all others itself.
 
     Args:
         application: application that receives the accepted requests.
@@ -65,7 +66,8 @@ class Guard(HTTPServerConnectionDelegate):
         """Check a request, and build the answer unless the request is accepted.
 
         Returns:
-            The rejection, or the redirection to the address without the token. None: the request is accepted.
+            Status, headers and body of a rejection, or of the redirection to the address without the token. None: the
+            request is accepted.
         """
         host = headers.get("Host", "").lower()
         if headers.get_list("Host")[1:] or not self._is_own(host):
@@ -126,7 +128,7 @@ def _refusal(why: str) -> tuple[int, HTTPHeaders, str]:
 
 
 class _Request(HTTPMessageDelegate):
-    """Request that is passed on to the application, or answered here."""
+    """Request that is passed to the application, or answered without it."""
 
     def __init__(self, guard: Guard, server_conn: object, connection: HTTPConnection):
         self.guard = guard
@@ -166,7 +168,7 @@ class _Request(HTTPMessageDelegate):
 
 
 class _Secured:
-    """Connection whose answers have the security headers."""
+    """Connection that adds the security headers to each answer."""
 
     def __init__(self, guard: Guard, connection: HTTPConnection):
         self._guard = guard

@@ -44,7 +44,7 @@ _DIFFERENCES = {
 
 
 class PlanView:
-    """View of the predicted record of a rig.
+    """View for planning a rig, with the predicted loss and images.
 
     Args:
         document: the page's document.

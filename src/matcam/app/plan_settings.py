@@ -64,15 +64,15 @@ class Planned:
         sigma: standard deviation of the lens's blur, px.
         half_width: half width of a pixel, px.
         radius: radius of the sphere, px.
-        distance: distance of the camera, radii; it may be infinite.
-        lamp_distance: distance of the lamp, radii; it may be infinite.
+        distance: distance of the camera, radii of the sphere; it may be infinite.
+        lamp_distance: distance of the lamp, radii of the sphere; it may be infinite.
         lamp_radius: angular radius of the source disc, degrees.
-        roughness: roughness of the chosen lobe.
-        glare: share of the light in the halo.
+        roughness: roughness of the chosen lobe, slope (no unit).
+        glare: share of the light in the halo, no unit.
         theta_d: difference angle of the images, degrees.
-        metal: name of a metal.
-        family: family of the lobe.
-        n_and_k: n and k for green light, no unit; None: those of the metal.
+        metal: name of a metal. Default: "Cr".
+        family: family of the lobe. Default: "ggx".
+        n_and_k: refractive index n and extinction coefficient k for green light, no unit. Default: None, those of the metal.
     """
 
     sigma: float
@@ -94,9 +94,9 @@ class Planned:
 
     @property
     def loses_at_most_cos(self) -> bool:
-        """True if cos theta bounds the loss.
+        """True if the relative response at a viewing angle theta is at least cos(theta).
 
-        This holds for a point lamp in a distant rig.
+        This holds for a point lamp, if camera and lamp are infinitely distant.
         """
         return self.lamp_radius == 0 and math.isinf(self.distance) and math.isinf(self.lamp_distance)
 
@@ -133,7 +133,7 @@ class Planned:
     def camera_profile(self) -> str:
         """Format the camera profile as JSON, without the glare.
 
-        The glare is a separate option.
+        Rig file and command specify the glare separately.
         """
         from dataclasses import replace
 
@@ -142,7 +142,7 @@ class Planned:
     def rig_file(self) -> str:
         """Format the rig as TOML for `--rig`.
 
-        The rig file refers to the profile camera.json beside it.
+        The rig file refers to the profile camera.json in the same folder.
         """
         from matcam.files.capture_writing import as_toml
 

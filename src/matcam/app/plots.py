@@ -55,7 +55,7 @@ def empty_source(name: str, *columns: str) -> ColumnDataSource:
 
 
 def curve_figure(title: str, x: str, y: str, *, height: int, **more: Any) -> Any:
-    """Create a plot for curves. The names of the axes must include units."""
+    """Create a plot for curves, `height` px of the screen high. The names of the axes must include units."""
     return figure(
         title=title,
         x_axis_label=x,
@@ -86,12 +86,12 @@ WAITING = "#F2F2F2"
 
 
 def on_black(plot: Any, picture: Any, *, shown: bool = True) -> None:
-    """Show an image on black, or an empty light background.
+    """Show an image on a black background, or hide the image and show a light background.
 
     Args:
         plot: plot from `picture_figure`.
         picture: glyph renderer of the image.
-        shown: False for an empty plot. Default: True.
+        shown: False to hide the image. Default: True.
     """
     picture.visible = shown
     plot.background_fill_color = "#000000" if shown else WAITING
@@ -106,7 +106,7 @@ class PictureColours:
 
     Args:
         decades: number of decades of radiance that the colours span. Default: 4.
-        difference: True for a difference. Default: False.
+        difference: True for images of a difference, with a linear scale. Default: False.
     """
 
     def __init__(self, *, decades: int = 4, difference: bool = False):
@@ -121,7 +121,7 @@ class PictureColours:
             )
 
     def scale(self, largest: float) -> None:
-        """Set the largest radiance of the scale, rounded up to half decades.
+        """Set the largest radiance of the scale, rounded up to half a decade.
 
         The rounding keeps the scale constant during most moves of a slider. The browser then maps the pixels of an image
         once instead of three times.
@@ -146,15 +146,15 @@ class PictureColours:
 
 
 class PictureFigure:
-    """Image of radiance from a source that several images share, so that one message changes all of them.
+    """Plot of an image of radiance.
 
-    The labels of its axes and colours have a constant width, because a change would trigger a new layout, which is slower
-    than drawing.
+    Several plots share one data source, so that one message to the browser changes all images. The labels of axes and
+    colours have a constant width, because a change of the width would trigger a new layout. A layout is slower than drawing.
 
     Args:
-        title: title.
-        size: width of the image on the screen, px.
-        source: data source, whose column `name` is the image.
+        title: title of the plot.
+        size: width and height of the image, px of the screen.
+        source: data source, whose column `name` contains the image.
         name: name of the image.
         colours: colour scale.
         bar: True for a colour bar, which widens the plot. Default: False.
@@ -206,7 +206,7 @@ class PictureFigure:
 def picture_columns(name: str, values: np.ndarray, x: np.ndarray, y: np.ndarray) -> dict[str, list[Any]]:
     """Compute the columns of an image for a data source.
 
-    `values` has the shape (y, x). `x` and `y` are the positions of the values, px. Each value is drawn as a square.
+    `values` is the radiance, 1/sr, (y, x). `x` and `y` are the positions of the values, px. Each value is drawn as a square.
     """
     side = float(x[1] - x[0])
     return {

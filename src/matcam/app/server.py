@@ -1,4 +1,7 @@
-"""Server of the app: one page, behind an access control. It reads only files of its user, and sends no requests."""
+"""Server of the app: one page, behind an access control.
+
+The server reads only files from the user of the app, and sends no requests to other servers.
+"""
 
 from __future__ import annotations
 
@@ -52,7 +55,8 @@ class AppServer:
             sockets = bind_sockets(port, host)
         except (OSError, UnicodeError) as error:
             raise ArgumentError(
-                f"cannot listen on host {host!r} and port {port}: {getattr(error, 'strerror', None) or error}"
+                f"cannot listen on host {host!r} and port {port}: {getattr(error, 'strerror', None) or error}; choose another "
+                "host or port"
             ) from None
         self.port = int(sockets[0].getsockname()[1])
         self.downloads = Downloads()
@@ -84,7 +88,7 @@ class AppServer:
         return any(thread.name == THREAD for thread in threading.enumerate())
 
     def run(self) -> None:
-        """Serve until the process is interrupted, and then call the previous handler of the interruption."""
+        """Serve until a signal interrupts the process, and then call the previous handler of this signal."""
         loop = asyncio.get_event_loop()
         interrupted: list[Callable[[], Any]] = []
 
@@ -141,7 +145,7 @@ class AppServer:
 
 
 class _Site(BokehTornado):
-    """Server of Bokeh with only the required scripts."""
+    """Server of Bokeh that delivers only the required scripts."""
 
     def resources(self, absolute_url: str | bool | None = None) -> Any:
         return super().resources(absolute_url).clone(components=["bokeh", "bokeh-widgets"])

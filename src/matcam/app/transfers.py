@@ -1,6 +1,7 @@
-"""Uploads and downloads of the page. Dropped files are in a folder of the session, and saved files are in memory.
+"""Uploads and downloads of the page.
 
-Addresses of saved files cannot be guessed. Dropped files are removed at the end of the session.
+Dropped files are stored in a folder of the session, which is removed at its end. Files that the page offers to save are in
+memory, under addresses that cannot be guessed.
 """
 
 from __future__ import annotations
@@ -70,8 +71,9 @@ class Upload:
 
     Args:
         title: label.
-        dropped: called with the path of a file.
+        dropped: called with the path of the stored file.
         complain: function that shows a message of one line.
+        name: name of the field in the page. Default: "upload".
     """
 
     def __init__(

@@ -1,8 +1,8 @@
 """Background work of the page: the newest request replaces older requests that have not started.
 
 A thread computes while the server reads the messages of the browser, so that the last value of a slider is available. A
-result is shown before the next request starts, so that neither requests nor results queue up. Moves that have arrived
-within a few milliseconds are read before the computation starts.
+result is shown before the next request starts, so that neither requests nor results queue up. A computation starts after a
+few milliseconds, so that it uses the last of several values that arrive in this time.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ THREAD = "matcam-app"
 
 
 class Newest:
-    """Queue with one position, for the newest requested job.
+    """Queue that contains only the newest requested job.
 
     Args:
         document: the page's document; results are shown under its lock.
@@ -46,13 +46,13 @@ class Newest:
     def ask(
         self, work: Callable[[], Any], show: Callable[[Any], None], after: float = 0.0, within: float = math.inf
     ) -> None:
-        """Request work, which replaces a job that has not started.
+        """Request a job, which replaces a job that has not started.
 
         Args:
-            work: the job.
+            work: function that does the job.
             show: function that shows the result in the page.
-            after: delay without another request before the work starts, s. Default: 0.
-            within: time after which the newest job starts even if others follow, s. Default: infinite.
+            after: delay before the job starts, s; another request restarts the delay. Default: 0.
+            within: longest delay after the first request, s, even if other requests follow. Default: infinite.
         """
         now = time.monotonic()
         with self._wake:
@@ -68,7 +68,7 @@ class Newest:
                 self._wake.notify()
 
     def overtaken(self) -> bool:
-        """Check whether another job waits, so that a long job can stop early."""
+        """Check whether a long job can stop early, because another job waits or the queue is closed."""
         return self._ended or self._job is not None
 
     def close(self) -> None:
@@ -78,7 +78,7 @@ class Newest:
             self._wake.notify()
 
     def show(self, change: Callable[[], None]) -> None:
-        """Change the page from within a job, and wait for the change."""
+        """Change the page from within a job, and wait at most 5 s for the change."""
         shown = threading.Event()
 
         def tick() -> None:

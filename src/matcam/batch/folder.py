@@ -1,4 +1,4 @@
-"""Folder of a run: lock, settings, inputs, and files beside those of the materials."""
+"""Folder of a run: lock, settings, assignment of outputs to inputs, and files that describe the entire run."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _TEMPORARY = re.compile(r"\.(.+)-[a-z0-9_]{8}\.(?:binary|nc|json|html|png)(?:\.o
 
 
 class RunFolder:
-    """Folder of a run, locked against other runs while it is filled.
+    """Folder of a run.
 
     Args:
         path: the folder.
@@ -45,8 +45,9 @@ class RunFolder:
     def locked(self) -> Iterator[None]:
         """Create the folder if needed and lock it against other runs.
 
-        The system releases the lock when this process dies. An OutputError is raised if another run holds it, or the
-        folder cannot be created.
+        The system releases the lock when this process dies. A file system without locks is used without a lock. An
+        OutputError is raised if another run has locked the folder, if the folder contains a symbolic link, or if it cannot
+        be created.
         """
         lock = filelock.FileLock(self.path / _LOCK)
         try:
@@ -62,14 +63,16 @@ class RunFolder:
         except OSError as error:
             # some network file systems have no locks
             if error.errno not in (errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP):
-                raise OutputError(f"output folder {self.path} cannot be written: {error.strerror}") from None
+                raise OutputError(
+                    f"output folder {self.path} cannot be written: {error.strerror}; choose another folder"
+                ) from None
         try:
             yield
         finally:
             lock.release()
 
     def _check_links(self) -> None:
-        """Raise OutputError for links among the files of the run, which must be in its folder."""
+        """Raise OutputError if the folder contains a symbolic link, because all files of a run must be in its folder."""
         for folder, folders, files in os.walk(self.path):
             for name in (*folders, *files):
                 if (path := Path(folder, name)).is_symlink():
@@ -80,7 +83,8 @@ class RunFolder:
     def outputs(self, paths: Iterable[str | Path]) -> tuple[dict[Path, Path], list[Outcome]]:
         """Find the tables in `paths`, and the output file of each table in this folder.
 
-        A folder represents its *.binary files, in order of their names; duplicates are omitted.
+        A folder in `paths` stands for the *.binary files that it contains, in the order of their names. Duplicates are
+        omitted.
 
         Returns:
             The output of each input, and the outcomes of rejected inputs. An input is rejected if its name is not plain
@@ -89,7 +93,7 @@ class RunFolder:
 
         Raises:
             ArgumentError: there is no table.
-            OutputError: this folder contains an input.
+            OutputError: an input is in this folder, under the name of its output.
         """
         given = [Path(path) for path in paths]
         found: dict[Path, Path] = {}
@@ -109,7 +113,10 @@ class RunFolder:
                     continue
                 found.setdefault(file.resolve(), file)
         if not found and not refused:
-            raise ArgumentError(f"{', '.join(map(str, given)) or 'no path'}: contains no *.binary file")
+            raise ArgumentError(
+                f"{', '.join(map(str, given)) or 'no path'}: there is no *.binary file: give MERL files, or folders with such "
+                "files"
+            )
         namesakes: dict[str, list[Path]] = {}
         for file in found.values():
             # some file systems are not case sensitive
@@ -130,11 +137,11 @@ class RunFolder:
         return outputs, refused
 
     def check(self, settings: dict[str, Any], jobs: Sequence[Job], *, force: bool) -> bool:
-        """Check whether the folder already belongs to this run.
+        """Check whether the folder already belongs to a run with these settings.
 
-        Unless `force` is set, an OutputError is raised if the folder belongs to another run. It is also raised if the
-        folder contains files with the names of the outputs that no run wrote. The message contains the first setting
-        that differs.
+        Unless `force` is True, an OutputError is raised if the folder belongs to a run with other settings; the message
+        contains the first setting that differs. It is also raised if files with the names of the outputs exist, but were
+        not written by a run.
         """
         if not is_there(self._settings):
             for path in (*(path for job in jobs for path in job.files), self.index, self._failed, self.camera):
@@ -164,10 +171,10 @@ class RunFolder:
                 path.unlink(missing_ok=True)
 
     def assign_rows(self, jobs: Sequence[Job], waiting: Sequence[Job]) -> list[Job]:
-        """Assign to each waiting job its row of the Zarr store of the run.
+        """Assign a row in the Zarr store of the run to each waiting job.
 
-        Finished materials without a row, because the store was requested later or lost, are copied from their NetCDF
-        files. The exceptions are those of `open_rows` and `StoreRow.write`.
+        A finished material has no complete row if the store was requested later, or was lost. The row is then copied from
+        the NetCDF file of the material. The exceptions are those of `open_rows` and `StoreRow.write`.
         """
         if not jobs:
             return list(waiting)

@@ -31,12 +31,13 @@ class Job:
 
     Attributes:
         source: MERL file to read.
-        output: MERL file to write. Files .nc, .json and, if the recipe requires a page, .html are written beside it. If its
-            name ends in .nc, no MERL file is written.
+        output: MERL file to write. Files with the same name and the suffixes .nc, .json and, if the recipe requires a page,
+            .html are also written. If the name of `output` ends in .nc, no MERL file is written.
         recipe: settings of the correction.
-        force: True to replace existing files.
-        key: key of the run's settings; None outside a run. In a run, a thumbnail (.png) is written for the index, too.
-        row: row of the run's Zarr store to fill, if the run has one.
+        force: True to replace existing files. Default: False.
+        key: key of the run's settings. In a run, a thumbnail (.png) is written for the index, too. Default: None, the job
+            does not belong to a run.
+        row: row of the run's Zarr store to fill. Default: None, no store.
         budget: file for the uncertainty budgets (.json, .csv). Default: None, not written.
     """
 
@@ -54,7 +55,7 @@ class Job:
 
     @property
     def record(self) -> Path:
-        """File that is written last. If it exists, the other files are complete."""
+        """Path of the record, which is written last. If the record exists, the other files are complete."""
         return self.output.with_suffix(".json")
 
     @property
@@ -76,7 +77,8 @@ class Job:
     def finished_record(self) -> dict[str, Any] | None:
         """Read the record on disk.
 
-        The result is None if its settings differ from those of the job, or if its files do not have the listed sizes.
+        The result is None if the record cannot be read, if its settings differ from those of the job, or if a listed file
+        does not have the listed size.
         """
         try:
             document = read_json(self.record, "a material's record")
@@ -89,9 +91,10 @@ class Job:
         return document if whole else None
 
     def is_finished(self) -> bool:
-        """Check whether the files are complete, with these settings and from the current input.
+        """Check whether the files are complete, and result from the settings of the job and the current input.
 
-        The input is read only if its modification time differs, because hashing all tables of a large run is slow.
+        The input is read only if its modification time differs from that in the record, because hashing all tables of a
+        large run is slow.
         """
         try:
             known = (self.finished_record() or {})["input"]
@@ -158,8 +161,9 @@ def write_corrected(job: Job, workspace: Workspace | None = None) -> dict[str, A
     `workspace` is the workspace of the worker. Default: None, that of the job.
 
     Raises:
-        ArgumentError, OutputError: a file cannot be written, or not in this format. They are raised before any work.
-        FileFormatError: the input is not a table, or the file changed while it was read.
+        ArgumentError: the recipe is of another version of matcam, or an output cannot have the required format.
+        OutputError: a file exists and `force` is False, or a file cannot be written.
+        FileFormatError: the input is not a table, or changed while it was read.
         MatcamError: an error of the corrector.
     """
     version = metadata.version("matcam")
@@ -175,7 +179,9 @@ def write_corrected(job: Job, workspace: Workspace | None = None) -> dict[str, A
     before = fingerprint(job.source)
     table = read_recorded_table(job.source, sampling=job.recipe.sampling)
     if fingerprint(job.source) != before:
-        raise FileFormatError(f"{job.source}: changed while it was read; correct it again when the file is complete")
+        raise FileFormatError(
+            f"{job.source}: the file changed while it was read; correct it again when the file is complete"
+        )
     if job.writes_merl:
         check_channels(table)
     if job.recipe.page:

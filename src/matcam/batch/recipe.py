@@ -1,6 +1,6 @@
-"""Recipe of a run: its rig and options, the correction of one table, and the key that identifies its records.
+"""Recipe of a run: rig and options, the correction of one table, and the key that identifies the records of the run.
 
-A run may fit the blur of its camera jointly to a few of its materials, because one rig recorded all materials.
+The blur of the camera may be fitted jointly to a few materials of the run, because one rig recorded all materials.
 """
 
 from __future__ import annotations
@@ -41,9 +41,10 @@ class Options(NamedTuple):
         ndf: family of the lobe, or "auto" for the more probable of "ggx" and "epd". Default: "auto".
         masking: masking function; None: no masking. Default: "smith".
         glare: share of light in an unspecified halo of the lens (no unit). Default: 1e-3.
-        force_correction: whether to correct tables whose data contradict the rig. Default: False, they are not changed.
-        workspace: cache of results that depend on the rig alone; None: that of the process. It does not affect results.
-            Default: None.
+        force_correction: True to correct tables even if their data contradict the rig. Default: False, such tables are not
+            changed.
+        workspace: cache of results that depend on the rig alone. The cache does not affect results. Default: None, the
+            cache of the process.
 
     Example:
         >>> matcam.batch.Options(ndf="ggx").glare
@@ -63,7 +64,7 @@ class CorrectedTable(NamedTuple):
     Attributes:
         table: Dataset (brdf, brdf_std, correction_std, noise_std, supported, response).
         document: record of the table, in types of JSON.
-        write_page: function (path, name, force) that writes the page.
+        write_page: function (path, name, force) that writes the page of the material.
         budgets: uncertainty budgets of the peaks. Default: ().
     """
 
@@ -105,11 +106,11 @@ class Recipe:
     Attributes:
         rig: the rig that recorded the tables.
         options: options of the correction.
-        sampling: sampling position of a value in its cell.
-        page: whether a page is written for each table.
-        compress: whether the NetCDF files are compressed.
-        corrector: function that corrects one table.
-        version: version of matcam of the recipe; workers of other versions reject it.
+        sampling: sampling position of a value in its cell. Default: "centre".
+        page: True to write a page for each table. Default: True.
+        compress: True to compress the NetCDF files. Default: True.
+        corrector: function that corrects one table. Default: `correct_table`.
+        version: version of matcam of the recipe; workers of other versions reject the recipe. Default: the current version.
     """
 
     rig: Rig
@@ -160,10 +161,10 @@ def settings_key(settings: dict[str, Any]) -> str:
 
 
 def fit_shared_camera(recipe: Recipe, inputs: Sequence[Path]) -> Camera:
-    """Fit the blur of the recipe's camera to these tables.
+    """Fit the blur of the recipe's camera jointly to the inputs with the narrowest lobes.
 
-    The fitted camera includes the variance of the blur. A FitError is raised if all tables are unreadable, or if the
-    tables do not determine the blur to 25 %.
+    The fitted camera includes the variance of the blur. A FitError is raised if none of the selected inputs can be read, or
+    if the tables do not determine the blur to 25 %.
     """
     chosen = _narrowest(inputs, recipe.sampling)
     tables = [table for _, table in chosen]
@@ -178,8 +179,8 @@ def fit_shared_camera(recipe: Recipe, inputs: Sequence[Path]) -> Camera:
     # a correction assumes that the relative standard deviation of the blur is small
     if camera is None or not std < 0.25 * value:
         raise FitError(
-            f"{names} do not determine the camera's blur ({value:.3g} ± {std:.2g} px): give the rig the camera's profile "
-            "instead of fit_camera=True, or tables with narrower lobes"
+            f"the tables {names} do not determine the camera's blur ({value:.3g} ± {std:.2g} px): specify the camera's "
+            "profile in the rig instead of fit_camera=True, or give tables with narrower lobes"
         )
     source = Provenance(
         source=f"blur fitted jointly to {names}, a {best.family} lobe for each", notes="; ".join(map(str, best.remarks))
@@ -191,7 +192,7 @@ def _narrowest(inputs: Sequence[Path], sampling: Sampling) -> list[tuple[Path, x
     """Select the 4 tables with the narrowest lobes from 16 evenly selected inputs.
 
     A broad lobe contains little information about the lens. Unreadable tables are skipped, because their own jobs report
-    them.
+    the errors. A FitError is raised if none of the 16 inputs can be read.
     """
     positions = np.unique(np.linspace(0, max(len(inputs) - 1, 0), min(16, len(inputs))).astype(int))
     widths: list[tuple[float, Path]] = []
@@ -204,6 +205,9 @@ def _narrowest(inputs: Sequence[Path], sampling: Sampling) -> list[tuple[Path, x
         width = float(np.nanmedian(across)) if np.isfinite(across).any() else np.inf
         widths.append((width, inputs[position]))
     if not widths:
-        raise FitError("no table can be read, but fit_camera=True needs at least one: give readable tables")
+        raise FitError(
+            f"no table can be read, but fit_camera=True requires one readable table among {len(positions)} evenly selected "
+            "inputs: give readable tables"
+        )
     narrowest = sorted(widths, key=lambda entry: entry[0])[:4]
     return [(file, read_table(file, sampling=sampling)) for _, file in narrowest]

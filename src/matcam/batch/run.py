@@ -49,7 +49,7 @@ class Progress(NamedTuple):
         corrected: number of materials that the run has corrected.
         failed: number of materials that failed.
         total: number of all materials of the run.
-        last: outcome of the last material; None: at the start of the run.
+        last: outcome of the last finished job; None at the start of the run.
 
     Example:
         >>> progress = matcam.batch.Progress(kept=3, corrected=2, failed=1, total=10, last=None)
@@ -89,7 +89,7 @@ class Run:
         """Return the run in types of JSON.
 
         Returns:
-            The fields by name; "failed" lists each failure's file and reason.
+            The fields by name; "failed" contains the file and the reason of each failure.
         """
         return {
             "folder": str(self.folder),
@@ -123,56 +123,59 @@ def correct_all(
 ) -> Run:
     """Correct many MERL tables of one rig into one folder.
 
-    The results of an input NAME.binary are NAME.binary, .nc, .html, .png and, written last, .json in the folder. For the
-    whole run, settings.json contains the settings, failed.json lists failures with reasons, and index.html shows all
-    materials.
+    The results of an input NAME.binary are the files NAME.binary, NAME.nc, NAME.html, NAME.png and NAME.json in the folder.
+    The JSON file is written last. For the whole run, settings.json contains the settings, failed.json lists failures with
+    reasons, and index.html shows all materials.
 
-    A material is not corrected again if its files are complete, and result from these settings and the current input. A run
-    that was killed therefore resumes when it is started again. A material that fails, or kills its worker, does not
-    affect others. Workers store compiled functions, and results that depend on the rig alone, in the cache folder of the
-    user.
+    A material is not corrected again if its files are complete, and result from the same settings and the current input. A
+    run that was killed therefore resumes when it is started again. A material that fails, or kills its worker, does not
+    affect other materials. Workers store compiled functions, and results that depend on the rig alone, in the cache folder
+    of the user.
 
     Workers are new processes that import the calling script: call this function under `if __name__ == "__main__":` in
     the script.
 
     Args:
-        paths: MERL files, and folders, which represent their *.binary files.
+        paths: MERL files, and folders. A folder stands for the *.binary files that it contains.
         rig: the rig that recorded the tables: distant camera and lamp, and a sphere.
         output: folder to fill.
         ndf: family of the lobe; "auto" uses the more probable of "ggx" and "epd" for each material. Default: "auto".
         masking: masking function, as for `correct`; None: no masking. Default: "smith".
         glare: share of light in an unspecified halo of the lens, in [0, 0.5] (no unit). It limits the supported entries
             beside a highlight; increase it for a lens that scatters more. Default: 1e-3.
-        force_correction: whether to correct tables whose data contradict the rig. Default: False, they are not changed.
-        sampling: sampling position of a value in its cell, "centre" or "edge", which the file does not contain.
+        force_correction: True to correct tables even if their data contradict the rig. Default: False, such tables are not
+            changed.
+        sampling: sampling position of a value in its cell, "centre" or "edge". MERL files do not specify the position.
             Default: "centre".
         workers: number of worker processes of one core each, in [1, 1024]. Default: None, one for each core that this
             process may use.
-        cluster: Dask cluster to use instead: "local:2" for workers on this machine, or the address of a scheduler.
-            Workers must have one thread, access to the same folders, and the same versions. Default: None.
-        pages: whether to write a page for each material. Default: True.
-        compress: whether to compress each NetCDF, without loss. Default: True.
-        zarr: whether to also write all materials to one Zarr store, run.zarr. Default: False.
-        fit_camera: whether to fit the rig's blur jointly to the few materials with the narrowest lobes. All are then
-            corrected with that blur and its covariance, which camera.json contains. Default: False.
-        time_limit: time limit for one material, s, after which its worker process is killed and the material has
-            failed. It does not apply to clusters. Default: 3600.
+        cluster: Dask cluster to use instead of local processes: "local:2" for two workers on this machine, or the address
+            of a scheduler. Each worker must have one thread, access to the same folders, and the same versions of packages.
+            Default: None, no cluster.
+        pages: True to write a page for each material. Default: True.
+        compress: True to compress each NetCDF file, without loss. Default: True.
+        zarr: True to also write all materials to one Zarr store, run.zarr. Default: False.
+        fit_camera: True to fit the blur of the camera jointly to at most 4 materials with narrow lobes. All materials are
+            then corrected with the fitted blur and its covariance, which camera.json contains. Default: False.
+        time_limit: time limit for one material, s. After this time the worker process is killed, and the material has
+            failed. The limit does not apply to clusters. Default: 3600.
         force: True to replace existing files and correct everything again. Default: False.
         watch: function that is called with a `Progress` at the start and after each material.
             Default: a function that does nothing.
-        corrector: function (table, rig, options) that corrects one table; it must be at the top level of a module,
-            because workers import it. Default: matcam's own.
-        workspace: cache of results that depend on the rig alone, in this process; workers use that of the user.
-            Default: None, that of the process.
+        corrector: function (table, rig, options) that corrects one table. The function must be at the top level of a
+            module, because workers import it. Default: the correction of `correct`.
+        workspace: cache of results that depend on the rig alone, in this process; workers use the cache of the user.
+            Default: None, the cache of the process.
 
     Returns:
         Corrected, kept and failed materials.
 
     Raises:
         ArgumentError: if an argument is out of its range, or `paths` contain no table.
-        OutputError: if the folder belongs to a run with other settings (which are named), is in use by another run, or
-            contains an input or files that no run wrote.
-        FitError: if a camera was to be fitted and the tables do not determine it.
+        OutputError: if the folder belongs to a run with other settings, is in use by another run, or contains an input or
+            files of the same names that no run wrote. The message contains the first setting that differs.
+        FitError: if `fit_camera` is True, and the tables do not determine the blur or cannot be read.
+        MatcamError: if no worker can be started, or the cluster cannot be used.
 
     Source:
         docs/batch.md; for the correction of one table, docs/model.md section 8.
@@ -183,7 +186,7 @@ def correct_all(
         >>> matcam.correct_all([folder], matcam.rigs.merl(), folder)
         Traceback (most recent call last):
         ...
-        matcam.core.errors.ArgumentError: ...: contains no *.binary file
+        matcam.core.errors.ArgumentError: ...: there is no *.binary file: give MERL files, or folders with such files
     """
     check_rig(rig)
     checks.choice("ndf", ndf, (AUTO, *FAMILIES))
@@ -282,8 +285,14 @@ def _executor(workers: int | None, cluster: str | None, time_limit: float) -> Ex
 
 def _check_picklable(recipe: Recipe) -> None:
     try:
-        pickle.dumps((recipe, recipe.corrector.__qualname__))
+        pickle.dumps((recipe.corrector, recipe.corrector.__qualname__))
     except Exception:
         raise ArgumentError(
             f"corrector must be a function at the top level of a module, got {recipe.corrector!r:.80}"
+        ) from None
+    try:
+        pickle.dumps(recipe)
+    except Exception as error:
+        raise ArgumentError(
+            f"rig and workspace must support pickle, because workers receive a copy, got the error: {error!s:.120}"
         ) from None

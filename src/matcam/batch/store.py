@@ -1,11 +1,11 @@
-"""Zarr store of a run: arrays over all its materials, which `xarray.open_zarr` reads lazily. Requires the extra
-`matcam[scale]`.
+"""Zarr store of a run: arrays over all materials of the run, which `xarray.open_zarr` reads lazily.
 
-The store is a folder in format version 3, with the dimensions (material, theta_h, theta_d, phi_d, channel). Each material has
-its own chunk, so that workers write their rows in parallel. `corrected` marks complete rows, and is written last.
+The extra `matcam[scale]` is required. The store is a folder in format version 3, with the dimensions (material, theta_h,
+theta_d, phi_d, channel). Each material has its own chunk of each array, so workers write rows in parallel. The array
+`corrected` marks complete rows, and is written last.
 
-The folder is not trusted: its arrays must have the shapes and types of a run, and chunks are decoded only in a separate
-process (core/readers/apart.py). A worker writes whole chunks without decoding.
+The content of the folder is not trusted. The arrays must have the shapes and types of a run, and chunks are decoded only in
+a separate process (core/readers/apart.py). A worker writes whole chunks without decoding.
 """
 
 from __future__ import annotations
@@ -49,14 +49,14 @@ class StoreRow(NamedTuple):
 
     Attributes:
         store: folder of the Zarr store.
-        row: index along its first dimension.
+        row: index of the material along the first dimension of the store.
     """
 
     store: Path
     row: int
 
     def write(self, data: xr.Dataset) -> None:
-        """Write a corrected table to this row. An OutputError is raised if that fails."""
+        """Write a corrected table to this row. An OutputError is raised if the row cannot be written."""
         try:
             group = _zarr().open_group(self.store, mode="r+", zarr_format=3, use_consolidated=False)
             group[_DONE][self.row] = False
@@ -65,14 +65,16 @@ class StoreRow(NamedTuple):
             group[_DONE][self.row] = True
         except (OSError, KeyError) as error:
             reason = getattr(error, "strerror", None) or error
-            raise OutputError(f"output {self.store}, row {self.row}, cannot be written: {reason}") from None
+            raise OutputError(
+                f"output {self.store}, row {self.row}, cannot be written: {reason}; check the folder and its free space"
+            ) from None
 
 
 def open_rows(store: Path, names: Sequence[str], sampling: Sampling) -> dict[str, StoreRow]:
     """Assign a row of a store to each material. The store is created or extended as needed.
 
-    An ArgumentError is raised if zarr is not installed; an OutputError is raised if the store is not the Zarr store of a run,
-    or cannot be written.
+    An ArgumentError is raised if zarr is not installed. An OutputError is raised if the folder is not the Zarr store of a
+    run, or cannot be written.
     """
     zarr = _zarr()
     try:
@@ -91,7 +93,9 @@ def open_rows(store: Path, names: Sequence[str], sampling: Sampling) -> dict[str
             if new:
                 _grow(group, [*there, *new])
     except (FileFormatError, OSError, KeyError, ValueError) as error:
-        raise OutputError(f"output {store} cannot be written as the Zarr store of a run: {error}") from None
+        raise OutputError(
+            f"output {store} cannot be written as the Zarr store of a run: {error}; choose another folder"
+        ) from None
     return {name: StoreRow(store, row) for row, name in enumerate([*there, *new])}
 
 
@@ -108,12 +112,14 @@ def read_row(store: Path, row: int) -> xr.Dataset:
     """Read the corrected table of one material from the Zarr store of a run.
 
     Raises:
-        FileFormatError: the row is incomplete, or the store is damaged.
+        FileFormatError: the row is incomplete or does not exist, or the store is damaged.
     """
     _check_readable(store)
     done = whole_rows(store)
     if not 0 <= row < done.size or not done[row]:
-        raise FileFormatError(f"{store}: row {row} is incomplete: start the run again to finish it")
+        raise FileFormatError(
+            f"{store}: row {row} is incomplete or does not exist: start the run again to complete the store"
+        )
     names = [*_VALUES]
     read = read_apart(_DECODER, store, libraries=_LIBRARIES, size=_bytes_of(store, names, row), arrays=names, row=row)
     try:
@@ -126,7 +132,10 @@ def read_row(store: Path, row: int) -> xr.Dataset:
         data["brdf"][2]["sampling"] = sampling
         return xr.Dataset(data, coords={**coordinates, "channel": list(CHANNELS)}, attrs=read["attrs"])
     except (KeyError, ValueError) as error:
-        raise FileFormatError(f"{store}: row {row} cannot be read: {error}") from None
+        raise FileFormatError(
+            f"{store}: row {row} cannot be read, because the store is damaged: {error}; delete the store, and start the run "
+            "again"
+        ) from None
 
 
 _DECODER, _LIBRARIES = "matcam.files.decoders:decode_rows", ("zarr.storage",)
@@ -139,7 +148,7 @@ def _stored(store: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
 
 
 def _bytes_of(store: Path, names: Sequence[str], row: int | None = None) -> int:
-    """Compute the total size of the chunks of arrays, or of one row, bytes.
+    """Compute the total size of the chunks of arrays, or of the chunks of one row, bytes.
 
     A FileFormatError is raised if a chunk is a link.
     """
@@ -158,14 +167,19 @@ def _bytes_of(store: Path, names: Sequence[str], row: int | None = None) -> int:
 
 
 def _check_readable(store: Path) -> None:
-    """Check that a store has the arrays of a run. A FileFormatError is raised if it does not."""
+    """Raise FileFormatError if a store does not have the arrays of a run."""
     _check_arrays(store)
     if not is_file(store / _ROW / DESCRIPTION):
-        raise FileFormatError(f"{store}: the folder is not the Zarr store of a run: it has no array {_ROW}")
+        raise FileFormatError(
+            f"{store}: the folder is not the Zarr store of a run, because it has no array {_ROW}: open run.zarr of a run"
+        )
 
 
 def _check_arrays(store: Path) -> None:
-    """Check the arrays of a store before decoding. A FileFormatError is raised if the store is not from a run."""
+    """Check the descriptions of the arrays of a store before decoding.
+
+    A FileFormatError is raised if an array is not from a run.
+    """
     for described in sorted([*store.glob(DESCRIPTION), *store.glob(f"*/{DESCRIPTION}")]):
         name = described.parent.name
         try:
@@ -176,7 +190,7 @@ def _check_arrays(store: Path) -> None:
             shape, chunks, kind = tuple(document["shape"]), chunk_shape(document), document["data_type"]
             check_lengths(store, name, shape)
             if document["chunk_key_encoding"] != {"name": "default", "configuration": {"separator": "/"}}:
-                raise FileFormatError(f"{described}: the names of its chunks are not those of a run")
+                raise FileFormatError(f"{described}: the names of the chunks must be those of a run")
             expected: tuple[tuple[int, ...], tuple[int, ...], str]
             if name in _VALUES:
                 expected = _TABLES[name], (1, *_TABLES[name]), np.dtype(_VALUES[name][0]).name
@@ -185,13 +199,18 @@ def _check_arrays(store: Path) -> None:
             else:
                 continue  # this array is never opened
             if shape[0] > _MOST_ROWS:
-                raise FileFormatError(f"{described}: lists {shape[0]} materials, but a run has at most {_MOST_ROWS}")
+                raise FileFormatError(
+                    f"{described}: the array is for {shape[0]} materials, but a run has at most {_MOST_ROWS}"
+                )
             if (shape[1:], chunks, kind) != expected:
                 raise FileFormatError(
-                    f"{described}: an array of shape {shape} and type {kind!r:.20} in chunks of {chunks} is not that of a run"
+                    f"{described}: the array has the shape {shape} and type {kind!r:.20} in chunks of {chunks}, but must have "
+                    "the shape, type and chunks of a run"
                 )
         except (FileFormatError, KeyError, TypeError, IndexError) as error:
-            raise FileFormatError(f"{store}: the folder is not the Zarr store of a run: {error}") from None
+            raise FileFormatError(
+                f"{store}: the folder is not the Zarr store of a run: {error}; give run.zarr of a run"
+            ) from None
 
 
 def _create_arrays(group: Any, sampling: Sampling) -> None:
@@ -215,7 +234,10 @@ def _create_arrays(group: Any, sampling: Sampling) -> None:
 
 
 def _grow(group: Any, names: list[str]) -> None:
-    """Add rows for these materials. Their names are written last, because names mark existing rows."""
+    """Resize the arrays to the given names of all materials.
+
+    The names are written last, because they mark existing rows.
+    """
     for name in (*_VALUES, _DONE):
         array = group[name]
         array.resize((len(names), *array.shape[1:]))

@@ -1,4 +1,4 @@
-"""Exposure bracketing: several images of one scene, merged to its radiance, with uncertainty.
+"""Exposure bracketing: several images of one scene are merged to the radiance of the scene, with its uncertainty.
 
 The weight of an image is the inverse of its variance. The model of the sensor predicts the variance from the merged
 radiance (docs/model.md 8), not from the noisy pixels of the image. Near saturation the weight decreases smoothly to 0,
@@ -50,7 +50,8 @@ def expose_bracket(
         radiance: radiance of the pixels, any unit, shape (H, W) or (H, W, channels), as in `Sensor.expected_electrons`.
         exposures: exposures of the images, electrons per unit of radiance, positive, (pictures,).
         seed: seed of the noise: a whole number, or a key of jax.random.
-        times: times of the images, s, for the dark current, (pictures,). None: 0, no dark current.
+        times: exposure times of the images, (pictures,), s, which determine the dark signal. Default: None, times of 0, without
+            a dark signal.
 
     Returns:
         The images, DN, shape (pictures, H, W) or (pictures, H, W, channels).
@@ -77,14 +78,16 @@ def merge_bracket(
 ) -> RadianceEstimate:
     """Merge images of one scene to its radiance.
 
-    The estimate is the minimum-variance weighted mean of the images less their mean dark electrons. Without
-    saturation it is unbiased, except for the weak dependence of the weights on the data.
+    The mean dark signal is subtracted from each image, and the difference is divided by the exposure. The estimate is
+    the weighted mean of these values with the smallest variance. Without saturation, the estimate is unbiased, except
+    for the weak dependence of the weights on the data.
 
     Args:
         sensor: sensor of the images; its noise determines the weights.
         pictures: images, DN, shape (pictures, H, W) or (pictures, H, W, channels).
         exposures: exposures of the images, electrons per unit of radiance, positive, (pictures,).
-        times: times of the images, s, for the dark current, (pictures,). None: 0, no dark current.
+        times: exposure times of the images, (pictures,), s, which determine the dark signal. Default: None, times of 0,
+            without a dark signal.
 
     Returns:
         `.radiance` in the unit of radiance to which the exposures refer, its `.std`, and a mask `.saturated` of pixels
@@ -152,7 +155,7 @@ def _exposures_and_times(
         "exposures", jnp.atleast_1d(checks.number("exposures", exposures)), "e- per unit of radiance"
     )
     if positive.ndim != 1 or positive.size == 0:
-        raise ArgumentError(f"exposures must be a list of numbers, got shape {positive.shape}")
+        raise ArgumentError(f"exposures must be a list of at least one number, got shape {positive.shape}")
     strengths = tuple(positive.tolist())
     durations = (
         (0.0,) * len(strengths) if times is None else tuple(jnp.atleast_1d(checks.number("times", times)).tolist())

@@ -29,21 +29,22 @@ if TYPE_CHECKING:
 class Camera(Module, Summarised):
     """Lens and pixel, combined to the effective kernel of a camera's images.
 
-    Three kernels are easily confused. `Optics.psf` is the irradiance on the sensor, through the lens, of a point
-    source. `PixelResponse.response` is the sensitivity of one pixel over its area. `Camera.psf` is the *effective*
+    Three kernels are easily confused. `Optics.psf` is the irradiance on the sensor that a point source causes through
+    the lens. `PixelResponse.response` is the sensitivity of one pixel over its area. `Camera.psf` is the *effective*
     kernel that pixels record: the irradiance, weighted with the sensitivity and integrated over a pixel. A `Camera` is
     neither an `Optics` nor a `PixelResponse`, so that no blur can be applied twice.
 
-    Directions are angles from the rows of the pixel grid, rad, from +x (right) towards +y (up). They also matter for an
-    isotropic lens, because a square pixel is not isotropic.
+    Directions are angles from the rows of the pixel grid, rad, from +x (right) towards +y (up). The direction also
+    matters for an isotropic lens, because a square pixel is not isotropic.
 
     Args:
         optics: the lens, such as `GaussianOptics(0.5)`.
-        pixel: the response of one pixel. None: `BoxPixel()`, uniformly sensitive.
-        sensor: noise and mosaic of the images; it does not change the kernel. None: unknown.
-        uncertainty: covariance of the camera's parameters. None: they are exact.
-        provenance: origin of the camera, for the profile. None: unknown.
-        field: distortion and growth of the blur over the field, which `reconstruct` uses. None: uniform.
+        pixel: the response of one pixel. Default: None, `BoxPixel()`, which is uniformly sensitive.
+        sensor: noise and mosaic of the images, which do not change the kernel. Default: None, the sensor is unknown.
+        uncertainty: covariance of the parameters of the camera. Default: None, the parameters are exact.
+        provenance: origin of the camera, for the profile. Default: None, the origin is unknown.
+        field: distortion and growth of the blur over the field, which `reconstruct` uses. Default: None, the blur is
+            uniform, without distortion.
 
     Raises:
         ArgumentError: a part is of the wrong kind, `uncertainty` names a parameter that the camera lacks, or lens and
@@ -140,8 +141,8 @@ class Camera(Module, Summarised):
         It is the value of a pixel at an edge between a dark side of value 0 and a bright side of value 1.
 
         Args:
-            x: distance of the centre of the pixel from the edge, px, positive on its bright side; broadcasts with
-                angle.
+            x: distance of the centre of the pixel from the edge, px, positive on the bright side of the edge;
+                broadcasts with angle.
             angle: angle between the rows and the normal of the edge, rad. Default: 0, an edge along the columns.
 
         Raises:
@@ -161,7 +162,7 @@ class Camera(Module, Summarised):
             angle: angle between the rows and the direction of the wave, rad. Default: 0, along the rows.
 
         Raises:
-            ArgumentError: an argument is not finite, or f lies beyond a measured MTF.
+            ArgumentError: an argument is not finite, or f lies beyond the range of a measured MTF.
         """
         f, angle = checks.broadcastable(f=f, angle=angle)
         along = effective.transfer_along(self.optics, self.pixel, f, angle)
@@ -170,7 +171,7 @@ class Camera(Module, Summarised):
     def transfer(self, fx: jax.Array, fy: jax.Array) -> jax.Array:
         """Compute the signed transfer function of optics and pixel in the plane.
 
-        It is complex if the lens is not isotropic.
+        The result is complex if the lens is not isotropic.
 
         Args:
             fx: frequency along the rows, cycles/px; broadcasts with fy.
@@ -230,7 +231,7 @@ class Camera(Module, Summarised):
         return dataclasses.replace(self, sensor=sensor)
 
     def save(self, path: str | Path, *, force: bool = False) -> None:
-        """Write the camera's profile: kernel, sensor, uncertainty, provenance.
+        """Write the camera's profile: lens, pixel, sensor, field, uncertainty, provenance.
 
         Args:
             path: file to write (JSON).

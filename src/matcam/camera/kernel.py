@@ -1,14 +1,15 @@
 """Effective kernel of one lens and one pixel: value of a pixel for a point, a line or an edge.
 
-It has a closed form for Gaussian optics and a square pixel, and is integrated over frequencies otherwise. All functions
-are for lenses of one component; `Camera` sums over components.
+The kernel has a closed form for Gaussian optics and a square pixel, and is integrated over frequencies otherwise. All
+functions are for lenses of one component; `Camera` sums over components.
 
-Closed form: the projection of a square along a direction at an angle to the grid is the convolution of two boxes, half
-widths p |cos| and p |sin|. A Gaussian through two boxes is a second difference of H, the integral of the normal
-distribution function; the value at an edge is a second difference of the integral of H. Both functions are split into a
-polynomial for x > 0 and a vanishing remainder, so that no large terms cancel. If the short box is much narrower than
-the Gaussian, the second difference would lose digits; the mean over the short box is then computed by quadrature. The
-two parts have kinks at x = 0 that cancel, and both use the left-hand derivative there.
+Closed form: let p be the half width of the pixel, and a the angle between a direction and the grid. The projection of
+the square along this direction is the convolution of two boxes with the half widths p |cos a| and p |sin a|. A Gaussian
+convolved with both boxes is a second difference of H, the integral of the normal distribution function. The value at an
+edge is a second difference of the integral of H. Both functions are split into a polynomial for x > 0 and a vanishing
+remainder, so that no large terms cancel. If the short box is much narrower than the Gaussian, the second difference
+loses digits. In this case, the mean over the short box is computed by quadrature. Polynomial and remainder have kinks
+at x = 0 that cancel, and both use the left-hand derivative there.
 """
 
 from __future__ import annotations
@@ -133,10 +134,10 @@ def edge_and_slopes(
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Evaluate `square_edge` and its derivatives with respect to x and std.
 
-    Fits evaluate all three repeatedly. H solves the heat equation, so one normal distribution function and one density per
-    corner of the square determine all three. The second difference is evaluated without the split into two parts; it is
-    accurate to 1e-9 of the step up to 100 px. x: shape (n,), px. std: one or n values, px. angle, half_width: one value
-    each, rad and px.
+    Fits evaluate these three functions repeatedly. The integral H of the normal distribution function solves the heat
+    equation. Therefore one normal distribution function and one density per corner of the square determine all three
+    functions. The second difference is evaluated without the split into two parts; it is accurate to 1e-9 of the step
+    up to 100 px. x: shape (n,), px. std: one or n values, px. angle, half_width: one value each, rad and px.
     """
     long, _, short = _boxes(angle, half_width, std)
     short = xp.where(short > _THINNEST, short, _THINNEST)
@@ -182,7 +183,7 @@ def _polynomial_difference(
 
 
 def _first_remainder(x: jax.Array, std: jax.Array) -> jax.Array:
-    """Evaluate H(x), the integral of the normal distribution function from -infinity to x, less max(x, 0)."""
+    """Evaluate H(x) - max(x, 0), where H is the integral of the normal distribution function from -infinity to x."""
     t = xp.where(x > 0, x, -x) / std
     return std * (normal_density(t) - t * special.ndtr(-t))
 

@@ -102,8 +102,8 @@ class LensField:
         """Map distorted positions to undistorted ones, px.
 
         Args:
-            column: distorted column, px; broadcasts with row. Positions more than 1.5 units from the centre are
-                clipped.
+            column: distorted column, px; broadcasts with row. Beyond 1.5 units from the centre, the ratio of the
+                distances at 1.5 units is used.
             row: distorted row, px.
         """
         x, y, seen2 = self._from_centre(column, row)
@@ -132,6 +132,8 @@ class LensField:
 
     def blur_scale(self, column: float, row: float) -> float:
         """Compute the relative width of the blur at a position, no unit.
+
+        The result is limited to [0.2, 5].
 
         Args:
             column: undistorted column, px.

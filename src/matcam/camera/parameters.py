@@ -1,6 +1,7 @@
 """Parameters of a camera by name, their covariance, and the origin of a camera.
 
-The name of a parameter is its path, with its unit: "optics.sigma_px", "optics.mtf[3]", "optics.core.sigma_px".
+The name of a parameter is its path in the camera profile, such as "optics.core.sigma_px". It ends in the unit of the
+parameter. The name of a parameter without unit is, for example, "optics.mtf[3]".
 """
 
 from __future__ import annotations
@@ -30,11 +31,13 @@ class Uncertainty(Module):
     """Covariance of parameters of a camera; the other parameters are exact.
 
     Args:
-        names: names of the parameters, as in `Camera.parameters()`, such as "optics.sigma_px"; (n,).
-        covariance: covariance in the units of the names, shape (n, n), symmetric, positive semidefinite.
+        names: n names of parameters, as in `Camera.parameters()`, such as "optics.sigma_px".
+        covariance: covariance of the parameters, in products of the units in their names, shape (n, n), symmetric,
+            positive semidefinite.
 
     Raises:
-        ArgumentError: the shape is not (n, n), a name occurs twice, or the matrix is not a covariance.
+        ArgumentError: the shape is not (n, n), a name occurs twice, or the matrix is not finite, symmetric and positive
+            semidefinite.
 
     Example:
         >>> known = matcam.camera.Uncertainty.of({"optics.sigma_px": 0.02})
@@ -63,7 +66,8 @@ class Uncertainty(Module):
         correlation = matrix / np.where(scale > 0, scale, 1) / np.where(scale > 0, scale, 1)[:, None]
         if n and np.linalg.eigvalsh(correlation)[0] < -1e-9:
             raise ArgumentError(
-                "covariance is not positive semidefinite: a combination of parameters has a negative variance"
+                "covariance is not positive semidefinite, because a combination of parameters has a negative variance: "
+                "check the elements off the diagonal"
             )
 
     @classmethod
@@ -71,7 +75,7 @@ class Uncertainty(Module):
         """Build the uncertainty of independent parameters from standard deviations.
 
         Args:
-            std: standard deviation by name, in the unit of the name, >= 0.
+            std: standard deviation by the name of the parameter, in the unit in this name, >= 0.
 
         Raises:
             ArgumentError: `std` is not a mapping, or a standard deviation is negative or not finite.
@@ -83,23 +87,27 @@ class Uncertainty(Module):
         return cls(std.keys(), np.diag([float(s) ** 2 for s in std.values()]))
 
     def check_names(self, parameters: Iterable[str]) -> None:
-        """Check that every name belongs to a camera.
+        """Check that a camera has all parameters in `names`.
 
         Args:
-            parameters: names of the parameters of the camera.
+            parameters: names of all parameters of the camera.
 
         Raises:
-            ArgumentError: a name is not among `parameters`.
+            ArgumentError: a name is not in `parameters`.
         """
         known = set(parameters)
         for name in self.names:
             if name not in known:
                 raise ArgumentError(
-                    f"uncertainty contains {name!r}, but the camera has only {', '.join(sorted(known))}"
+                    f"uncertainty contains the parameter {name!r}, but the camera has only {', '.join(sorted(known))}: "
+                    "use these names"
                 )
 
     def std(self) -> dict[str, float]:
-        """Compute the standard deviations by name, in the units of the names."""
+        """Compute the standard deviation of each parameter, by name.
+
+        The unit is the unit in the name of the parameter.
+        """
         return dict(zip(self.names, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
 
     def __repr__(self) -> str:
@@ -118,8 +126,8 @@ class Provenance:
 
     Attributes:
         source: measurement or assumption behind the profile. Default: "".
-        created: ISO 8601 date. Default: "", the date of writing.
-        software: program and version. Default: "", matcam and its version.
+        created: ISO 8601 date. Default: "", replaced by the date of writing in a file.
+        software: program and version. Default: "", replaced by matcam and its version in a file.
         notes: further remarks. Default: "".
 
     Example:
@@ -134,7 +142,7 @@ class Provenance:
 
 
 def parameters_of(part: str, module: Any) -> dict[str, jax.Array]:
-    """List the parameters of a lens or pixel by name.
+    """List the parameters of a lens or pixel, including those of inner lenses, by name.
 
     part: path of the lens or pixel in the camera, such as "optics" or "optics.core".
     """
@@ -152,9 +160,9 @@ def parameters_of(part: str, module: Any) -> dict[str, jax.Array]:
 
 
 def replace_parameters(part: str, module: Any, values: Mapping[str, Any]) -> Any:
-    """Replace parameters of a lens or pixel, also under JAX transformations.
+    """Replace parameters of a lens or pixel. The new values may be traced by JAX.
 
-    part: path of the lens or pixel in the camera. values: new values by name; names of other parts are ignored.
+    part: "optics" or "pixel". module: the lens or pixel. values: new values by name; names of other parts are ignored.
     """
     for name, value in values.items():
         found = _NAME.fullmatch(name)
@@ -170,15 +178,15 @@ def replace_parameters(part: str, module: Any, values: Mapping[str, Any]) -> Any
 
 
 def fields_of(module: Any) -> dict[str, Any]:
-    """List the fields of a lens or a pixel by name.
+    """List the values of the profile fields of a lens or pixel by name.
 
-    The fields are scalars, curves and inner lenses. The names include the units.
+    The values are scalars, curves and inner lenses. The names include the units.
     """
     return {field: operator.attrgetter(path)(module) for field, path in module.profile_fields.items()}
 
 
 def _path(module: Any, inner: list[str], field: str) -> str:
-    """Translate profile names into the path of an attribute, such as "core.sigma"."""
+    """Convert the names of inner lenses and of a field in a profile to the path of an attribute, such as "core.sigma"."""
     steps = []
     for name in (*inner, field):
         steps.append(module.profile_fields[name])

@@ -1,8 +1,8 @@
 """Pixel: sensitivity over its area (docs/model.md 2).
 
-A response is separable, r(x) r(y), with factors of unit area, so that the value of a pixel in a uniform field is the
-radiance. Separable does not mean isotropic: the response of a square pixel depends on direction, which `Camera` takes
-into account.
+A response is separable, r(x) r(y). Each factor integrates to 1, so the value of a pixel in a field of uniform radiance is
+that radiance. A separable response need not be isotropic: the response of a square pixel depends on the direction, which
+`Camera` takes into account.
 """
 
 from __future__ import annotations
@@ -37,11 +37,12 @@ _GAUSS48 = np.polynomial.legendre.leggauss(48)
 class PixelResponse(Module):
     """Sensitivity of one pixel over its area, without the lens.
 
-    In astronomy, PRF denotes the *point* response function, which includes the lens.
+    This function is the pixel response function. It differs from the *point* response function (PRF) of astronomy, which
+    includes the lens.
 
     Attributes:
-        profile_fields: {name with its unit in a camera profile: attribute}, in the order of the constructor's
-            arguments.
+        profile_fields: attribute for each field in a camera profile, such as {"half_width_px": "half_width"}. The
+            fields are in the order of the constructor's arguments.
     """
 
     if TYPE_CHECKING:
@@ -76,6 +77,8 @@ class PixelResponse(Module):
     def of_gaussian(self, x: ArrayLike, std: ArrayLike) -> jax.Array:
         """Compute the value of a pixel for a Gaussian line profile, 1/px.
 
+        The area of the profile is 1.
+
         Args:
             x: distance of the line from the centre of the pixel, px.
             std: standard deviation of the profile, px, positive; broadcasts with x.
@@ -85,12 +88,13 @@ class PixelResponse(Module):
     def until_gaussian(self, x: ArrayLike, std: ArrayLike) -> jax.Array:
         """Integrate `of_gaussian` up to x, no unit.
 
-        The integral begins at minus infinity and lies between 0 and 1. Its differences are values of the pixel for a
-        Gaussian that is uniformly smeared along a line.
+        The integral begins at minus infinity, and its value lies between 0 and 1. The difference of the integrals up to
+        two positions is the value of the pixel for a uniform strip of radiance 1. The strip extends between these
+        positions and is blurred by the Gaussian.
 
         Args:
-            x: distance from the centre of the pixel, px.
-            std: standard deviation of the profile, px, positive; broadcasts with x.
+            x: end of the integral, relative to the centre of the pixel, px.
+            std: standard deviation of the Gaussian, px, positive; broadcasts with x.
         """
 
 
@@ -127,21 +131,23 @@ class BoxPixel(PixelResponse):
     def mtf(self, f: ArrayLike) -> jax.Array:
         """Compute the signed transfer function of the box, without the lens.
 
-        It is sin(2 pi half_width f) / (2 pi half_width f), which changes sign at 1 / (2 half_width).
+        It is sin(2 pi half_width f) / (2 pi half_width f). It first changes sign at f = 1 / (2 half_width), cycles/px.
         """
         return xp.sinc(2 * self.half_width * checks.number("f", f))
 
     def of_gaussian(self, x: ArrayLike, std: ArrayLike) -> jax.Array:
         """Compute the value of a pixel for a Gaussian line profile, 1/px.
 
-        It is [erf((x + p) / (sqrt2 std)) - erf((x - p) / (sqrt2 std))] / (4 p), p = half_width (docs/model.md 2).
+        It is [erf((x + p) / (sqrt(2) std)) - erf((x - p) / (sqrt(2) std))] / (4 p), where p = half_width (docs/model.md
+        2).
         """
         return gaussian_over_interval(xp.asarray(x), self.half_width, xp.asarray(std))
 
     def until_gaussian(self, x: ArrayLike, std: ArrayLike) -> jax.Array:
         """Integrate `of_gaussian` up to x, no unit.
 
-        The integral is [f(x + p) - f(x - p)] std / (2 p), where f is z ndtr(z) + pdf(z) at z = x / std and p = half_width.
+        The integral is [g((x + p) / std) - g((x - p) / std)] std / (2 p), where p = half_width and g(z) = z Phi(z) + phi(z).
+        Phi and phi are the distribution function and the density of the standard normal distribution.
         """
         ends = ((xp.asarray(x) + side * self.half_width) / std for side in (1, -1))
         above, below = (z * _normal_until(z) + xp.exp(-(z**2) / 2) / np.sqrt(2 * np.pi) for z in ends)
@@ -154,7 +160,7 @@ class WindowedGaussianPixel(PixelResponse):
     The response decreases from the centre, as under a microlens, and has unit area.
 
     Args:
-        sigma: standard deviation of the Gaussian before truncation, px, positive.
+        sigma: standard deviation of the Gaussian before truncation, px, 1e-12 to 1e6.
         half_width: distance from the centre at which the Gaussian is truncated, px, (0, 0.5]. Default: 0.5, the border
             of the pixel.
 
@@ -188,9 +194,11 @@ class WindowedGaussianPixel(PixelResponse):
         return xp.where(xp.abs(x) <= self.half_width, inside, 0.0)
 
     def mtf(self, f: ArrayLike) -> jax.Array:
-        """Compute the Fourier transform of the response with 48 Gauss-Legendre nodes.
+        """Compute the signed transfer function along a row, without the lens.
 
-        It is exact to rounding up to |f| half_width = 12 cycles, and to 1e-9 up to 14.
+        It is the Fourier transform of the response, computed with 48 Gauss-Legendre nodes. The error is at the level of
+        rounding for |f| half_width <= 12 cycles, and below 1e-9 for |f| half_width <= 14 cycles. If half_width exceeds
+        8 sigma, truncation is negligible, and the transfer function of the Gaussian is used.
         """
         nodes, weights = (xp.asarray(a) for a in _GAUSS48)
         t = self.half_width * nodes
@@ -201,9 +209,10 @@ class WindowedGaussianPixel(PixelResponse):
         return xp.where(self.half_width > 8 * self.sigma, uncut, xp.cos(2 * xp.pi * f[..., None] * t) @ weight)
 
     def of_gaussian(self, x: ArrayLike, std: ArrayLike) -> jax.Array:
-        """Integrate the product of two Gaussians over the window, 1/px.
+        """Compute the value of a pixel for a Gaussian line profile, 1/px.
 
-        The product is a Gaussian, too.
+        It is the integral of response times line profile over the window. The product of two Gaussians is a Gaussian, so
+        the integral has a closed form.
         """
         x, std = xp.abs(xp.asarray(x)), xp.asarray(std)  # symmetric; for x > 0 the difference loses no digits
         total = xp.hypot(std, self.sigma)
@@ -216,7 +225,7 @@ class WindowedGaussianPixel(PixelResponse):
     def until_gaussian(self, x: ArrayLike, std: ArrayLike) -> jax.Array:
         """Integrate `of_gaussian` up to x, no unit.
 
-        The integral over the window uses 48 Gauss-Legendre nodes.
+        The average over the window uses 48 Gauss-Legendre nodes, or a closed form if half_width exceeds 8 sigma.
         """
         nodes, weights = (xp.asarray(a) for a in _GAUSS48)
         at = self.half_width * nodes
@@ -232,12 +241,15 @@ class WindowedGaussianPixel(PixelResponse):
 
 
 def _normal_until(z: jax.Array) -> jax.Array:
-    """Evaluate the standard normal distribution function, faster than by `ndtr`."""
+    """Evaluate the standard normal distribution function. This is faster than `ndtr`."""
     return erfc(-z / np.sqrt(2)) / 2
 
 
 def gaussian_over_interval(x: jax.Array, half_width: ArrayLike, std: jax.Array) -> jax.Array:
-    """Average a unit-area Gaussian over [x - half_width, x + half_width], to 14 digits for any std."""
+    """Average a Gaussian of unit area over [x - half_width, x + half_width], 1/px.
+
+    The result has 14 accurate digits for any std. All arguments are in px.
+    """
     x = xp.where(x < 0, -x, x)  # symmetric; in the right tail the difference loses no digits
     ratio = half_width / std
     wide = ratio > 0.02
@@ -270,8 +282,8 @@ def _by_series(x: jax.Array, ratio: AnyArray, std: jax.Array) -> jax.Array:
 def mean_over_interval(function: Callable[[jax.Array], jax.Array], x: jax.Array, half_width: jax.Array) -> jax.Array:
     """Average a function over an interval with 4 Gauss-Legendre nodes.
 
-    The interval is [x - half_width, x + half_width]. The nodes are a trailing axis of the argument of the function. The
-    function must be nearly linear over the interval.
+    The interval is [x - half_width, x + half_width]. The argument of `function` has a last axis for the nodes. The function
+    must be nearly a polynomial of degree 7 over the interval.
     """
     nodes, weights = (xp.asarray(a) for a in _GAUSS4)
     return function(x[..., None] + half_width[..., None] * nodes) @ (weights / 2)

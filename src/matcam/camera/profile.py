@@ -1,4 +1,4 @@
-"""Camera profile: the JSON file that belongs to a data set, and its format.
+"""Camera profile: JSON file that describes the camera of a data set.
 
     {
       "format": "matcam camera profile",  "version": 5,
@@ -11,14 +11,19 @@
       "provenance": {"source": "", "created": "2026-01-31", "software": "matcam 0.1.0", "notes": ""}
     }
 
-Units are in the names. An inner lens is an object: {"model": "halo", "core": {"model": ...}, ...}. The name of a
-parameter is its path: "optics.sigma_px", "optics.mtf[3]", "optics.core.sigma_px". The profile includes covariance and
-origin of the parameters, because a correction requires the uncertainty of the kernel.
+The names of the fields end in the units. An inner lens is an object: {"model": "halo", "core": {"model": ...}, ...}. The
+name of a parameter is its path: "optics.sigma_px", "optics.mtf[3]", "optics.core.sigma_px". The profile includes the
+covariance of the parameters, because a correction requires the uncertainty of the kernel.
 
-Older versions are supported: version 4 without DSNU, version 3 without "zernike", "colour" and "seidel", version 2
-without a field, and version 1 without "defocus", "halo" and sensors. A published version never changes: additions are
-made in the next version. The published schemas are docs/camera-profile-v1.schema.json to -v5 (`profile_schemas.py`).
-pydantic validates the JSON.
+Profiles of older versions can be read. Each version lacks the following, in addition to what later versions lack:
+
+    4    "dsnu_electrons" of the sensor
+    3    the lens models "zernike", "colour" and "seidel"
+    2    "field"
+    1    "sensor", and the lens models "defocus" and "halo"
+
+A published version never changes: additions are made in the next version. The published schemas are
+docs/camera-profile-v1.schema.json to docs/camera-profile-v5.schema.json (`profile_schemas.py`). pydantic validates the JSON.
 """
 
 from __future__ import annotations
@@ -85,15 +90,16 @@ def as_document(
 def read_profile(path: str | Path) -> dict[str, Any]:
     """Read the arguments of a `Camera` from the profile at `path`.
 
-    The message of a FileFormatError names the file and the field.
+    A FileFormatError is raised if the profile is invalid. Its message names the file and the field.
     """
     return from_document(read_json(path, _WHAT), path)
 
 
 def from_document(document: Any, where: str | Path) -> dict[str, Any]:
-    """Build the arguments of a `Camera` from the JSON of a profile.
+    """Build the arguments of a `Camera` from the JSON document of a profile.
 
-    The message of a FileFormatError names the location `where` of the profile, and the field.
+    A FileFormatError is raised if the profile is invalid. Its message names `where`, the location of the profile, and the
+    field.
     """
     version = checked_version(document, where, _WHAT, FORMAT, VERSIONS)
     profile: Any = validated(VERSIONS[version], document, where, MODELS)
@@ -130,7 +136,7 @@ def field_document(field: LensField) -> dict[str, Any]:
 
 
 def field_from(part: Any) -> LensField:
-    """Build the field of a lens from its validated document.
+    """Build the field of a lens from the validated section "field" of a profile.
 
     An ArgumentError is raised if a value is out of range.
     """

@@ -1,6 +1,7 @@
 """Schemas of the published versions of the camera profile (pydantic).
 
-A published version never changes: additions are made in the next version, and each version has its own lenses.
+A published version never changes: additions are made in the next version. Versions differ in the lens models that they
+support.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ _PAIRS = {
 
 
 class Part(Strict):
-    """Lens or pixel: the name of its model, and its fields."""
+    """Lens or pixel in a profile. Derived schemas add the fields of a model."""
 
     model: str
 
@@ -51,7 +52,7 @@ def _part_schema(name: str) -> type[Part]:
 def _one_of(names: Iterable[str]) -> Any:
     """Build the union of the schemas of the named models.
 
-    A lens inside another lens may be any of these models, too.
+    A lens inside another lens may also be any of these models.
     """
     schemas: Any = tuple(_part_schema(name) for name in names)
     union = Annotated[Union[schemas], Field(discriminator="model")]  # noqa: UP007
@@ -116,7 +117,7 @@ class _Provenance(Strict):
 
 
 def _profile(version: int, optics: Any, **parts: type[BaseModel]) -> type[BaseModel]:
-    """Build the schema of a version, with sections `parts` that may be null or missing."""
+    """Build the schema of a version. The sections `parts` may be null or missing."""
     fields: dict[str, Any] = {
         "format": (Literal["matcam camera profile"], ...),
         "version": (Literal[version], ...),

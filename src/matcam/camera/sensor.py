@@ -38,8 +38,8 @@ else:
 class PixelNoise(NamedTuple):
     """Noise of a measured reflectance.
 
-    The variance of a pixel is (relative value)^2 + (floor peak)^2, where peak is the largest value of its image. Table
-    cells that are read from one pixel share its noise.
+    The variance of a pixel is (relative * value)^2 + (floor * peak)^2. Here, value is the value of the pixel, and peak is
+    the largest value of the image. All table cells that are read from one pixel have the noise of that pixel.
 
     Attributes:
         relative: standard deviation divided by the value of the pixel, no unit, [0, 1). Default: 0.01.
@@ -59,7 +59,7 @@ class PixelNoise(NamedTuple):
     picture_gain: float = 0.0
 
     def check(self) -> PixelNoise:
-        """Check the parameters and return the noise.
+        """Check the parameters and return this object.
 
         Raises:
             ArgumentError: a parameter is outside [0, 1) or not finite, or relative and floor are both 0.
@@ -67,35 +67,38 @@ class PixelNoise(NamedTuple):
         for name, value in self._asdict().items():
             checks.scalar(f"noise.{name}", checks.within(f"noise.{name}", value, 0, 1, open_high=True))
         if self.relative == self.floor == 0:
-            raise ArgumentError("noise must not be zero: relative or floor must be above 0")
+            raise ArgumentError("noise must not be zero: set noise.relative or noise.floor above 0")
         return self
 
 
 class Sensor(Module):
-    """Noise and mosaic of a camera sensor.
+    """Camera sensor with noise and an optional mosaic.
 
-    The fixed patterns of sensitivity and dark current are log-normal: their mean is 1 exactly, and no pixel is
-    negative. The pattern of offsets is Gaussian.
+    The relative sensitivities and the relative dark currents of the pixels are log-normal: the distributions have a mean
+    of 1, and no value is negative. The offsets of the pixels are Gaussian.
 
     Args:
         pitch: distance between the centres of neighbouring pixels, m.
         full_well: full-well capacity of a pixel, e-.
         read_noise: standard deviation of the read noise, e-.
         gain: system gain (EMVA 1288), DN per e-. Default: 1.
-        bits: depth of the converter, 1 to 32. None: values are neither rounded nor limited.
-        cfa: colours of the upper left 2 x 2 pixels, "RGGB", "BGGR", "GRBG" or "GBRG". None: a monochrome sensor.
+        bits: depth of the converter, 1 to 32. Default: None, values are neither rounded nor limited.
+        cfa: colours of the upper left 2 x 2 pixels, "RGGB", "BGGR", "GRBG" or "GBRG". Default: None, a monochrome
+            sensor.
         prnu: photo-response non-uniformity, the relative standard deviation of the sensitivity of the pixels, no unit.
             Default: 0.
         dark_current: mean dark current of a pixel, e-/s. Default: 0.
         dark_nonuniformity: relative standard deviation of the dark currents of the pixels, no unit. Default: 0.
-        black_level: value of a pixel without electrons, DN. None: six standard deviations of read noise, rounded up.
+        black_level: value of a pixel without electrons, DN. Default: None, six standard deviations of read noise, rounded
+            up.
         dsnu: dark signal non-uniformity that is independent of time, the standard deviation of the offsets of the
             pixels, e-. Default: 0.
-        pattern_seed: seed of the fixed patterns of the sensor; images of the same shape share the patterns. Default: 0.
+        pattern_seed: seed of the fixed patterns of the sensor, 0 to 2^31 - 1. All images of one shape have the same
+            patterns. Default: 0.
 
     Raises:
-        ArgumentError: a parameter is out of range or of the wrong kind, or the black level exceeds the range of the
-            converter.
+        ArgumentError: a parameter is out of range or of the wrong kind, or the black level is not below the largest value
+            of the converter.
 
     Source:
         EMVA Standard 1288, release 4; docs/model.md 8.
@@ -159,7 +162,7 @@ class Sensor(Module):
 
     @property
     def saturation(self) -> jax.Array:
-        """Number of electrons at which a pixel or its converter saturates."""
+        """Number of electrons at which the pixels or the converter saturate, e-."""
         if self.bits is None:
             return self.full_well
         return xp.minimum(self.full_well, (2**self.bits - 1 - self.black_level) / self.gain)
@@ -180,24 +183,27 @@ class Sensor(Module):
             ArgumentError: the sensor has no cfa.
         """
         if self.cfa is None:
-            raise ArgumentError("this sensor has no mosaic, because its cfa is None: specify its cfa")
+            raise ArgumentError(
+                'this sensor has no mosaic, because cfa is None: give cfa to Sensor, such as cfa="RGGB"'
+            )
         tile = np.array(["RGB".index(c) for c in self.cfa]).reshape(2, 2)
         return np.tile(tile, ((height + 1) // 2, (width + 1) // 2))[:height, :width]
 
     def expected_electrons(self, radiance: ArrayLike, exposure: ArrayLike, time: ArrayLike = 0.0) -> jax.Array:
-        """Compute the mean electrons of every pixel before its well is full.
+        """Compute the expected number of electrons of every pixel, without saturation.
 
-        They include the fixed patterns and the dark current of the sensor.
+        It includes the dark current and the fixed patterns of sensitivity and dark current.
 
         Args:
             radiance: radiance of the pixels, any unit, shape (H, W) or (H, W, channels). With a cfa the shape must be
-                (H, W, 3), in the order R, G, B; each pixel records one of them. Without a cfa, the channels are exposures
-                of one sensor behind filters, so they share its patterns. NaN is kept.
+                (H, W, 3), in the order R, G, B, and each pixel records one of these channels. Without a cfa, the channels
+                are exposures of one sensor behind different filters, so they have the same fixed patterns. NaN remains
+                NaN.
             exposure: electrons per unit of radiance, positive.
-            time: duration, s, for the dark current. Default: 0.
+            time: exposure time for the dark current, s. Default: 0.
 
         Returns:
-            Electrons, shape (H, W) with a cfa, otherwise the shape of `radiance`.
+            Expected numbers of electrons, e-, shape (H, W) with a cfa, otherwise the shape of `radiance`.
 
         Raises:
             ArgumentError: an argument is out of range or has the wrong shape.
@@ -210,16 +216,16 @@ class Sensor(Module):
         return exposure * sensitivity * radiance + time * self.dark_current * dark
 
     def expose(self, radiance: ArrayLike, exposure: ArrayLike, seed: Seed, time: ArrayLike = 0.0) -> jax.Array:
-        """Simulate one image with all its noise.
+        """Simulate one image with noise.
 
         Args:
             radiance: as in `expected_electrons`.
             exposure: electrons per unit of radiance, positive.
-            seed: seed of the noise of the image: a whole number, or a key of jax.random.
-            time: duration, s, for the dark current. Default: 0.
+            seed: seed of the noise of the image: a whole number in [0, 2^63), or a key of jax.random.
+            time: exposure time for the dark current, s. Default: 0.
 
         Returns:
-            The image, DN, in the shape of `expected_electrons`.
+            The image, DN, with the shape of the result of `expected_electrons`. It is NaN where the radiance is NaN.
 
         Raises:
             ArgumentError: an argument is out of range or has the wrong shape.
@@ -241,7 +247,9 @@ class Sensor(Module):
         return xp.where(missing, xp.nan, digital)
 
     def electrons(self, digital: ArrayLike) -> jax.Array:
-        """Convert an image to electrons; read noise can make them negative.
+        """Convert an image from DN to electrons, e-.
+
+        The result can be negative because of read noise.
 
         Args:
             digital: the image, DN, any shape.
@@ -251,11 +259,11 @@ class Sensor(Module):
     def variance(self, electrons: ArrayLike) -> jax.Array:
         """Compute the variance of a pixel, e-^2.
 
-        It includes shot noise, read noise and rounding. Evaluate it at the value of a model, not at the noisy value of
-        the pixel (docs/model.md 8).
+        It includes shot noise, read noise and rounding.
 
         Args:
-            electrons: expected number of electrons, including dark electrons, any shape.
+            electrons: expected number of electrons, including dark electrons, e-, any shape. Use the value of a model, not
+                the noisy value of the pixel (docs/model.md 8).
         """
         rounding = 0.0 if self.bits is None else 1 / (12 * self.gain**2)
         return xp.maximum(checks.numbers("electrons", electrons), 0) + self.read_noise**2 + rounding
@@ -282,7 +290,7 @@ class Sensor(Module):
 
 
 def _log_normal(key: jax.Array, shape: tuple[int, ...], std: jax.Array) -> jax.Array:
-    """Draw positive values of mean 1 and standard deviation `std`."""
+    """Draw values from a log-normal distribution with mean 1 and standard deviation `std`."""
     from matcam.core.jax import jax
 
     log_variance = xp.log1p(std**2)

@@ -1,7 +1,7 @@
-"""Command line `matcam`. Each command has a file, which parses options, calls the library and writes the results.
+"""Command line `matcam`. The module of a command parses options, calls the library and writes the results.
 
-Exit codes: 0 success; 1 some inputs failed; 2 bad input; 70 internal error, with a traceback; 130 interrupted (143 by
-SIGTERM).
+Exit codes: 0 success; 1 some inputs failed; 2 bad input; 70 internal error, with a traceback; 130 interrupted by Ctrl-C (143
+by SIGTERM, 129 by SIGHUP).
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ _ended_by: list[int] = []
 
 
 def _end_on_signals() -> None:
-    """Treat termination signals as Ctrl-C, so that incomplete files are removed."""
+    """Treat SIGTERM and SIGHUP as Ctrl-C, so that incomplete files are removed."""
 
     def end(number: int, frame: Any) -> None:
         _ended_by.append(number)
@@ -108,7 +108,10 @@ def _nowhere() -> TextIO:
 
 
 def _output_failed(error: OSError, code: int) -> int:
-    """Report that standard output cannot be written, and return the exit code. A closed pipe is not a failure."""
+    """Report that standard output cannot be written, and return the exit code.
+
+    A closed pipe is not a failure: in this case the result is `code`, and nothing is reported.
+    """
     sys.stdout = _nowhere()  # Python would report the error again at exit
     if isinstance(error, BrokenPipeError):
         return code
@@ -155,7 +158,7 @@ def _run(arguments: list[str] | None) -> int:
 
 
 def _in_groups(error: Any) -> str:
-    """Suggest the commands of groups with the name of an unknown command."""
+    """Suggest commands in groups that have the name of an unknown command, such as `matcam data merl` for `matcam merl`."""
     from matcam.cli.app import app
 
     found = [

@@ -1,4 +1,4 @@
-"""Application with all commands, in the order of their use."""
+"""Command-line application with all commands."""
 
 from __future__ import annotations
 

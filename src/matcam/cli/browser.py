@@ -32,7 +32,7 @@ def command(
     port: Annotated[int, option("--port", "PORT", "Port to listen on. Default: 0, any free port.")] = 0,
     browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page in the browser.")] = True,
 ) -> None:
-    """Open a page on this machine to plan a rig, calibrate a camera and look at tables. Ctrl-C ends it.
+    """Open a page in the browser to plan a rig, calibrate a camera and look at tables. Ctrl-C ends the command.
 
     Example: `matcam app chromium.binary`
     """
@@ -41,7 +41,7 @@ def command(
     checks.extra("the app", "app", "bokeh")
     for path in files or ():
         if not is_there(path):
-            raise ArgumentError(f"{path} does not exist: give a file or a folder")
+            raise ArgumentError(f"{path} does not exist: give an existing file or folder")
     if not 0 <= port < 2**16:
         raise ArgumentError(f"--port must lie in [0, {2**16 - 1}], got {port}")
     from matcam.app.server import AppServer
@@ -64,7 +64,7 @@ def command(
 
 
 def _leave() -> None:
-    """End the process during a computation, because compiled code cannot be interrupted."""
+    """End the process immediately, because a running computation in compiled code cannot be interrupted."""
     import os
     import sys
 

@@ -183,7 +183,7 @@ def _tone(tone: str, patches: Path | None, files: list[Path]) -> Any:
 
     if patches is not None:
         if tone != "auto":
-            raise ArgumentError("--tone and --tone-patches both give the tone curve: give one of them")
+            raise ArgumentError("--tone and --tone-patches both specify the tone curve: give one of them")
         from matcam.calibration.photograph.tone import patch_tone_curve
 
         return patch_tone_curve(files[0], patches)
@@ -193,10 +193,10 @@ def _tone(tone: str, patches: Path | None, files: list[Path]) -> Any:
         try:
             return float(tone.removeprefix("gamma:"))
         except ValueError:
-            raise ArgumentError(f"--tone {tone!r}: a number must follow gamma:") from None
+            raise ArgumentError(f"--tone {tone!r}: a number must follow gamma:, such as gamma:2.2") from None
     if not is_file(Path(tone)):
         raise ArgumentError(
-            f"--tone must be auto, linear, srgb, gamma:NUMBER or a file, got {tone!r}, which does not exist"
+            f"--tone must be auto, linear, srgb, gamma:NUMBER or a file, got {tone!r}, which is not a file"
         )
     from matcam.files.tone_curve import read_tone_curve
 

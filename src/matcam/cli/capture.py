@@ -61,7 +61,7 @@ def init(
     from matcam.files.capture_writing import write_template
 
     if lamps is not None and photographs is None:
-        raise ArgumentError("--lamps is for the photographs of --from: give both")
+        raise ArgumentError("--lamps describes the photographs of --from, but --from is missing: give both")
     listing = Listing() if photographs is None else list_photographs(photographs, lamps)
     check_outputs([folder / SETTINGS, folder / LIST], force=force)
     listing.copy_to(folder, force=force)

@@ -41,12 +41,12 @@ RigFile = Annotated[
 
 
 def with_common(name: str, command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add the common options and those of a rig to a command, as typer requires.
+    """Add the common options to a command, and the options of a rig if it has the parameter `rig`.
 
     Args:
         name: words of the command, such as "data merl".
-        command: function of the command. It returns its exit code; or facts about its result, by name, from which the
-            next command is suggested.
+        command: function of the command. It returns None, the exit code, or a dictionary of facts about its result. The
+            next command is suggested from these facts.
     """
     kinds = get_type_hints(command, include_extras=True)
     result_kind = kinds.pop("return", None)

@@ -68,7 +68,7 @@ def command(
     if metadata:
         check_output(metadata, force=force, inputs=[source, *rig.files])
         if metadata.absolute() == target.absolute():
-            raise OutputError(f"output {metadata} is given twice: give two names")
+            raise OutputError(f"output {metadata} is given twice, as OUT and as --metadata: give two names")
         document = about(rig.build(), table=target.name)
     with show.working("converting"):
         report = convert(source, target, sampling=sampling, square=square, error=error, force=force)
@@ -106,5 +106,5 @@ def _print(report: dict[str, Any]) -> None:
 
 
 def _percent(share: float) -> str:
-    """Format a relative difference; beyond a factor of ten the digits are meaningless."""
+    """Format a relative difference. Above 1000 % only this limit is printed, because the digits would be meaningless."""
     return "more than 1000%" if share > 10 else f"{share:.2%}"

@@ -100,11 +100,11 @@ def command(
     force: Force = False,
     json: AsJson = False,
 ) -> int:
-    """Correct a table for its camera, with uncertainty; write MERL, NetCDF, JSON and a page.
+    """Correct a table for the camera that recorded it, with uncertainty; write MERL, NetCDF, JSON and a page.
 
     Several files, or a folder, form a run, which writes its results to the folder of `-o`. A run that was killed
-    resumes when it is started again. Failures are listed at the end and do not affect other tables (exit code 1; 2 if no
-    table was corrected).
+    resumes when it is started again. Tables that fail are listed at the end and do not affect other tables. If a table
+    fails, the exit code is 1, or 2 if no table was corrected.
 
     Example: `matcam correct chrome.binary -o chrome-corrected.binary`, `matcam correct brdfs/ -o corrected/`
     """
@@ -114,24 +114,24 @@ def command(
     alone = one_file and (output is None or (bool(output.suffix) and not is_folder(output)))
     if alone and output and output.suffix.lower() not in (".binary", ".nc"):
         raise ArgumentError(
-            f"{output}: the corrected table is a MERL or NetCDF file: its name must end in .binary or .nc"
+            f"{output}: the corrected table is a MERL or NetCDF file, whose name must end in .binary or .nc"
         )
     if alone and (workers is not None or cluster is not None or zarr or fit_camera):
         raise ArgumentError(
-            "--workers, --cluster, --zarr and --fit-camera are for a run: name an output folder with -o"
+            "--workers, --cluster, --zarr and --fit-camera are for a run: give an output folder with -o, or omit them"
         )
     if budget and not alone:
-        raise ArgumentError("--budget is for one table: give one file, and no output folder")
+        raise ArgumentError("--budget is for one table: give one input file and no output folder, or omit --budget")
     if layers and (not alone or layers.suffix.lower() != ".exr"):
         raise ArgumentError(f"--layers requires a single table and a file name that ends in .exr, got {layers}")
     if not alone and (output is None or output.suffix.lower() == ".binary"):
-        raise ArgumentError("several tables need an output folder: give -o FOLDER")
+        raise ArgumentError("several tables, or a folder of tables, require an output folder: give -o FOLDER")
     for wanted, what, module in ((zarr, "a run's Zarr store", "zarr"), (cluster, "a cluster", "distributed")):
         if wanted:
             checks.extra(what, "scale", module)
     if device == "gpu" and not alone:
         raise ArgumentError(
-            "--device gpu is for one table: omit it for several, because a process on each core is as fast"
+            "--device gpu is for one table: omit it for a run, because one process per processor core is as fast"
         )
     check_inputs(paths)
     choose_device(device)

@@ -52,7 +52,7 @@ def merl(
         show.as_json({"materials": sorted(known)}) if json else show.say("\n".join(sorted(known)))
         return 0
     if not materials:
-        raise ArgumentError("name at least one material, or use --list")
+        raise ArgumentError("no material was given: name at least one, or use --list to list all")
     for name in materials:
         if name not in known:
             raise unknown_name("MERL material", name, known)

@@ -18,7 +18,7 @@ def command(
     force: Force = False,
     json: AsJson = False,
 ) -> None:
-    """Simulate the MERL rig's record of a chromium sphere, and recover its Fresnel term.
+    """Simulate the MERL rig's record of a chromium sphere, and recover the Fresnel term of chromium from the record.
 
     Example: `matcam demo -o demo`
     """

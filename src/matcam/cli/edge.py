@@ -105,9 +105,10 @@ def command(
     for name, given in (("-o", output), ("--sfr", sfr), ("--budget", budget)):
         if given and not (positions and name == "-o") and (several or (method == "iso12233" and name != "--sfr")):
             one = "one region of one image" if several else "--method likelihood"
-            raise ArgumentError(f"{name} needs {one}: omit this option")
+            instead = "give one image and one region" if several else "omit --method iso12233"
+            raise ArgumentError(f"{name} needs {one}: omit this option, or {instead}")
     if roi is not None and rois is not None:
-        raise ArgumentError("--roi and --rois both give regions: give one of them")
+        raise ArgumentError("--roi and --rois both specify regions: give one of them")
     if output:
         check_picture(output, force=force, inputs=pictures)
         check_output(output.with_suffix(".csv"), force=force, inputs=pictures)
@@ -193,7 +194,7 @@ def command(
 
 
 def _readings(result: Any, frequencies: tuple[float, ...]) -> dict[str, Any]:
-    """Compute MTF50 and other readings of an edge. Those of ISO 12233 have no standard deviations."""
+    """Compute MTF50 and other readings of an edge. The readings of ISO 12233 have no standard deviations."""
     if hasattr(result, "fits"):
         from matcam.calibration.readings.edge_numbers import readings
 
@@ -227,7 +228,7 @@ def _lp_per_mm(frequency: Any, pitch: float) -> Any:
 
 
 def _write_sfr(result: Any, path: Path, pitch: float | None, force: bool) -> None:
-    """Write the columns of the MTF up to twice the Nyquist frequency, which other programs plot."""
+    """Write the MTF up to 1 cycle/px (twice the Nyquist frequency), which is the range in other programs."""
     head = ["frequency_cy_per_px", *(["frequency_lp_per_mm"] if pitch else []), "SFR"]
     lines = [",".join(head)]
     mtf = result.sfr if hasattr(result, "sfr") else result.mtf

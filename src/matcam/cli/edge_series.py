@@ -1,4 +1,4 @@
-"""Many edges measured by `matcam edge` in one run: photographs, regions and channels, or a through-focus series."""
+"""Measurement of many edges by `matcam edge`: several photographs, regions or channels, or a through-focus series."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from matcam.core.io import plain, write_columns
 def focus_positions(text: str, count: int, method: str) -> list[float]:
     if method == "iso12233":
         raise ArgumentError(
-            "--focus needs --method likelihood, because an e-SFR has no standard deviations: omit this option"
+            "--focus needs --method likelihood, because --method iso12233 gives no standard deviations: omit one of these "
+            "options"
         )
     try:
         positions = [float(cell) for cell in text.split(",")]
@@ -59,10 +60,11 @@ def run_series(
     json: bool,
     measure: Any,
 ) -> int:
-    """Measure many edges, and show or write a row for each. The exit code is 1 if an edge could not be measured.
+    """Measure many edges, and show or write a row for each. The result is 1 if an edge could not be measured, otherwise 0.
 
-    `positions` are the focus positions of the photographs, or None if they are not a through-focus series. `table` is a CSV
-    file to write with a row for each edge. `figure` is a figure of MTF50 over the focus position to write.
+    `positions` are the focus positions of the photographs, or None if they are not a through-focus series. `table` is the
+    CSV file to write, with a row for each edge. `figure` is the figure to write, of MTF50 over the focus position. `measure`
+    computes the readings of one edge. A FitError is raised if no edge can be measured.
     """
     from functools import partial
 

@@ -36,7 +36,8 @@ def command(
     ]
     if len(set(stems)) < len(stems):
         raise ArgumentError(
-            "two files have the same name, and their figures would overwrite each other: draw them into two folders"
+            "two files have the same name without the suffix, so their figures would overwrite each other: draw the figures "
+            "into two folders"
         )
     check_outputs(outputs(output, stems, vector), force=force, inputs=sources)
     use_caches()
@@ -49,7 +50,8 @@ def command(
 def draw_all(sources: Mapping[str, Any], output: Path, vector: str, *, force: bool, quiet: bool) -> None:
     """Draw and write figures.
 
-    `sources` contains, for each stem, the file of a table or a result of `fresnel`. None: a simulated table.
+    `sources` contains, for the stem of each file name, the data of the figure. For Figure 6 they are the file of a table, a
+    result of `fresnel`, or None for a simulated table. For Figures 3 to 5 they are None.
     """
     drawn = {}
     for stem, source in sources.items():

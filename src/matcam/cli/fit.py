@@ -65,17 +65,18 @@ def command(
     force: Force = False,
     json: AsJson = False,
 ) -> dict[str, Any]:
-    """Fit the parameters of a microfacet material through the camera, all difference angles jointly, with their errors.
+    """Fit a microfacet material through the camera, jointly at all difference angles; print parameters and their errors.
 
     Example: `matcam fit chrome.binary --ndf epd --fresnel free`
     """
     from matcam.numerics.budget import check_budget, write_budgets
 
     if blind and lens != "auto":
-        raise ArgumentError("--no-camera and --lens contradict each other: give one of them")
+        raise ArgumentError("--no-camera omits the lens that --lens describes: give one of these options")
     if rival and (blind or len(files) > 1):
         raise ArgumentError(
-            "--rival compares the camera of one table with free shadowing: give one file, and omit --no-camera"
+            "--rival compares two fits of one table, with the camera and with free shadowing: give one file, and omit "
+            "--no-camera"
         )
     inputs = [*files, *rig.files]
     check_inputs(inputs, "a table")

@@ -98,7 +98,7 @@ def command(
         compared = known_wavelengths(table) is not None
         if metal is not None and not compared:
             raise ArgumentError(
-                f"--metal is for the channels R, G, B, and {file} has other wavelengths: omit this option"
+                f"--metal is for the channels R, G, B, but {file} has channels of unknown wavelengths: omit this option"
             )
         recorded = rig.of_table()
         import_behind("matcam.figures.curves", "matcam.files.datasets")
@@ -129,7 +129,7 @@ def _channel_of(table: Any, given: str | None) -> str:
     if given is None:
         return "G" if "G" in labels else labels[len(labels) // 2]
     if given not in labels:
-        raise ArgumentError(f"--channel must be a channel of the table, {', '.join(labels)}, got {given!r:.40}")
+        raise ArgumentError(f"--channel must be a channel of the table ({', '.join(labels)}), got {given!r:.40}")
     return given
 
 

@@ -1,6 +1,6 @@
-"""Help of the commands, as plain text: groups of commands, options with units, an example, the exit codes.
+"""Help of the commands as plain text: groups of commands, options with units, examples and exit codes.
 
-The reference of the command line in the documentation uses the same lines. The help does not load the library.
+The reference of the command line in the documentation uses the same lines. This module imports no other module of matcam.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Check of the input files of a command, before its heavy imports."""
+"""Check of the input files of a command, before slow imports."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from matcam.core.io import reading
 
 
 def check_inputs(paths: Iterable[Path], what: str = "") -> None:
-    """Raise FileFormatError for missing files, before any work.
+    """Check that input files exist, before any work. Otherwise a FileFormatError is raised.
 
-    `what` is the expected content, as for `reading`.
+    `what` is the expected content, such as "a table"; if it is not empty, a folder is an error, too.
     """
     for path in paths:
         with reading(path, what):

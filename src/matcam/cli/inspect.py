@@ -30,8 +30,8 @@ def command(
 ) -> dict[str, Any]:
     """Show the contents of a file or folder: a BRDF, another result, an image, a camera profile or a capture.
 
-    For a BRDF, print the grid, the share of missing values, the reciprocity, the albedo, the lobe width by angle, the
-    trace of a camera, and the lookup of cells in pixels.
+    For a BRDF, print the grid, the share of missing values, the reciprocity, the albedo and the lobe width by angle. Also
+    print whether the blur of a camera is visible, and whether neighbouring cells were read from the same pixel.
 
     Example: `matcam inspect chrome.binary`
     """

@@ -1,4 +1,4 @@
-"""`matcam limits`: bounds of the parameters that the records of a rig determine."""
+"""`matcam limits`: smallest standard deviations of the parameters that a rig can determine."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def command(
     rig: TurnedRig = RigOptions(),
     json: AsJson = False,
 ) -> None:
-    """Compute bounds of the roughness and angle that a rig can recover (Cramer-Rao), and the effect of changes of the rig.
+    """Compute Cramer-Rao bounds of roughness and Fresnel term for a rig, and the effect of changes of the rig.
 
     Example: `matcam limits 0.0005 0.001 0.005 --radius 256`
     """

@@ -1,8 +1,8 @@
-"""Common options of commands, and errors in terms of options.
+"""Common options of commands, and translation of messages of the library into terms of options.
 
 Messages of the library name Python arguments ("half_width must lie in ..."). `Command` replaces these names by options
-in errors, remarks and all other lines ("--half-width must lie in ..."). It uses the options of the command and the
-tables below.
+in errors, remarks and all other lines ("--half-width must lie in ..."). The replacements follow from the options of the
+command and from the tables below.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ _VERBS = "must|can|belongs|needs|asks|as|may"
 def option(names: str, metavar: str, help: str, **more: Any) -> Any:  # noqa: A002
     """Declare an option with a value.
 
-    `names` contains the names of the option, separated by blanks. `more` are further arguments of `typer.Option`.
+    `names` contains the names of the option, separated by spaces. `more` are further arguments of `typer.Option`.
     """
     return typer.Option(*names.split(), metavar=metavar, help=help, **more)
 
@@ -147,10 +147,12 @@ HalfWidth = Annotated[float, option("--half-width", "PX", "Half the width of a p
 
 
 def use_caches() -> Workspace:
-    """Cache compiled functions, and results that depend on a rig alone, in the user's cache folder.
+    """Enable the cache of compiled functions, and open the cache of results that depend only on a rig.
+
+    Both are in the user's cache folder.
 
     Returns:
-        Workspace with these results.
+        Workspace with the cached results.
     """
     from matcam.core.jax import use_compilation_cache
     from matcam.core.workspace import Workspace
@@ -160,11 +162,11 @@ def use_caches() -> Workspace:
 
 
 def choose_device(device: str | None) -> None:
-    """Select the device for JAX. By default, print a remark if the machine has a GPU.
+    """Select the device for JAX.
 
     Args:
         device: "cpu" or "gpu". None: the processor, which is faster for one table, because a GPU requires longer
-            compilation.
+            compilation. In this case a remark is printed if the machine has a GPU.
     """
     from matcam.core.jax import has_gpu, use_device
 
@@ -277,7 +279,7 @@ def _translated(message: str, option_of: Mapping[str, str]) -> str:
 
 
 def _in_unit(message: str) -> str:
-    """Convert the numbers of a message about a range to the unit of its option."""
+    """Convert the numbers in a message about the range of an option to the unit of that option."""
     option = message.partition(" ")[0]
     if option not in _SCALES:
         return message

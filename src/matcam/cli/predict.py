@@ -68,8 +68,8 @@ def command(
 ) -> None:
     """Predict the response of a rig at the peak of a lobe, and the loss angle.
 
-    The response is the recorded peak divided by the true peak. Below the loss angle, the loss relative to normal view is
-    less than 5 %.
+    The response is the recorded peak divided by the true peak. At viewing angles below the loss angle, the response is at
+    least 95 % of the response in normal view.
 
     With --glare, also predict the false haze and the false diffuse reflection of each material.
 
@@ -147,7 +147,10 @@ def _false_light(rig: Any, lobes: list[Any]) -> list[Any]:
 
 
 def _haze(false: Any, degrees: float = 2.0) -> float:
-    """Compute the ratio of added to true BRDF at an angle from the half vector, degrees."""
+    """Compute the BRDF that the glare adds, divided by the true BRDF, no unit.
+
+    degrees: angle theta_h of the half vector to the normal, degrees.
+    """
     at = false.isel(channel=0).sel(theta_h=math.radians(degrees), method="nearest")
     return float(at["added"] / at["true"])
 

@@ -50,13 +50,14 @@ def command(
     force: Force = False,
     json: AsJson = False,
 ) -> int:
-    """Reconstruct a material from photographs of a sphere, cylinder or flat sample, with its errors.
+    """Reconstruct a material from photographs of a sphere, cylinder or flat sample, with standard deviations.
 
-    Unusable frames are left out and listed; the results are written, and the exit code is 1. An interrupted run resumes
-    after the frames that it has read.
+    If frames are unusable, they are left out and listed, the results are written, and the exit code is 1. After an
+    interruption, the same command does not read again the frames that were already read.
 
-    For a cylinder, no table without lens correction is written. An anisotropic material is only in the .nc file, because
-    only this format has the azimuth of the half vector. The maps of a flat sample are also in the .nc file.
+    For a cylinder, no table without lens correction (-pinhole.binary) is written. An anisotropic material is written only
+    to the .nc file, because only this format has the azimuth of the half vector. For a flat sample, the maps are written to
+    the .nc file.
 
     Example: `matcam reconstruct shots/ -o chrome.binary`
     """

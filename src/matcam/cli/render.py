@@ -42,7 +42,9 @@ def command(
     force: Force = False,
     json: AsJson = False,
 ) -> None:
-    """Render a sphere of the material under a lamp or an environment with Mitsuba 3; two files are shown side by side.
+    """Render a sphere of a measured material under a lamp or an environment map with Mitsuba 3.
+
+    Two files are rendered side by side.
 
     Example: `matcam render chrome.binary chrome-corrected.binary -o chrome.png`
     """
@@ -57,7 +59,7 @@ def command(
     inputs = [*files, *([environment] if environment else [])]
     linear = target.suffix.lower() == ".exr"
     if linear and len(files) > 1:
-        raise ArgumentError("an .exr contains one sphere: render each file with a command of its own")
+        raise ArgumentError("an .exr file contains the image of one sphere: render each table with a separate command")
     (check_output if linear else check_picture)(target, force=force, inputs=inputs)
     check_inputs(inputs)
     from matcam.exchange.contents import material_of, read_contents

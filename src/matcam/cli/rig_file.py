@@ -1,4 +1,4 @@
-"""Rig file, `--rig rig.toml`: its values are the defaults of the options of a command.
+"""Rig file, `--rig rig.toml`: values that are the defaults of the options of a command.
 
     schema = "matcam-rig-1"
     camera = "camera.json"      # a profile beside the file: a name without folders
@@ -6,7 +6,7 @@
     [sample]
     shape = "sphere"            # sphere, cylinder or flat
     radius_px = 400             # of the limb in the image
-    radius_mm = 25              # if given, lengths of the lamp are in mm
+    radius_mm = 25              # if given, the distance of the lamp is in mm
 
     [lens]
     distance = 30               # of the camera, in radii of the sample
@@ -15,12 +15,12 @@
 
     [lamp]
     radius_deg = 0.25           # angular radius of the source disc
-    distance = 700              # in radii of the sample, or in mm
-    azimuth_deg = 30            # about the optical axis, in the images behind a table
+    distance = 700              # from the centre of the sample, in radii of the sample, or in mm
+    azimuth_deg = 30            # of the lamp about the optical axis, in the images behind a table
 
     [table]
-    cell = "nearest"            # lookup of cells in real pixels
-    phase_px = [0.1, -0.3]      # position of these pixels
+    cell = "nearest"            # lookup of cells in pixels: nearest, bilinear or mean
+    phase_px = [0.1, -0.3]      # offset (x, y) of the pixel centres from the centre of the sphere
 
 All entries except `schema` may be omitted. An option of the command line overrides the file. Entries that a command does not
 support are errors.
@@ -63,6 +63,13 @@ def read_rig_file(path: Path, known: set[str], command: str) -> dict[str, Any]:
         path: the file (TOML).
         known: parameters of the command.
         command: name of the command, for messages.
+
+    Returns:
+        Value by the name of the parameter.
+
+    Raises:
+        FileFormatError: the file is not a rig file, or has an unknown entry or an invalid value.
+        ArgumentError: the command has no parameter for an entry.
     """
     entries = _entries(path)
     values = {}
@@ -86,7 +93,7 @@ def _entries(path: Path) -> dict[tuple[str, ...], Any]:
 
     document = read_toml(path, "a rig")
     if document.pop("schema", None) != SCHEMA:
-        raise FileFormatError(f'{path}: the file is not a rig file, which begins with schema = "{SCHEMA}"')
+        raise FileFormatError(f'{path}: the file is not a rig file, which must contain schema = "{SCHEMA}"')
     found: dict[tuple[str, ...], Any] = {}
     for key, value in document.items():
         if isinstance(value, dict):
@@ -109,7 +116,8 @@ def _value(path: Path, keys: tuple[str, ...], value: Any) -> Any:
             return value
         if Path(value).name != value or is_link(path.parent / value):
             raise FileFormatError(
-                f"{path}: camera must be the name of a profile in the folder of this file, got {value!r:.60}"
+                f"{path}: camera must be the name of a profile in the folder of this file, not a path or a link, got "
+                f"{value!r:.60}"
             )
         return path.parent / value
     if not _is_number(value):

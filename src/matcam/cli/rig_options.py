@@ -1,4 +1,4 @@
-"""Options that describe a rig, and the rig that they describe."""
+"""Options that describe a rig, and construction of the rig from their values."""
 
 from __future__ import annotations
 
@@ -19,9 +19,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class RigOptions:
-    """Options that describe a rig by its differences from the MERL rig.
+    """Values of the options that describe a rig. The defaults describe the MERL rig.
 
-    A command has a parameter `Annotated[RigOptions, "camera radius"]`, which represents the named options.
+    A parameter of a command with the annotation `Annotated[RigOptions, "camera radius"]` represents the options
+    `--camera` and `--radius`.
     """
 
     camera: Annotated[
@@ -101,7 +102,7 @@ class RigOptions:
         return [] if self.camera is None else [self.camera]
 
     def build(self, **more: Any) -> Rig:
-        """Build the rig. `more` contains further arguments of `Rig`."""
+        """Build the rig. `more` are further arguments of `Rig`."""
         from matcam import rigs
         from matcam.camera.camera import Camera
         from matcam.camera.optics.halo import HaloOptics
@@ -133,7 +134,9 @@ class RigOptions:
         lamp, distance = DistantLamp(math.radians(self.lamp)), self.lamp_distance
         if distance is None:
             if self.sample_mm is not None:
-                raise ArgumentError("--sample-mm sets the unit of --lamp-distance, which is missing: give both")
+                raise ArgumentError(
+                    "--sample-mm sets the unit of --lamp-distance, but --lamp-distance is missing: give both"
+                )
             return lamp
         if self.sample_mm is not None:
             distance /= float(checks.positive("--sample-mm", self.sample_mm, "mm"))

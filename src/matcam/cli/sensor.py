@@ -62,7 +62,7 @@ def command(
     from matcam.files.exposure_series import read_exposure_series
 
     if (profile is None) != (camera is None):
-        raise ArgumentError("--profile writes the profile of --camera with this sensor: give both")
+        raise ArgumentError("--profile writes the profile of --camera with this sensor: give both or neither")
     name = folder.resolve().stem
     output = output or Path(f"{name}-sensor.png")
     table = output.with_suffix(".csv")
@@ -96,7 +96,11 @@ def command(
 
 
 def _camera(path: Path | None, pitch: float | None) -> tuple[Any, float]:
-    """Load the profile to which the sensor is added, and the pixel pitch, m."""
+    """Load the profile to which the sensor is added, and determine the pixel pitch, m.
+
+    `pitch` is the value of --pitch, um. Without it, the pitch in the profile is used. Without a profile, the results are
+    None and NaN.
+    """
     if path is None:
         return None, float("nan")
     from matcam.camera.camera import Camera

@@ -1,6 +1,6 @@
 """Output of the commands: results and tables to standard output, progress and remarks to standard error.
 
-Text may come from files: control characters are printed as escapes, and markup is disabled.
+Text may come from untrusted files. Therefore control characters are printed as escape sequences, and markup is disabled.
 """
 
 from __future__ import annotations
@@ -65,8 +65,8 @@ def speaking(*, quiet: bool, schema: str) -> Iterator[None]:
     """Apply the output settings of a command while it runs.
 
     Args:
-        quiet: True to print only JSON.
-        schema: name of the schema of JSON documents.
+        quiet: True to print only JSON on standard output.
+        schema: name of the schema of JSON documents; "": the documents do not name one.
     """
     _manner.append((quiet or _manner[-1][0], schema))
     try:
@@ -78,7 +78,7 @@ def speaking(*, quiet: bool, schema: str) -> Iterator[None]:
 def as_json(result: dict[str, Any]) -> None:
     """Print a result as one JSON document.
 
-    The first entry is the name of the schema. NaN and infinity become null.
+    The first entry is the name of the schema, if one is set by `speaking`. NaN and infinity become null.
     """
     named = {"schema": _manner[-1][1], **result} if _manner[-1][1] else result
     text = _laid_out(plain(named))
@@ -130,13 +130,13 @@ def quantities(rows: Iterable[Quantity], title: str = "", head: str = "parameter
 
 
 def _width() -> int | None:
-    """Return the smallest width of tables if the width in the environment is smaller; otherwise None."""
+    """Determine the width of tables, characters: `_LEAST_WIDTH` if $COLUMNS is smaller, otherwise None (automatic)."""
     stated = os.environ.get("COLUMNS", "")
     return _LEAST_WIDTH if stated.isdigit() and int(stated) < _LEAST_WIDTH else None
 
 
 def say(text: str, *, quiet: bool = False) -> None:
-    """Print a line of the result, unless standard output is for JSON."""
+    """Print a line of the result, unless `quiet` is set or the command prints only JSON."""
     if not quiet:
         _say(worded(text))
 
@@ -162,7 +162,10 @@ def remark(text: str) -> None:
 
 
 def _print(text: str, end: str = "\n") -> None:
-    """Print to standard output; continue if it cannot be written, because the files are more important."""
+    """Print to standard output.
+
+    If standard output cannot be written, the command continues, because its files are more important.
+    """
     activity.clear()
     if not _broken:
         try:
@@ -192,7 +195,7 @@ def _bar(*columns: Any, **options: Any) -> Iterator[Any]:
 
 @contextlib.contextmanager
 def counting(what: str) -> Iterator[Any]:
-    """Show a progress bar over bytes on standard error, and yield the function update(done, total)."""
+    """Show a progress bar on standard error, and yield the function update(done, total), whose arguments are in bytes."""
     from rich import progress as rich
 
     with _bar(rich.DownloadColumn(), rich.TransferSpeedColumn(), rich.TimeRemainingColumn()) as progress:
@@ -204,7 +207,8 @@ def counting(what: str) -> Iterator[Any]:
 def tallying(what: str) -> Iterator[Any]:
     """Show the progress of jobs and the remaining time, and yield the function update(done, total).
 
-    The bar is written to standard error. If standard error is not a terminal, at most two lines a minute are written.
+    The arguments of this function are numbers of jobs. A bar is written to standard error. If standard error is not a
+    terminal, about two lines a minute are written instead.
     """
     from rich import progress as rich
 
@@ -232,7 +236,8 @@ def tallying(what: str) -> Iterator[Any]:
 def stepping() -> Iterator[Any]:
     """Show the steps of long work on standard error, and yield the function update(step, done, total).
 
-    `total` is 0 if it is unknown. If standard error is not a terminal, at most two lines a minute are written.
+    `total` is 0 if the number of parts of a step is unknown. If standard error is not a terminal, at most two lines a minute
+    are written.
     """
     if sys.stderr.isatty():
         with activity.doing("starting"):
@@ -251,7 +256,7 @@ def stepping() -> Iterator[Any]:
 
 
 class _Log:
-    """Progress as lines of text, at most two a minute."""
+    """Progress as lines of text: at most two a minute, and one at the end."""
 
     def __init__(self, what: str):
         self.what, self.started, self.last, self.first = what, time.monotonic(), -math.inf, 0
@@ -268,7 +273,7 @@ class _Log:
 
 
 def _span(seconds: float) -> str:
-    """Format a time in the largest unit in which it is at least 2."""
+    """Format a duration, s, in the largest unit in which the number is at least 2, or in seconds."""
     for unit, size in (("days", 86400), ("h", 3600), ("min", 60)):
         if seconds >= 2 * size:
             return f"{seconds / size:.0f} {unit}"

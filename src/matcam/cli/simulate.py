@@ -121,10 +121,12 @@ def command(
     """
     lobe = {"ndf": ndf, "roughness": roughness, "power": power, "metal": metal, "source": source, "diffuse": diffuse}
     if (output is None) == (capture is None):
-        raise ArgumentError("give --output for a table or an image, or --capture for a folder")
+        raise ArgumentError("give either --output for a table or an image, or --capture for a folder of images")
     if capture is not None:
         if table or preview or exposure:
-            raise ArgumentError("--capture is for the lobe of a metal: omit TABLE, --preview and --exposure")
+            raise ArgumentError(
+                "--capture simulates the lobe of a metal with computed exposures: omit TABLE, --preview and --exposure"
+            )
         plan: dict[str, Any] = {"azimuth": math.radians(azimuth), "shape": size}
         if rig.sample == "flat":
             plan["exposures"] = 2  # exposures without clipping
@@ -133,7 +135,7 @@ def command(
     assert output is not None
     suffix = output.suffix.lower()
     if suffix not in _TABLES + _PICTURES:
-        raise ArgumentError(f"{output}: the name must end in one of {', '.join(_TABLES + _PICTURES)}")
+        raise ArgumentError(f"{output}: the name of the output must end in one of {', '.join(_TABLES + _PICTURES)}")
     inputs = [*rig.files, *([table] if table else [])]
     check_output(output, force=force, inputs=inputs)
     if suffix in _PICTURES:

@@ -1,4 +1,4 @@
-"""Suggested next command, from the arguments and outputs of the last one."""
+"""Suggestion of the next command, from the arguments and the outputs of the last command."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ def after(name: str, values: dict[str, Any]) -> str | None:
     """Suggest the next command. The result is None if there is no suggestion.
 
     Args:
-        name: words of the command, such as "data merl".
-        values: parameters of the command.
+        name: words of the last command, such as "data merl".
+        values: parameters of the last command, and facts about its result.
     """
     maker = _NEXT.get(name)
     words = maker(values) if maker else None
@@ -74,8 +74,8 @@ def _after_predict(values: dict[str, Any]) -> list[Any] | None:
 def _after_edge(values: dict[str, Any]) -> list[Any] | None:
     """Suggest a calibration with the same options if the images may contain enough edges, and otherwise a chart.
 
-    A photograph may contain more edges than its measured region. A through-focus series does not describe one
-    camera.
+    If regions were measured, each photograph may contain more edges than its regions. The result is None for a
+    through-focus series, because its photographs do not have the same blur.
     """
     if values.get("focus"):
         return None

@@ -1,6 +1,6 @@
 """Checks of arguments: conversion to float64, and range checks of concrete values.
 
-Traced values (inside jit, grad, vmap) are not checked, because they are unknown; the outermost caller has checked them.
+Traced values (inside jit, grad, vmap) are not checked, because they are unknown.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _trusted: ContextVar[bool] = ContextVar("trusted", default=False)
 
 @contextmanager
 def trusted() -> Iterator[None]:
-    """Skip all checks in the block, because a fit may temporarily leave a range."""
+    """Disable the checks of type, finiteness and range in the block, because a fit may temporarily leave a range."""
     token = _trusted.set(True)
     try:
         yield
@@ -70,9 +70,10 @@ def within(
     open_low: bool = False,
     open_high: bool = False,
 ) -> jax.Array:
-    """Convert `value` to a float64 array inside [low, high].
+    """Convert `value` to a float64 array, and check that its elements lie in [low, high].
 
-    Each end of the interval may be open. A closed infinite end allows infinity itself.
+    `open_low` and `open_high` exclude the ends. A closed infinite end allows infinity itself. An ArgumentError is raised for
+    other values; its message contains `unit`.
     """
     if _trusted.get() or not is_concrete(value):
         return xp.asarray(value, dtype=xp.float64)
@@ -95,7 +96,7 @@ def degrees_hint(value: float, high: float) -> str:
         high: end of the range, rad.
 
     Returns:
-        End of a message about the range; "" if the angle is not in degrees.
+        Text to append to a message about the range; "" if the angle does not seem to be in degrees.
     """
     beyond = value > max(2 * np.pi if high > 1 else high, high)  # a value below a whole turn may well be in rad
     return f"; if {value:g} is in degrees, give np.radians({value:g})" if beyond and np.radians(value) <= high else ""
@@ -113,20 +114,20 @@ def scalar(name: str, value: jax.Array) -> jax.Array:
 
 
 def outside_jit(value: ArrayLike, what: str) -> float:
-    """Convert a parameter that controls a computation to a float, without its derivative.
+    """Convert a concrete parameter to a float, without its derivative.
 
     Args:
         value: the parameter.
-        what: name of the parameters, plural, for the message.
+        what: plural name of the parameters, such as "the lamp's parameters", for the message.
 
     Raises:
-        ArgumentError: the parameter is traced, because the call is inside jax.jit or vmap.
+        ArgumentError: the parameter is traced, because the call is inside jax.jit or jax.vmap.
     """
     value = constant(value)
     if not is_concrete(value):
         raise ArgumentError(
-            f"{what} must have concrete values, because they determine the integration of a record: call this function "
-            "outside jax.jit and jax.vmap"
+            f"{what} must have concrete values, because numbers of points and ranges are computed from them: call this "
+            "function outside jax.jit and jax.vmap"
         )
     return float(np.asarray(value))
 
@@ -156,13 +157,16 @@ def whole_number(
 ) -> int | None:
     """Check that `value` is an int in [low, high].
 
-    None is allowed if `optional` is set. An ArgumentError is raised for any other value.
+    Without `high` there is no upper limit. None is allowed if `optional` is set. An ArgumentError is raised for any other
+    value; its message contains `unit`.
     """
     if (optional and value is None) or (type(value) is int and low <= value and (high is None or value <= high)):
         return value
     interval = f">= {low}" if high is None else f"in [{low}, {high}]"
+    hint = "; give a Python int" if isinstance(value, np.integer) else ""
     raise ArgumentError(
-        f"{name} must be a whole number{unit and ' of ' + unit} {interval}{' or None' * optional}, got {_shown(value)}"
+        f"{name} must be a whole number{unit and ' of ' + unit} {interval}{' or None' * optional}, got "
+        f"{_shown(value)}{hint}"
     )
 
 
@@ -179,16 +183,17 @@ def flag(name: str, value: Any) -> bool:
 def instance(name: str, value: Any, kind: type[T], example: str = "") -> T:
     """Check that `value` is an instance of a class.
 
-    Otherwise an ArgumentError is raised. Its message contains the class and `example`. Default: no example.
+    Otherwise an ArgumentError is raised. Its message contains the class and, if given, the Python expression `example`.
     """
     if not isinstance(value, kind):
         such = f" such as {example}" if example else ""
-        raise ArgumentError(f"{name} must be a {kind.__name__}{such}, got {_shown(value)}")
+        article = "an" if kind.__name__[0] in "AEIOU" else "a"
+        raise ArgumentError(f"{name} must be {article} {kind.__name__}{such}, got {_shown(value)}")
     return value
 
 
 def instances(name: str, values: Any, kind: type[T]) -> list[T]:
-    """Check that all values are instances of a class, and list them.
+    """Check that a sequence contains only instances of a class, and convert it to a list.
 
     Otherwise an ArgumentError is raised. Its message contains the class.
     """
@@ -222,45 +227,45 @@ def broadcast_shape(**arrays: jax.Array) -> tuple[int, ...]:
 
 
 def extra(what: str, name: str, module: str) -> None:
-    """Raise ArgumentError if an optional module is not installed, before any work.
+    """Check that an optional module is installed.
 
     Args:
-        what: feature that requires it, for the message.
-        name: extra of this package that installs it, such as "render".
+        what: feature that requires the module, for the message.
+        name: extra of this package that installs the module, such as "render".
         module: name of the module, which is located but not imported.
 
     Raises:
         ArgumentError: the module is not installed; the message contains the command that installs it.
     """
     if find_spec(module) is None:
-        raise ArgumentError(f"{what} needs an extra: run python -m pip install 'matcam[{name}]'")
+        raise ArgumentError(f"{what} needs optional packages: run python -m pip install 'matcam[{name}]'")
 
 
 def not_masked(name: str, value: Any) -> None:
-    """Raise ArgumentError for a masked array.
+    """Raise ArgumentError for an array with masked values.
 
-    NumPy would ignore the mask and use the masked values.
+    Other functions of NumPy would ignore the mask and use the masked values.
     """
     if np.ma.is_masked(value):
         raise ArgumentError(f"{name} must not be masked: use .filled(np.nan) where values are missing, or omit them")
 
 
 def plain_array(name: str, value: Any) -> np.ndarray:
-    """Convert a value to an array of any type.
+    """Convert a value to an array of NumPy of any type.
 
-    An ArgumentError is raised for a masked array, and for rows of different lengths.
+    An ArgumentError is raised if values are masked, or if rows have different lengths.
     """
     not_masked(name, value)
     try:
         return np.asarray(value)
     except ValueError:
         raise ArgumentError(
-            f"{name} must be an array, got a {type(value).__name__} of rows of different lengths"
+            f"{name} must be an array with rows of equal length, got a {type(value).__name__} with rows of different lengths"
         ) from None
 
 
 def _kept(array: np.ndarray, value: Any) -> Any:
-    """Convert a checked array to JAX if `value` contains an array of JAX. Otherwise make it immutable."""
+    """Convert a checked array to JAX if `value` contains an array of JAX. Otherwise make the array read-only."""
     if has_jax(value):
         from matcam.core.jax import placed
 

@@ -10,7 +10,8 @@ from collections.abc import Iterable
 class MatcamError(Exception):
     """Error that a user's input can cause.
 
-    All errors of the package are of this class. Their text is one line with the fault, its location and the remedy.
+    All errors of the package derive from this class. The text of an error is one line with the fault, its location and the
+    remedy.
 
     Example:
         >>> try:
@@ -29,11 +30,11 @@ class ArgumentError(MatcamError, ValueError):
 
 
 class FileFormatError(MatcamError):
-    """File with invalid content. The message names the file and the byte or field."""
+    """File that cannot be read, or has invalid content. The message names the file."""
 
 
 class OutputError(MatcamError):
-    """Output that cannot be written, or that would overwrite a file."""
+    """Output file that cannot be written, or that would overwrite another file."""
 
 
 class DownloadError(MatcamError):

@@ -1,11 +1,11 @@
-"""MERL grid: half and difference angles (Rusinkiewicz 1998), and tables of a BRDF on it.
+"""MERL grid of half and difference angles (Rusinkiewicz 1998), and tables of a BRDF on this grid.
 
-A pair of directions is given by (theta_h, theta_d, phi_d). theta_h is the angle of the half vector to the normal.
-theta_d and phi_d are the direction of the light in the frame of the half vector: its pole is the half vector, and its x
-axis points away from the normal. Reciprocity is phi_d -> phi_d + pi.
+A pair of directions, of the light and of the view, is given by (theta_h, theta_d, phi_d). theta_h is the angle between half
+vector and normal. theta_d and phi_d are the polar angle and the azimuth of the light in a frame whose pole is the half
+vector. The x axis of this frame points away from the normal. An exchange of light and view changes phi_d by pi.
 
-A table is an xarray.DataArray on this grid. Missing values are NaN, and the attribute `sampling` is the sampling
-position in a cell.
+A table is an xarray.DataArray on this grid. Missing values are NaN. The attribute `sampling` specifies at which position of a
+cell the value applies, "centre" or "edge".
 """
 
 from __future__ import annotations
@@ -60,19 +60,20 @@ class Grid(NamedTuple):
     def index(  # type: ignore[override]  # replaces tuple.index: the arguments are angles
         self, *, theta_h: ArrayLike | None = None, theta_d: ArrayLike | None = None, phi_d: ArrayLike | None = None
     ) -> tuple[Any, Any, Any]:
-        """Compute the index of angles in a table.
+        """Compute the index of the cell that contains given angles.
 
-        An angle belongs to the cell that contains it, independent of the sampling position (rule of MERL, which rounds
-        down). An angle on the border of two cells belongs to the upper cell; the end of the range belongs to the last
-        cell.
+        An angle belongs to the cell that contains it, whatever the sampling position is. This is the rule of MERL, which
+        rounds down. An angle on the border of two cells belongs to the upper cell. The end of the range belongs to the
+        last cell.
 
         Args:
-            theta_h: half angle, or an array of them, rad, [0, pi / 2]. Default: None, all of them.
-            theta_d: difference angle, rad, [0, pi / 2]. Default: None, all of them.
-            phi_d: azimuth of the difference, rad, [0, pi]. Default: None, all of them.
+            theta_h: half angle, rad, [0, pi / 2], any shape. Default: None, all half angles.
+            theta_d: difference angle, rad, [0, pi / 2], any shape. Default: None, all difference angles.
+            phi_d: azimuth of the difference, rad, [0, pi], any shape. Default: None, all azimuths.
 
         Returns:
-            An index for each of (theta_h, theta_d, phi_d): whole numbers, or slice(None) for an omitted angle.
+            The index along theta_h, theta_d and phi_d. Each is a whole number, an array of whole numbers, or slice(None)
+            for an omitted angle.
 
         Raises:
             ArgumentError: an angle is out of its range.
@@ -97,8 +98,8 @@ def _cell_of(name: str, angle: ArrayLike, count: int) -> Any:
 def merl_grid(sampling: Sampling) -> Grid:
     """Compute the angles at which the cells of a MERL table are sampled.
 
-    theta_h is spaced quadratically, theta_h = (i / 90)^2 pi / 2 (MERL's reader: index = floor(90 sqrt(theta_h / (pi /
-    2)))).
+    The spacing of theta_h is quadratic: theta_h = ((i + s) / 90)^2 pi / 2 for cell i, where s = 0.5 for "centre" and s = 0
+    for "edge". It follows from the reader of MERL, in which i = floor(90 sqrt(theta_h / (pi / 2))).
     """
     shift = 0.5 if sampling == "centre" else 0.0
     n_h, n_d, n_p = GRID_SHAPE
@@ -115,9 +116,9 @@ def theta_h_edges() -> np.ndarray:
 
 
 def cosines(theta_h: ArrayLike, theta_d: ArrayLike, phi_d: ArrayLike) -> tuple[jax.Array, jax.Array]:
-    """Compute (cos theta_i, cos theta_o) of a pair of directions.
+    """Compute the cosines of the angles of light and view to the normal, in this order.
 
-    The cosine of a direction below the horizon is negative.
+    The arguments are in rad. The cosine of a direction below the horizon is negative.
     """
     theta_h, theta_d, phi_d = (xp.asarray(a, dtype=xp.float64) for a in (theta_h, theta_d, phi_d))
     mean = xp.cos(theta_h) * xp.cos(theta_d)
@@ -126,9 +127,10 @@ def cosines(theta_h: ArrayLike, theta_d: ArrayLike, phi_d: ArrayLike) -> tuple[j
 
 
 def azimuth_difference(theta_h: AnyArray, theta_d: AnyArray, phi_d: AnyArray) -> jax.Array:
-    """Compute the azimuth between light and view about the surface normal, rad.
+    """Compute the difference of the azimuths of light and view about the surface normal, rad.
 
-    The result lies in [0, pi]. It is pi if light and view lie on opposite sides of the normal, as for a mirror.
+    The arguments are in rad. The result lies in [0, pi]. It is pi if light and view lie on opposite sides of the normal, as
+    for a mirror.
     """
     # with the half vector in the x-z plane, the light is Ry(theta_h) (sin td cos pd, sin td sin pd, cos td) and the
     # view the same with pd + pi; their projections on the surface:
@@ -146,7 +148,7 @@ def half_and_difference(
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Compute (theta_h, theta_d, phi_d) of light and view, rad.
 
-    phi_d lies in [0, 2 pi). It is the azimuth of the light if the half vector is the normal.
+    phi_d lies in [0, 2 pi). If the half vector is the normal, phi_d is the azimuth of the light.
 
     Args:
         theta_i: angle of the light to the normal, rad.
@@ -174,9 +176,9 @@ def half_and_difference(
 
 
 def below_horizon(sampling: Sampling) -> np.ndarray:
-    """Mark the cells whose light or view is not above the horizon.
+    """Mark the cells in which light or view is not above the horizon.
 
-    The mask has the shape (90, 90, 180). The directions of a cell are those of its sampling point.
+    The mask has the shape (90, 90, 180). The angles of a cell are those at its sampling position.
     """
     theta_h, theta_d, phi_d = merl_grid(sampling)
     mean = np.cos(theta_h)[:, None] * np.cos(theta_d)
@@ -185,10 +187,10 @@ def below_horizon(sampling: Sampling) -> np.ndarray:
 
 
 def brdf_table(values: np.ndarray, sampling: Sampling, **attrs: object) -> xr.DataArray:
-    """Label BRDF values on the MERL grid.
+    """Build a BRDF table from values on the MERL grid.
 
-    The values have the shape (90, 90, 180, channels) and the unit 1/sr; missing values are NaN. `sampling` is their
-    sampling position in the cells. `attrs` are further attributes of the table.
+    The values have the shape (90, 90, 180, 3), with the channels R, G, B, and the unit 1/sr. Missing values are NaN.
+    `sampling` is the sampling position of the values in the cells. `attrs` are further attributes of the table.
     """
     import xarray as xr
 
@@ -213,8 +215,8 @@ def brdf_table(values: np.ndarray, sampling: Sampling, **attrs: object) -> xr.Da
 def checked_table(table: xr.DataArray) -> xr.DataArray:
     """Check a BRDF on the MERL grid, and order its channels.
 
-    Channels are ordered R, G, B if these are their labels. The message of an ArgumentError contains the wrong dims,
-    shape, coordinate, label, unit or value.
+    Channels are ordered R, G, B if these are their labels. An ArgumentError is raised for wrong dimensions, shape,
+    coordinates, labels, units or values.
     """
     import xarray as xr
 
@@ -231,9 +233,9 @@ def checked_table(table: xr.DataArray) -> xr.DataArray:
         if name not in table.coords or not np.allclose(table.coords[name], expected, rtol=0, atol=1e-9):
             given = table.coords.get(name)
             in_degrees = given is not None and np.allclose(given, np.degrees(expected), rtol=0, atol=1e-7)
-            hint = f"; it is in degrees: give np.radians(table[{name!r}])" if in_degrees else ""
+            hint = f"; its values are in degrees: give np.radians(table[{name!r}])" if in_degrees else ""
             raise ArgumentError(
-                f"coordinate {name} must be that of the MERL grid sampled at each cell's {sampling}, rad{hint}"
+                f"coordinate {name} must contain the angles of the MERL grid at the {sampling} of each cell, rad{hint}"
             )
         check_unit(f"coordinate {name}", table.coords[name], "rad")
     check_unit("a BRDF table", table, "1/sr")
@@ -246,8 +248,8 @@ def in_order(table: xr.DataArray, what: str) -> xr.DataArray:
     """Order the channels R, G, B if these are their labels.
 
     Three channels without labels are assumed to be in this order. An ArgumentError is raised if three channels have
-    other labels, because their wavelengths are unknown, or if labels are duplicate. `what` is the name of the values in
-    the message.
+    other labels, because their wavelengths are unknown, or if two channels have the same label. `what` is the name of the
+    values in the message.
     """
     if "channel" not in table.coords:
         return table
@@ -265,10 +267,15 @@ def in_order(table: xr.DataArray, what: str) -> xr.DataArray:
 
 
 def check_unit(what: str, values: xr.DataArray, unit: str) -> None:
-    """Check that the unit of values is `unit` or missing. Otherwise an ArgumentError is raised."""
+    """Check that the attribute `units` of values is missing or a spelling of `unit`.
+
+    Otherwise an ArgumentError is raised. `what` is the name of the values in the message.
+    """
     stated = values.attrs.get("units", unit)
     if not isinstance(stated, str) or stated not in _SAME_UNIT[unit]:
-        raise ArgumentError(f"{what} must be in {unit}, but its attribute units is {stated!r:.40}")
+        raise ArgumentError(
+            f"{what} must be in {unit}, but attrs['units'] is {stated!r:.40}: convert the values, or correct this attribute"
+        )
 
 
 _SAME_UNIT = {
@@ -282,7 +289,8 @@ _SAME_UNIT = {
 def azimuth_of(table: xr.DataArray) -> float | None:
     """Read the azimuth of the lamp in the images of a table, rad.
 
-    It is the attribute `lamp_azimuth` of the table. The result is None if the attribute is missing.
+    The azimuth is the attribute `lamp_azimuth` of the table. The result is None if the attribute is missing. An ArgumentError
+    is raised if it is not a number in [-2 pi, 2 pi].
     """
     azimuth = table.attrs.get("lamp_azimuth")
     if azimuth is None:
@@ -295,7 +303,7 @@ def azimuth_of(table: xr.DataArray) -> float | None:
 def sample_of(table: xr.DataArray) -> str | None:
     """Read the shape of the sample from the attribute `sample` of a table.
 
-    The result is None if the attribute is missing.
+    The result is None if the attribute is missing. An ArgumentError is raised for an unknown shape.
     """
     kind = table.attrs.get("sample")
     if kind is None or kind in ("sphere", "cylinder", "flat"):
@@ -315,7 +323,7 @@ CORRECTED = "corrected_for_camera"
 
 
 def check_recorded(table: xr.DataArray, what: str = "brdf") -> None:
-    """Raise ArgumentError if a table is already corrected for a camera.
+    """Raise ArgumentError if a table is corrected for a camera, or reconstructed from photographs.
 
     `what` is the name of the table in the message.
     """

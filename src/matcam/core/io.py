@@ -1,8 +1,8 @@
-"""Safe writing of files (bytes, columns of text, JSON), and messages for errors of the system.
+"""Safe writing of files (text, CSV, JSON), and messages for errors of the operating system.
 
-A file appears under its final name complete, or not at all, and no file is overwritten without permission. Errors of
-the system become one line, the same for every format. JSON is written completely and without NaN. Datasets go into
-columns of text (CSV) for spreadsheets and plotting programs.
+A file gets its final name only when it is complete, and no file is overwritten without permission. Errors of the operating
+system are converted to one line of text, which is the same for all formats. NaN in JSON documents is an error. Datasets are
+written as CSV for spreadsheets and plotting programs.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ _PICTURES = (".png", ".pdf", ".svg")
 def check_output(path: str | Path, *, force: bool = False, inputs: Iterable[str | Path] = ()) -> Path:
     """Check that an output can be written without overwriting a file.
 
-    An OutputError is raised if `path` is a folder, has a file as parent, or is one of `inputs`, even with `force`. It
-    is also raised if `path` exists and `force` is not set. An ArgumentError is raised if `force` is neither True nor
-    False.
+    An OutputError is raised if `path` exists and `force` is not set. It is raised even with `force` if `path` is a folder,
+    has a file as parent, is one of `inputs`, or has an invalid name. An ArgumentError is raised if `force` is neither True
+    nor False.
     """
     path = Path(path)
     if type(force).__name__ not in ("bool", "bool_"):  # also of NumPy; a string would be true
@@ -64,7 +64,7 @@ def check_outputs(paths: Iterable[Path | None], *, force: bool, inputs: Iterable
 def _check_position(path: Path, inputs: Iterable[str | Path]) -> None:
     for source in inputs:
         if path.exists() and Path(source).exists() and path.samefile(source):
-            raise OutputError(f"output {path} is the input itself: choose another name")
+            raise OutputError(f"output {path} is the input itself: choose another name for the output")
     if path.is_dir():
         raise OutputError(f"output {path} is a folder: give a file name inside it")
     for parent in path.parents:
@@ -77,7 +77,7 @@ def _check_position(path: Path, inputs: Iterable[str | Path]) -> None:
 def check_output_folder(path: Path) -> None:
     """Check that a path can be a folder of outputs.
 
-    An OutputError is raised if the path is a file, or if the folder cannot be created.
+    An OutputError is raised if the path is a file, or if it is invalid or cannot be accessed.
     """
     if is_there(path) and not is_folder(path):
         raise OutputError(f"output {path} is a file: give a folder")
@@ -97,11 +97,11 @@ def check_picture(path: str | Path, *, force: bool, inputs: Iterable[str | Path]
 
 
 class Outputs:
-    """Files that get their final names together, and the folders created for them.
+    """Output files that get their final names together, and the folders created for them.
 
     Attributes:
-        staged: temporary file with the content, by final path.
-        are_published: True if the files have their final names.
+        staged: path of the temporary file with the content, by final path.
+        are_published: True if at least one file was written and all files have their final names.
     """
 
     def __init__(self) -> None:
@@ -112,7 +112,7 @@ class Outputs:
         self._process = os.getpid()
 
     def make_folder(self, path: Path) -> None:
-        """Create a folder and its parents. An OSError is raised if that fails."""
+        """Create a folder and its parents. An OSError is raised if a folder cannot be created."""
         for folder in (*reversed(path.parents), path):
             with uninterrupted():
                 if not folder.exists():
@@ -120,7 +120,7 @@ class Outputs:
                     self._folders.append(folder)
 
     def temporary(self, path: Path) -> Path:
-        """Create an empty file beside `path`. An OSError is raised if that fails."""
+        """Create an empty file beside `path`, and return its path. An OSError is raised if it cannot be created."""
         stem = path.stem if len(os.fsencode(path.name)) <= _LONGEST_NAME else path.stem[: _LONGEST_NAME // 8]
         while True:
             temporary = path.with_name(f".{stem}-{os.urandom(4).hex()}{path.suffix}")
@@ -137,7 +137,8 @@ class Outputs:
     def publish(self) -> None:
         """Rename all files to their final names.
 
-        If this fails for one file, no file gets its final name, and the replaced files are restored.
+        If a file cannot be renamed, no file keeps its final name, the replaced files are restored, and an OutputError is
+        raised. On file systems without links, replaced files cannot be restored.
         """
         renamed: list[tuple[Path, Path, Path | None]] = []
         several = len(self.staged) > 1
@@ -170,7 +171,7 @@ class Outputs:
         self.are_published = bool(self.staged)
 
     def discard(self) -> None:
-        """Remove the files that do not have their final names.
+        """Remove the files that do not have their final names, and the folders created for them.
 
         This has no effect in a fork of the process that created the files.
         """
@@ -198,9 +199,10 @@ def _discard_unfinished() -> None:
 
 @contextlib.contextmanager
 def replacing(path: str | Path, *, force: bool = False) -> Iterator[Path]:
-    """Yield a temporary file beside `path`, which replaces `path` on success.
+    """Yield the path of an empty temporary file, which gets the name `path` after the block.
 
-    An exception removes the temporary file. Its name has the suffix of `path`, which determines the format.
+    Inside `all_or_nothing`, it gets this name at the end of the outer block. After an exception the temporary file is removed.
+    The temporary file is in the same folder and has the same suffix, because the suffix determines the format.
     """
     path = check_output(path, force=force)
     try:
@@ -217,10 +219,10 @@ def replacing(path: str | Path, *, force: bool = False) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def all_or_nothing() -> Iterator[Outputs]:
-    """Rename the files written in the block to their final names together, at its end.
+    """Rename the files that are written in the block to their final names together, at the end of the block.
 
-    After an exception no file gets its final name. A nested block is part of the outer block. Files of other threads are
-    not included. An interruption while files are renamed is delayed until all are renamed.
+    After an exception no file gets its final name. A nested block is part of the outer block. Files that other threads write
+    are not included. A termination signal during the renaming is delayed until all files are renamed.
     """
     outer = _outputs.get()
     if outer is not None:
@@ -243,7 +245,7 @@ def all_or_nothing() -> Iterator[Outputs]:
 
 @contextlib.contextmanager
 def one_by_one() -> Iterator[None]:
-    """Rename each file to its final name immediately, even inside `all_or_nothing`."""
+    """Rename each file in the block to its final name as soon as it is complete, even inside `all_or_nothing`."""
     token = _outputs.set(None)
     try:
         yield
@@ -273,10 +275,10 @@ class _Waiting:
 
 @contextlib.contextmanager
 def uninterrupted() -> Iterator[_Waiting]:
-    """Delay Ctrl-C and termination signals until the end of a short operation.
+    """Delay Ctrl-C and termination signals until the end of the block.
 
-    This protects libraries that would stay locked after an exception at the wrong moment, and files that get their
-    final names together.
+    An exception at the wrong moment could leave a library locked, or only some of the files renamed that belong together. The
+    function has no effect in other threads than the main thread, because signals interrupt only the main thread.
     """
     waiting = _Waiting()
     if threading.current_thread() is not threading.main_thread():  # signals interrupt only the main thread
@@ -310,7 +312,8 @@ def uninterrupted() -> Iterator[_Waiting]:
 def make_folder(path: Path) -> None:
     """Create a folder for outputs.
 
-    The folder is removed if the outputs do not get their final names. An OutputError is raised if the folder cannot be created.
+    Inside `all_or_nothing`, the folder is removed if the outputs do not get their final names. An OutputError is raised if the
+    folder cannot be created.
     """
     try:
         with all_or_nothing() as outputs:
@@ -322,7 +325,7 @@ def make_folder(path: Path) -> None:
 def where_written(path: Path) -> Path:
     """Return the path at which the content of an output can be read.
 
-    This is the temporary file before publication, and the final name afterwards.
+    Before the file gets its final name, this is the path of the temporary file; afterwards it is `path`.
     """
     outputs = _outputs.get()
     return path if outputs is None else outputs.staged.get(path, path)
@@ -330,12 +333,13 @@ def where_written(path: Path) -> Path:
 
 @contextlib.contextmanager
 def reading(path: Path, what: str = "") -> Iterator[None]:
-    """Convert errors of reading `path` to a FileFormatError whose message contains `path`.
+    """Convert OSErrors in the block to a FileFormatError whose message contains `path`.
 
-    `what` is the expected content ("an image"); if given, a folder is an error, too.
+    A FileFormatError is also raised if `path` is a pipe or a device. `what` is the expected content, such as "an image". If
+    it is not empty, a folder is an error, too.
     """
     if "\0" in str(path):
-        raise FileFormatError(f"{printable(str(path))}: not a valid path")
+        raise FileFormatError(f"{printable(str(path))}: the path is not valid: remove the null character")
     try:
         mode = path.stat().st_mode
         if stat.S_ISDIR(mode) and what:
@@ -352,15 +356,15 @@ def reading(path: Path, what: str = "") -> Iterator[None]:
 def write_columns(path: str | Path, data: xr.Dataset | dict[str, Sequence[Any]], *, force: bool = False) -> None:
     """Write columns, or a Dataset, as CSV.
 
-    A Dataset has one row per grid point, and one column per coordinate and variable. The name of a column with a unit
-    ends in the unit ("theta_d_rad").
+    A Dataset becomes one row per grid point, and one column per coordinate and variable. The name of the column of a variable
+    with a unit ends in this unit ("theta_d_rad").
     """
     if isinstance(data, dict):
         columns = {name: _cells(column) for name, column in data.items()}
     else:
         given: Any = data
         if not callable(getattr(given, "to_dataframe", None)):
-            raise ArgumentError(f"data must be an xarray.Dataset or columns by name, got {type(given).__name__}")
+            raise ArgumentError(f"data must be an xarray.Dataset or a dict of columns, got {type(given).__name__}")
         frame = data.to_dataframe().reset_index()
         units = {
             str(n): v.attrs["units"].replace("/", "_per_")
@@ -383,8 +387,8 @@ def _cells(column: Sequence[Any]) -> list[str]:
 def user_cache_folder() -> Path:
     """Return the cache folder of this user.
 
-    It is in $XDG_CACHE_HOME if this variable is set, and otherwise in the cache folder of the system. A relative path
-    is ignored, as the XDG Base Directory Specification requires.
+    It is in $XDG_CACHE_HOME if this variable is an absolute path, and otherwise in the usual cache folder of the operating
+    system. For a user without a home folder, the result is a path that cannot be created, so there is no cache.
     """
     root = Path(os.environ.get("XDG_CACHE_HOME", ""))
     if root.is_absolute():
@@ -404,8 +408,8 @@ def user_cache_folder() -> Path:
 def write_json(path: str | Path, document: dict[str, Any], *, force: bool = False) -> None:
     """Write a document as indented JSON.
 
-    A ValueError or TypeError is raised for values that JSON cannot represent, before writing; an OutputError is raised if
-    the file cannot be written.
+    For values that JSON cannot represent, a ValueError or TypeError is raised, and nothing is written. An OutputError is
+    raised if the file cannot be written.
     """
     # bytes that are not text, as in names of files, are escaped in JSON, too
     write_text(path, json_text(document), force=force, errors="backslashreplace")
@@ -422,16 +426,16 @@ def json_text(document: dict[str, Any]) -> str:
 def write_text(path: str | Path, text: str, *, force: bool = False, errors: str = "strict") -> None:
     """Write text in UTF-8.
 
-    `errors` specifies the treatment of characters without encoding, as for `open`.
+    `errors` specifies the treatment of characters that UTF-8 cannot encode, as for `open`.
     """
     with replacing(path, force=force) as temporary:
         temporary.write_text(text, encoding="utf-8", errors=errors)
 
 
 def plain(value: Any) -> Any:
-    """Convert a result to lists, numbers and strings, as JSON requires.
+    """Convert a result to dicts, lists, numbers and strings, as JSON requires.
 
-    NaN and infinities become None. Objects are converted by their method `to_dict`.
+    NaN and infinities become None. Objects with a method `to_dict` are converted by this method.
     """
     if hasattr(value, "to_dict"):
         return plain(value.to_dict())

@@ -1,4 +1,4 @@
-"""JAX in float64. All numerical modules import `jax` and `jnp` from here, so that the option is set once.
+"""JAX in float64. All numerical modules import `jax` and `jnp` from this module, which sets the option for float64.
 
 Float64 is required for two reasons. The erf differences of the effective kernel lose all digits in float32 for broad
 lobes. Highlights are 1e3 to 1e6 times brighter than their surroundings.
@@ -72,12 +72,14 @@ def has_gpu() -> bool:
 
 
 def computes_on_gpu() -> bool:
-    """Check whether JAX computes on a GPU. This starts its backend."""
+    """Check whether JAX computes on a GPU. This starts the backend of JAX."""
     return bool(jax.default_backend() != "cpu")
 
 
 def use_device(device: Device) -> None:
-    """Select the processor or a GPU for JAX, before its first computation.
+    """Select the processor or a GPU for JAX.
+
+    This function must be called before the first computation of JAX.
 
     Args:
         device: "cpu" or "gpu".
@@ -94,9 +96,9 @@ def use_device(device: Device) -> None:
 
 
 def without_derivatives(tree: T) -> T:
-    """Return the same values as constants, without derivatives.
+    """Replace the arrays of JAX in a pytree by constants of the same value, which have no derivatives.
 
-    They are concrete under `jax.grad`, but not under `jax.jit`.
+    The constants are concrete under `jax.grad`, but not under `jax.jit`.
     """
     return jax.tree.map(lambda leaf: jax.lax.stop_gradient(leaf) if isinstance(leaf, jax.Array) else leaf, tree)
 
@@ -116,12 +118,16 @@ def transferred(tree: T) -> T:
 
 
 def plainly_compiled(runs: Runs = "some") -> dict[str, Any] | None:
-    """Return options for `jax.jit` that reduce the compile time.
+    """Select options for `jax.jit` that reduce the compile time. The result is None for the default options.
 
-    `runs` is the expected number of runs. "once" takes a quarter of the default compile time, and twice the run time. "some"
-    takes two thirds of the compile time, and most programs are not slower. "many" takes three quarters of the compile
-    time, and few programs are slower. "mostly" uses all passes, as JAX does by default, for a program that takes most of
-    the time of a command: elementary functions in its loops take half the time.
+    `runs` is the expected number of runs. The following times are relative to the default options:
+
+        "once"      a quarter of the compile time, and twice the run time
+        "some"      two thirds of the compile time; most programs are not slower
+        "many"      three quarters of the compile time; few programs are slower
+        "mostly"    the default options, for a program that takes most of the time of a command
+
+    With the default options, elementary functions in loops take half the time that they take with the others.
     """
     if runs == "mostly":
         return None
@@ -162,10 +168,10 @@ def _is_known(option: str, value: Any) -> bool:
 
 
 def use_compilation_cache() -> None:
-    """Cache compiled functions in the user's cache folder between runs.
+    """Keep compiled functions for later runs in the user's cache folder.
 
-    A program may choose this for its user; a library must not. Each shape of an image has its own functions, so the
-    least recently used files are removed beyond a limit.
+    An application may call this function; a library must not, because it changes a setting of JAX. Each shape of an image
+    requires separate compiled functions. Therefore the least recently used files are removed above a total size of 1 GiB.
     """
     folder = user_cache_folder() / (_SEALED if _use_sealed_cache() else "jax")
     _trim(folder)
@@ -175,16 +181,16 @@ def use_compilation_cache() -> None:
 
 
 def program_folder() -> Path | None:
-    """Return the folder of cached programs, or None without a cache.
+    """Return the folder of cached programs, or None if there is no sealed cache (`sealed.py`).
 
-    The cache requires a call of `use_compilation_cache`, and a version of JAX that supports a sealed cache.
+    The sealed cache requires a call of `use_compilation_cache`, and a version of JAX that supports it.
     """
     folder = getattr(jax.config, "jax_compilation_cache_dir", None)
     return Path(folder) if folder and Path(folder).name == _SEALED else None
 
 
 def _use_sealed_cache() -> bool:
-    """Replace the cache of JAX by a sealed cache. The result is False if this version of JAX does not support it."""
+    """Replace the cache of JAX by a sealed cache. The result is False if this version of JAX does not support that."""
     try:
         from jax._src import compilation_cache
     except ImportError:

@@ -1,6 +1,6 @@
-"""Memory that this process may still use, and release of memory after a job.
+"""Memory that this process may still allocate, and release of memory after a job.
 
-The limits are those of the machine, of the control group, and of the process.
+The memory is limited by the machine, by the control groups of the process, and by the address space of the process.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ def available_memory() -> int:
     """Estimate the memory that this process may still allocate, bytes.
 
     Returns:
-        The minimum of the available memory of the machine, of the control groups (versions 1 and 2) of this process,
-        and of its address-space limit.
+        The smallest of three values: the available memory of the machine, that of the control groups (versions 1 and 2) of
+        this process, and the remaining address space of this process.
     """
     return max(min(_of_machine(), _of_process(), *(limit - used for limit, used in _groups())), 0)
 
@@ -28,8 +28,8 @@ def available_memory() -> int:
 def check_address_space() -> None:
     """Check that the libraries fit into the limit of address space (`ulimit -v`).
 
-    With a smaller limit, OpenBLAS, which SciPy loads, retries the allocation of its buffer without end, and XLA waits
-    for threads that never started.
+    With a smaller limit, a process would not end: OpenBLAS, which SciPy loads, repeats the allocation of a buffer for ever, and
+    XLA waits for threads that could not be started.
 
     Raises:
         ArgumentError: the limit is too small.
@@ -46,10 +46,10 @@ def check_address_space() -> None:
 
 
 def free_for_the_next() -> None:
-    """Free the garbage of a job, and exclude older objects from garbage collection.
+    """Free the garbage of a job. The first call also excludes all existing objects from later garbage collections.
 
-    The libraries and the caches of all jobs consist of a million objects, which each collection would scan. The process
-    keeps the freed memory: see `one_core_environment`.
+    These objects are those of the libraries and caches, about a million, which each collection would scan. The freed memory is
+    not returned to the operating system if the process has the environment of `one_core_environment`.
     """
     gc.collect()
     _freeze()

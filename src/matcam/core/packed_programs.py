@@ -1,7 +1,8 @@
 """Serialisation of a compiled program, without arbitrary code in its description.
 
-JAX writes the description of a program as a pickle, which may call any function. Here the pickle may use only a short
-list of classes by which JAX describes arrays. The program itself is machine code, which must come from the user (sealed.py).
+JAX writes the description of a program as a pickle, which may call any function. In this module, the pickle may use only a
+short list of classes by which JAX describes arrays. The program itself is machine code, so its file must belong to the user
+or to the system (`sealed.py`).
 """
 
 from __future__ import annotations
@@ -41,14 +42,14 @@ _LAPACK = b"lapack_"
 
 
 def _member(kind: Any, name: str) -> enum.Enum:
-    """Select a member of an Enum by name. A ValueError is raised for any other class."""
+    """Select a member of an Enum by name. A ValueError is raised if `kind` is not an Enum or has no such member."""
     if not (isinstance(kind, enum.EnumMeta) and name in kind.__members__):
         raise ValueError("the description uses an attribute that is not a member of an Enum, which is not allowed")
     return kind[name]
 
 
 class _Unpickler(serialize_executable._JaxPjrtUnpickler):
-    """Unpickler of JAX, restricted to descriptions of arrays."""
+    """Unpickler of JAX, restricted to the classes and functions in `_NAMES`."""
 
     def find_class(self, module: str, name: str) -> Any:
         if (module, name) == ("builtins", "getattr"):  # by which Python 3.11.0 to 3.11.3 pickles members of an Enum
@@ -59,7 +60,7 @@ class _Unpickler(serialize_executable._JaxPjrtUnpickler):
 
 
 class _DescriptionUnpickler(_Unpickler):
-    """Unpickler of the description without the machine code, which takes long to load."""
+    """Unpickler of only the description. The machine code is omitted, because loading it takes long."""
 
     def persistent_load(self, pid: Any) -> Any:
         return None if pid[0] == "exec" else super().persistent_load(pid)
@@ -69,10 +70,11 @@ def pack_program(program: Any) -> bytes:
     """Serialise a compiled function of arrays.
 
     Args:
-        program: the compiled function, which returns an array, or a tuple of arrays and tuples.
+        program: the compiled function, which returns an array, or a nested tuple of arrays.
 
     Raises:
-        ValueError: the program cannot be serialised, or its description could not be read again.
+        ValueError: the result of the function is not a nested tuple of arrays, or the description of the program uses names
+            that are not in `_NAMES`. JAX may raise other errors.
     """
     stored, _, output = serialize_executable.serialize(program)
     positions = jax.tree.unflatten(output, range(output.num_leaves))
@@ -85,10 +87,10 @@ def pack_program(program: Any) -> bytes:
 
 
 def unpack_program(packed: bytes) -> Any:
-    """Load the compiled function that `pack_program` wrote.
+    """Load a compiled function from the bytes that `pack_program` returned.
 
     Raises:
-        Exception: the bytes are invalid. Errors of a backend have no common class.
+        Exception: the bytes are invalid. The errors of the backends of JAX have no other common class.
     """
     if _LAPACK in packed:
         _load_lapack()
@@ -102,7 +104,7 @@ def unpack_program(packed: bytes) -> Any:
 
 @cache
 def _load_lapack() -> None:
-    """Load LAPACK into JAX by lowering a call. Otherwise a program that calls LAPACK would crash."""
+    """Load LAPACK into JAX by lowering a call of LAPACK. Otherwise a loaded program that calls LAPACK would crash."""
     jax.jit(jax.numpy.linalg.cholesky).lower(jax.ShapeDtypeStruct((1, 1), float))
 
 

@@ -1,8 +1,8 @@
 """Cache on disk of compiled programs that are ready to run: the next process does not trace or lower them again.
 
-The cache of JAX saves only the work of XLA. To find a function there, JAX must trace it in Python and lower it, which
-costs as much as the arithmetic of a short command. The key here consists of the source of the package, the versions,
-and the kinds of the arguments.
+The cache of JAX saves only the work of XLA. To find a function in it, JAX must trace the function in Python and lower it. This
+takes as long as the arithmetic of a short command. The key of the cache in this module consists of the source of the
+package, the versions of the libraries, the kind of processor, the name of the function, and the kinds of the arguments.
 """
 
 from __future__ import annotations
@@ -45,8 +45,8 @@ def kept_program(*, runs: Runs = "some", returns: Any = None) -> Callable[[Calla
 def kept_program(function: Callable[P, T] | None = None, *, runs: Runs = "some", returns: Any = None) -> Any:
     """Compile a function as `eqx.filter_jit` does, and cache the program.
 
-    Programs are cached for the CPU backend, after `use_compilation_cache`. Inside another transformation, and for
-    arguments without a persistent description, the function is only compiled.
+    Programs are cached for the CPU backend with one device, after a call of `use_compilation_cache`. The program is not cached
+    inside another transformation of JAX, and for arguments that have no persistent description.
 
     Args:
         function: a function of positional arguments, which returns an array or a tuple of arrays. Arrays are traced;
@@ -122,8 +122,9 @@ class _Program(NamedTuple):
     """Program that is ready to run.
 
     Attributes:
-        run: function of the arrays among the arguments; None: the program has no key.
-        size: size on disk, bytes; 0: not on disk.
+        run: function whose arguments are the arrays among the arguments of a call. None: the call has no key, so the program
+            is not cached.
+        size: size of the program on disk, bytes; 0 if it is not on disk. Default: 0.
     """
 
     run: Callable[..., Any] | None
@@ -131,7 +132,7 @@ class _Program(NamedTuple):
 
 
 class _HeldPrograms:
-    """Cache of the most recently used programs. Other programs are read from disk again."""
+    """Cache in memory of the most recently used programs. Other programs are read from disk again."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -139,9 +140,10 @@ class _HeldPrograms:
         self._total = 0
 
     def use(self, ready: dict[Hashable, _Program], key: Hashable, size: int) -> None:
-        """Mark a program of a function as the most recently used.
+        """Mark a program of a function as the most recently used, and drop the least recently used programs.
 
-        `ready` contains all programs of the function, by their keys.
+        `ready` contains the loaded programs of the function by key. `size` is the size of the program on disk, bytes; a program
+        of size 0 is ignored.
         """
         if not size:
             return
@@ -159,9 +161,9 @@ _held = _HeldPrograms()
 
 
 class _Kept(NamedTuple):
-    """Function and one of its calls: leaves, tree and kinds of the arguments.
+    """Function, and one call of this function: leaves, tree and kinds of the arguments.
 
-    Further fields are the expected number of runs, and the class of a result that is not a tuple of arrays.
+    `runs` and `returns` are the arguments of `kept_program`.
     """
 
     function: Callable[..., Any]
@@ -175,7 +177,7 @@ class _Kept(NamedTuple):
         """Load the program from disk, or compile and store it.
 
         Returns:
-            The program, and the result of the call. The result is None if the program was compiled.
+            The program, and the result of the call. The result is None unless the program was loaded from disk.
         """
         name = f"{self.function.__module__}.{self.function.__qualname__}"
         description = f"{name}\n{self.tree}\n{_types(self.tree)}\n{self.kinds!r}\n{self.runs}\n{self.returns}"
@@ -213,9 +215,9 @@ class _Kept(NamedTuple):
         return lambda *arrays: jax.tree.unflatten(structure, program(*arrays))
 
     def _of_arrays(self) -> Callable[..., Any]:
-        """Build a function whose only arguments are the arrays.
+        """Build a function whose arguments are only the arrays among the arguments of the call.
 
-        JAX keeps this function, so it must not contain the arrays themselves.
+        JAX keeps this function in memory, so it must not refer to the values of the arrays.
         """
         function, tree, kinds, flat = self.function, self.tree, self.kinds, self.returns is not None
 
@@ -238,7 +240,7 @@ def _positions(kind: Any) -> Any:
 
 
 def _types(tree: Any) -> list[str]:
-    """List the full names of the types of a tree, because its text contains only short names."""
+    """List the full names of the types in a tree, because the text of a tree contains only short names."""
     data = tree.node_data()
     own = [f"{data[0].__module__}.{data[0].__qualname__}"] if data else []
     return own + [name for child in tree.children() for name in _types(child)]
@@ -246,7 +248,7 @@ def _types(tree: Any) -> list[str]:
 
 @cache
 def _surroundings() -> str | None:
-    """Describe all dependencies of programs except their arguments.
+    """Describe what all programs depend on: source of the package, versions of libraries, flags of XLA, and processor.
 
     The result is None if the source of the package cannot be read.
     """

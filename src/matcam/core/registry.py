@@ -119,20 +119,21 @@ FRESNEL_MODELS: Registry[Any] = Registry(
 
 
 def family_ndf(family: str, roughness: Any, power: Any = None) -> Any:
-    """Build the NDF of a family.
+    """Build the normal distribution function of a family.
 
     Args:
         family: one of `FAMILIES`.
-        roughness: first parameter of the family (a slope; rad for "gaussian").
-        power: the second parameter, for `WITH_POWER` only.
+        roughness: first parameter of the family (a slope without unit; rad for "gaussian").
+        power: second parameter of the families in `WITH_POWER`, no unit. Default: None, for the other families.
 
     Raises:
-        ArgumentError: the family is unknown, its power is missing, or a power is given for a family without power.
+        ArgumentError: the family is unknown, a parameter is out of range, the power is missing for a family with a power,
+            or a power is given for another family.
     """
     if family in ONE_WIDTH:
         if power is not None:
             raise ArgumentError(
-                f"power can be given for {' and '.join(WITH_POWER)}, but not for {family}, got {power}: omit it"
+                f"power can be given for {' and '.join(WITH_POWER)}, but not for {family}, got {power}: omit power"
             )
         return FAMILIES[family](roughness)
     if family not in WITH_POWER:

@@ -10,8 +10,8 @@ class Remark(NamedTuple):
     """Remark on a result.
 
     Attributes:
-        code: lower-case words joined by hyphens ("outliers", "camera-not-determined"), the same in all versions.
-        text: one line in plain words.
+        code: lower-case words joined by hyphens, such as "camera-not-determined". Codes do not change between versions.
+        text: remark for the user, one line.
 
     Example:
         >>> print(Remark("clipped", "3 pixels are clipped and were left out"))
@@ -36,7 +36,7 @@ class Remark(NamedTuple):
         """Return the remark as a JSON object.
 
         Returns:
-            Both fields by name.
+            {"code": code, "text": text}.
         """
         return {"code": self.code, "text": self.text}
 
@@ -46,10 +46,10 @@ def some_of(names: Iterable[str], most: int = 6) -> str:
 
     Args:
         names: the names.
-        most: largest number of names, no unit. Default: 6.
+        most: largest number of names in the result, no unit. Default: 6.
 
     Returns:
-        "a, b and 3 more", or "a, b".
+        Text such as "a, b and 3 more", or "a, b" if there are at most `most` names.
 
     Example:
         >>> some_of(["a.tif", "b.tif", "c.tif", "d.tif"], most=2)
@@ -63,13 +63,14 @@ def some_of(names: Iterable[str], most: int = 6) -> str:
 def gathered(remarks: Iterable[tuple[str, Remark]]) -> list[Remark]:
     """Combine remarks with the same code on many objects.
 
-    If there are more than three, the first remark represents all, and names the other objects.
+    If more than three remarks have the same code, they are replaced by the first one, to which the names of the other
+    objects are appended.
 
     Args:
-        remarks: name of each object, and its remark.
+        remarks: pairs of the name of an object and a remark on this object.
 
     Returns:
-        The remarks, by code, in the order in which the codes first occur.
+        The remarks, grouped by code, in the order in which the codes first occur.
 
     Example:
         >>> for one in gathered([(f"L{k}", Remark("dark", f"L{k}: no light")) for k in range(1, 6)]):
@@ -95,7 +96,7 @@ def texts(remarks: Iterable[Remark]) -> list[str]:
         remarks: any number of remarks.
 
     Returns:
-        One line for each remark, in the same order.
+        The texts in the order of the remarks.
     """
     return [remark.text for remark in remarks]
 
@@ -117,10 +118,10 @@ def to_attribute(remarks: Iterable[Remark]) -> str:
 
 
 def from_attribute(attribute: str) -> tuple[Remark, ...]:
-    """Parse the remarks of `to_attribute`.
+    """Parse the remarks in a string of `to_attribute`.
 
     Args:
-        attribute: one line for each remark.
+        attribute: one line for each remark, "code: text".
 
     Returns:
         The remarks in the same order.

@@ -1,11 +1,12 @@
-"""Cache files with a seal: each ends in a SHA-256 of its key and content.
+"""Cache of files that end in a seal, a SHA-256 hash of the key and the content of the file.
 
-A damaged file, or a file of another key, is removed, its content is computed again, and one line is logged. A file that
-cannot be written is skipped, because a full disk must not stop any work.
+A file that is damaged, or that belongs to another key, is removed. One line is logged, and the content is computed
+again. A file that cannot be written is skipped, because a full disk must not stop any work.
 
 The seal detects damage, not forgery. To prevent forgery, a folder or a file is used only if it belongs to this user or
 to the system, and no other user may change it. A folder is opened once and checked. Its files are accessed through the
-open folder, so that it cannot be replaced between check and use. Links are not followed.
+open folder, so that the folder cannot be replaced between check and use. Links are not followed. Systems without such
+access to files, such as Windows, use paths without these checks.
 """
 
 from __future__ import annotations
@@ -29,7 +30,10 @@ _log = logging.getLogger("matcam")
 
 
 def read_sealed(path: Path, key: bytes) -> bytes | None:
-    """Read the content of a key. The result is None if it is missing or damaged."""
+    """Read the content that is stored under a key.
+
+    The result is None if the file is missing, damaged, or not protected from other users.
+    """
     try:
         with _opened(path.parent) as folder:
             whole = _read_own(folder, path)
@@ -46,7 +50,10 @@ def read_sealed(path: Path, key: bytes) -> bytes | None:
 
 
 def write_sealed(path: Path, key: bytes, content: bytes) -> None:
-    """Write content under a key atomically, for this user alone."""
+    """Write the content of a key atomically, to a file that only this user can read.
+
+    A file that cannot be written is skipped.
+    """
     temporary = f".{path.stem}-{os.urandom(4).hex()}{path.suffix}"
     with contextlib.suppress(OSError):
         _make(path.parent)
@@ -62,7 +69,12 @@ def write_sealed(path: Path, key: bytes, content: bytes) -> None:
 
 
 class SealedFile(NamedTuple):
-    """Cache file: its name, and its size (bytes) and times (s)."""
+    """File of a cache folder.
+
+    Attributes:
+        name: name of the file in its folder.
+        status: result of `os.stat`, with the size in bytes and the times in s.
+    """
 
     name: str
     status: os.stat_result
@@ -89,7 +101,11 @@ def remove_sealed(path: Path, names: Iterable[str]) -> None:
 
 
 class _Folder(NamedTuple):
-    """Folder that was opened and checked: its descriptor, or None on systems that access files by path only."""
+    """Open folder of a cache.
+
+    `number` is its file descriptor. It is None on systems that access files by path only, where the folder is not
+    checked.
+    """
 
     number: int | None
     path: Path
@@ -116,7 +132,10 @@ class _Folder(NamedTuple):
 
 @contextlib.contextmanager
 def _opened(path: Path) -> Iterator[_Folder]:
-    """Open a folder that no other user may change. An OSError is raised if another user may change it."""
+    """Open a folder that no other user may change.
+
+    An OSError is raised if the folder is missing, or if another user may change it.
+    """
     if not _BY_FOLDER:
         yield _Folder(None, path)
         return
@@ -135,7 +154,10 @@ def _opened(path: Path) -> Iterator[_Folder]:
 
 
 def _read_own(folder: _Folder, path: Path) -> bytes | None:
-    """Read a file that no other user could have written. The result is None for any other file."""
+    """Read a file that belongs to this user or to the system, and that no other user may change.
+
+    The result is None for any other file.
+    """
     with os.fdopen(folder.open(path.name, _READ), "rb") as file:
         status = os.fstat(file.fileno())
         if not stat.S_ISREG(status.st_mode):
@@ -189,7 +211,7 @@ class CompiledFunctions:
     @classmethod
     @contextlib.contextmanager
     def passed_by(cls) -> Iterator[None]:
-        """Compile without this cache in the current thread."""
+        """Compile without this cache in the current thread, during the block."""
         cls._passed_by.now = True
         try:
             yield

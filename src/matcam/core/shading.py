@@ -21,12 +21,12 @@ class Shading(NamedTuple):
     Attributes:
         cos_i: cosine of the angle of incidence.
         cos_o: cosine of the viewing angle.
-        slope_along: slope of the half vector along the first tangent of the surface, that is, the slope of a facet that
-            mirrors the light into the view.
-        slope_across: slope of the half vector along the second tangent (normal x first tangent).
+        slope_along: slope of the half vector along the first tangent of the surface, no unit: its component along this
+            tangent, divided by its component along the normal.
+        slope_across: slope of the half vector along the second tangent (normal x first tangent), no unit.
         theta_d: difference angle, rad.
-        phi_d: azimuth of the difference, rad, in (-pi, pi], relative to that of the slope of the half vector, or to the
-            first tangent if that slope is 0.
+        phi_d: azimuth of the light about the half vector, rad, in (-pi, pi]. It is relative to the azimuth of the half
+            vector, or to the first tangent if the half vector is the normal.
     """
 
     cos_i: jax.Array
@@ -40,7 +40,7 @@ class Shading(NamedTuple):
 def shading(normal: Vector, tangent: Vector, light: Vector, view: Vector) -> Shading:
     """Compute the arguments of a BRDF from unit vectors.
 
-    `tangent` is the first tangent, perpendicular to the normal.
+    `light` and `view` point away from the surface. `tangent` is the first tangent, perpendicular to the normal.
 
     Slopes remain accurate near the mirror direction, unlike an angle that is computed from its cosine.
     """
@@ -76,12 +76,14 @@ def local_shading(light: Vector, view: Vector) -> Shading:
 
 
 def towards_source(source: Vector, point: Vector, nearness: ArrayLike) -> tuple[Vector, jax.Array]:
-    """Compute the directions from points to a source, and its squared distances relative to that from the centre.
+    """Compute the directions from points to a source, and the squared distances of the source.
+
+    The distances are relative to the distance of the source from the centre of the sample.
 
     Args:
         source: direction from the centre to the source, of length 1.
-        point: points, relative to the centre, radii.
-        nearness: inverse of the source's distance from the centre, 1/radii.
+        point: points, relative to the centre, in radii of the sample.
+        nearness: inverse of the distance of the source from the centre, 1/radii.
     """
     x, y, z = (s - nearness * p for s, p in zip(source, point, strict=True))
     square = x**2 + y**2 + z**2

@@ -1,4 +1,7 @@
-"""Threads of this package, and of the BLAS library, which reads its number of threads from the environment on import."""
+"""Threads of this package and of the BLAS library.
+
+The BLAS library reads its number of threads from the environment when NumPy is imported.
+"""
 
 from __future__ import annotations
 
@@ -30,8 +33,8 @@ spinning threads, which is much slower on busy processors.
 def use_one_blas_thread() -> None:
     """Restrict the BLAS library of this process to one thread.
 
-    Settings of the user have priority. There is no effect if NumPy is already loaded. A program may choose this for its
-    user; a library must not.
+    Environment variables that the user has set are kept. The function has no effect if NumPy is already loaded. Only
+    programs may call it, because a library must not change the threads of its caller.
     """
     if "numpy" not in sys.modules:
         for name, value in ONE_BLAS_THREAD.items():
@@ -41,8 +44,8 @@ def use_one_blas_thread() -> None:
 def use_one_heap() -> None:
     """Use one heap for all threads.
 
-    This requires glibc, and a setting of the user has priority. Otherwise each compiling thread keeps a heap of its
-    peak size.
+    Without this limit, each compiling thread keeps a heap of its peak size. The function has no effect without glibc,
+    or if the user has set MALLOC_ARENA_MAX.
     """
     if "MALLOC_ARENA_MAX" not in os.environ:
         with contextlib.suppress(OSError, AttributeError):
@@ -53,7 +56,7 @@ def use_one_heap() -> None:
 def available_cores() -> int:
     """Count the cores that this process may use.
 
-    NPROC is an upper limit, as for XLA. It restricts each worker of a run to one core.
+    The environment variable NPROC, which XLA also reads, is an upper limit. In the workers of a run it is 1.
     """
     count = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     limit = os.environ.get("NPROC", "")
@@ -63,9 +66,9 @@ def available_cores() -> int:
 def import_behind(*modules: str) -> None:
     """Import modules in another thread, for later use.
 
-    `modules` are full names of modules. Meanwhile XLA can compute, because it releases the global interpreter lock. A
-    failing import fails again where the module is used. The end of the process waits for the import, because an exit
-    during the import of a C++ module would abort.
+    `modules` are full names of modules. XLA can compute during the import, because it releases the global interpreter
+    lock. An error of the import is ignored here, and occurs again where the module is used. The end of the process
+    waits for the import, because an exit during the import of a C++ module would abort.
     """
 
     def work() -> None:
@@ -80,13 +83,14 @@ def import_behind(*modules: str) -> None:
 def in_order(work: Callable[[T], U], items: Sequence[T], workers: int) -> Iterator[U]:
     """Yield the results of items in order, computed in several threads.
 
-    The first item runs alone, because it sets the reference for the others and compiles their common programs. Threads
-    suffice: files are decoded in separate processes, and NumPy and JAX release the global interpreter lock.
+    The first item runs alone, because it sets the reference for the others and compiles the functions that all items
+    use. Threads suffice: files are decoded in separate processes, and NumPy and JAX release the global interpreter
+    lock.
 
     Args:
         work: function of an item.
         items: arguments of `work`, one for each call.
-        workers: number of items that are computed at the same time.
+        workers: largest number of items that are computed at the same time.
 
     Example:
         >>> list(in_order(abs, [-1, -2, -3], 2))
@@ -118,9 +122,9 @@ def in_order(work: Callable[[T], U], items: Sequence[T], workers: int) -> Iterat
 
 
 class _Behind(threading.local):
-    """State of a background thread.
+    """State of a background thread. The attributes are None in other threads.
 
-    `busy` is set while the foreground work runs. `dropped` is set if the result is not required.
+    The event `busy` is set while the foreground work runs. The event `dropped` is set if the result is not required.
     """
 
     busy: threading.Event | None = None
@@ -140,7 +144,10 @@ def _check_wanted() -> None:
 
 
 def _at_a_time(workers: int) -> int:
-    """Limit the number of concurrent items to one while the foreground work requires a core."""
+    """Compute the number of items that may run at the same time.
+
+    It is 1 while the foreground work requires a core, and `workers` otherwise.
+    """
     return 1 if _behind.busy is not None and _behind.busy.is_set() else workers
 
 
@@ -148,9 +155,10 @@ def _at_a_time(workers: int) -> int:
 def done_behind(work: Callable[[], object]) -> Iterator[None]:
     """Run work that fills caches in a background thread during the block.
 
-    In this work, `in_order` uses one core while the block runs, and all cores afterwards. The end of the block waits for
-    the work; after an error in the block, the work stops after its current item. Errors of the work are ignored; they
-    occur again where the result is used. On one core the work is skipped.
+    During the block, `in_order` computes one item of this work at a time. Afterwards it uses all its workers. The end
+    of the block waits for the work. After an error in the block, the work stops at the end of its current item. Errors
+    of the work are ignored, and occur again where the result is used. If only one core is available, the work is
+    skipped.
 
     Args:
         work: a function without arguments.

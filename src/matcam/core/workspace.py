@@ -1,10 +1,10 @@
 """Cache of results that depend on a rig alone: in memory, and on disk between processes.
 
-Caching is explicit: functions that cache take a `Workspace`. The default is that of `default_workspace`, without files
+Caching is explicit: functions that cache take a `Workspace`. The default is `default_workspace()`, which has no files
 on disk. The command line and the workers of a run use `Workspace.user()`.
 
-Tables of the package (metals, checksums, EPD's peak) are constants. So are results that depend only on a few numbers,
-such as the basis of a spline. Both use `functools.cache`.
+Results that do not depend on a rig are cached by `functools.cache`. These are tables of the package (metals, checksums,
+the peak of an EPD lobe), and functions of a few numbers, such as the basis of a spline.
 """
 
 from __future__ import annotations
@@ -36,9 +36,10 @@ class Workspace:
     Args:
         folder: folder on disk for arrays that other processes may use; it is created on first use. Default: None, no
             files.
-        entries: number of most recent results of each kind in memory (no unit); 0: results are not kept. Default: 6,
-            enough for the rigs and slices of one correction.
-        files: number of most recent files in `folder` (no unit). Default: 12, at most some hundred MB.
+        entries: largest number of results of each kind in memory, no unit. The results that were used last are kept. If
+            `entries` is 0, no results are kept. Default: 6, enough for the rigs and slices of one correction.
+        files: largest number of files in `folder`, no unit. The files that were written last are kept. Default: 12, at
+            most a few hundred MB.
 
     Raises:
         ArgumentError: `entries` or `files` is not a whole number >= 0.
@@ -48,7 +49,7 @@ class Workspace:
         >>> workspace = Workspace()
         >>> workspace.remember("squares", 3, lambda: 3**2)
         9
-        >>> workspace.remember("squares", 3, lambda: print("not asked again"))
+        >>> workspace.remember("squares", 3, lambda: print("not computed again"))
         9
     """
 
@@ -71,10 +72,10 @@ class Workspace:
     def user(cls) -> Workspace:
         """Return this process's workspace in the user's cache folder.
 
-        A program may choose this for its user; a library must not.
+        Only programs may use this workspace, because a library must not write files that its caller did not request.
 
         Returns:
-            The workspace with files in the folder `rules` of `user_cache_folder`; every call returns the same object.
+            The workspace with files in the folder `rules` of `user_cache_folder`. Every call returns the same object.
         """
         return _user_workspace(user_cache_folder() / "rules")
 
@@ -85,8 +86,8 @@ class Workspace:
             kind: kind of the result; each kind has its own memory.
             key: all dependencies of the result.
             make: function that computes the result.
-            most: number of results of this kind in memory, for results that are too large for `entries` of them.
-                Default: None.
+            most: number of results of this kind in memory if it is below `entries`, for large results. Default: None,
+                `entries`.
 
         Returns:
             The result, which is shared and must not be changed.
@@ -107,8 +108,9 @@ class Workspace:
         """Return the arrays of a description from disk, or compute and store them.
 
         The name of the file is a hash of the description and of the version of the package. The file ends in a SHA-256
-        of both and of its content. If the file is damaged or foreign, one line is logged and the arrays are computed
-        again. A full disk is not an error. An empty result is not stored.
+        hash of both and of its content. If the file is damaged, or another user may change it, one line is logged and
+        the arrays are computed again. A file that cannot be written is skipped. An empty result is not stored. Without
+        a folder, every call computes the arrays.
 
         Args:
             description: text with all dependencies of the arrays.

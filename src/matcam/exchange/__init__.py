@@ -1,4 +1,4 @@
-"""Conversion between formats, parameterisations, export to renderers, and inspection of tables."""
+"""Conversion between formats and parameterisations, export to renderers, and inspection of tables."""
 
 import lazy_loader
 

@@ -29,11 +29,11 @@ class Contents:
     """Contents of a file.
 
     Attributes:
-        content: kind of the data, one of `MEASUREMENTS`: a BRDF on the MERL grid ("table"), in RGL's parameterisation
-            ("fields"), or as samples that are not on the MERL grid ("samples"), any other labelled result ("result"),
-            or an image ("picture").
-        data: DataArray, Dataset or array.
-        format: short name of the file's format. Default: "", not from a file.
+        content: kind of the data, one of `MEASUREMENTS`: "table", a BRDF on the MERL grid; "fields", a BRDF in RGL's
+            parameterisation; "samples", a BRDF at other angles; "result", any other labelled data; or "picture", an
+            image.
+        data: an array for an image; otherwise a DataArray or a Dataset.
+        format: short name of the file's format. Default: "", if the data are not from a file.
     """
 
     content: str
@@ -58,16 +58,16 @@ def read(path: str | Path, *, sampling: Sampling = "centre") -> Any:
 
     Args:
         path: file to read.
-        sampling: position in a cell at which its value was sampled, "centre" or "edge"; for MERL files, which do not
-            specify the position (see `read_merl`). Default: "centre".
+        sampling: position in a cell at which its value was sampled, "centre" or "edge" (see `read_merl`). It is used
+            only for MERL files, which do not specify this position. Default: "centre".
 
     Returns:
         The result of the reader of the format: an `xarray.DataArray` for a table or scattered samples, an
-        `xarray.Dataset` for RGL's fields or another result. An image is an array (rows, columns, channels), a camera
-        profile a `Camera`, a chart's description a `Chart`, a picture sidecar a dict.
+        `xarray.Dataset` for RGL's fields or another result, an array (rows, columns, channels) for an image, a `Camera`
+        for a camera profile, a `Chart` for a chart's description, or a dict for a picture sidecar.
 
     Raises:
-        FileFormatError: the format of the file is not supported, or the file is damaged.
+        FileFormatError: the file is missing or damaged, or its format is not supported.
 
     Example:
         >>> import tempfile
@@ -124,10 +124,11 @@ def write(path: str | Path, thing: Any, *, force: bool = False) -> None:
     write_contents(path, contents_of(thing), force=force)
 
 
-def contents_of(thing: Any) -> Contents:
-    """Wrap a table, a result or an image as contents.
+def contents_of(thing: Any, name: str = "thing", others: str = "a Camera or a Chart") -> Contents:
+    """Wrap a table, RGL's fields, samples, a result or an image as contents.
 
-    An ArgumentError is raised for an object of another type.
+    An ArgumentError is raised for an object of another type, and for an invalid table, fields or samples. `name` is the name of
+    the object in its message, and `others` are the further types that the caller supports.
     """
     if isinstance(thing, Contents):
         return thing
@@ -142,14 +143,14 @@ def contents_of(thing: Any) -> Contents:
     if isinstance(thing, np.ndarray) or hasattr(thing, "__jax_array__") or type(thing).__module__.startswith("jax"):
         return Contents("picture", np.asarray(thing))
     raise ArgumentError(
-        f"thing must be an xarray.DataArray or Dataset, an image as an array, a Camera or a Chart, got {type(thing).__name__}"
+        f"{name} must be an xarray.DataArray or Dataset, an image as an array, {others}, got {type(thing).__name__}"
     )
 
 
 def write_contents(path: str | Path, contents: Contents, *, force: bool = False) -> None:
     """Write contents in the format of the suffix.
 
-    An ArgumentError is raised if the format does not support them.
+    An ArgumentError is raised if the suffix is unknown, or if the format does not support the contents.
     """
     path = Path(path)
     form = format_for(path)
@@ -177,8 +178,11 @@ def read_contents(path: str | Path, sampling: Sampling = "centre") -> Contents:
     """
     form = format_named(identify(path))
     if not set(form.holds) & set(MEASUREMENTS):
-        kind = "JSON document" if ".json" in form.suffixes else form.name
-        raise FileFormatError(f"{path}: the file is a {kind}, which contains no measurement")
+        kind = "JSON" if ".json" in form.suffixes else form.title
+        raise FileFormatError(
+            f"{path}: the file is a {kind} document, which contains no measurement: give a file with a BRDF, another result or "
+            "an image"
+        )
     if form.name == "merl":
         return Contents("table", _read_merl(Path(path), sampling), form.name)
     data = form.read(path)
@@ -206,9 +210,9 @@ def read_table(path: str | Path, sampling: Sampling = "centre") -> xr.DataArray:
     """Read a BRDF table on the MERL grid from any format.
 
     Args:
-        path: file to read: MERL, CSV, or NetCDF or Zarr as written by `measure`, `correct` and `convert`.
-        sampling: position in a cell at which a MERL value was sampled, see `read_merl`. Other formats specify the
-            position. Default: "centre".
+        path: file to read: a MERL or CSV file, or a NetCDF or Zarr file with a table or with the result of `correct`.
+        sampling: position in a cell at which a MERL value was sampled, see `read_merl`. In other formats the file
+            specifies the position. Default: "centre".
 
     Returns:
         The table, 1/sr; if the file has the results of a correction, the corrected table.
@@ -230,10 +234,10 @@ def read_table(path: str | Path, sampling: Sampling = "centre") -> xr.DataArray:
 
 
 def _read_merl(path: Path, sampling: Sampling) -> xr.DataArray:
-    """Read a MERL file, and add the attributes of the NetCDF file beside it if both contain the same result.
+    """Read a MERL file, and mark the table as corrected if the NetCDF file of the same name contains the same correction.
 
-    A MERL file has no attributes. Both files contain the same result if the supported values of the NetCDF file are
-    those of the table.
+    A MERL file has no attributes. The NetCDF file contains the same correction if its supported values equal those of
+    the table.
     """
     table = read_merl(path, sampling=sampling)
     try:
@@ -261,12 +265,12 @@ def _labelled(path: Path, name: str, data: xr.Dataset) -> Contents:
 def material_of(contents: Contents) -> Material:
     """Build the material from the contents of a file.
 
-    An ArgumentError is raised if they do not define a material.
+    An ArgumentError is raised if the contents do not define a material.
     """
     if contents.content == "table":
         return Tabulated(contents.data)
     if contents.content == "fields":
         return Adaptive(contents.data)
     raise ArgumentError(
-        f"{contents.kind} cannot be evaluated at arbitrary angles: give a table (MERL, RGL, CSV on the MERL grid)"
+        f"{contents.kind} cannot be evaluated at arbitrary angles: give a BRDF table on the MERL grid, or an RGL file"
     )

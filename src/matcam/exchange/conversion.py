@@ -1,7 +1,7 @@
 """Conversion of a file to any format that supports its data.
 
-Each kind of contents has a writer. If a format does not support the values themselves, they are resampled, and the
-report gives the error of the result.
+A BRDF is resampled if its grid differs from that of the output format. The report then contains the error of the
+resampled BRDF.
 """
 
 from __future__ import annotations
@@ -48,23 +48,29 @@ def convert(
         source: input: MERL, RGL, Zemax BSDF, UTIA, BiRD JSON, CSV of samples, NetCDF-4, Zarr in a zip, OpenEXR or TIFF.
         target: output: .binary, .bsdf (RGL's), .brdf, .mtlx (a fitted OpenPBR surface), .csv, .nc, .zarr.zip, .exr,
             .tif or .tiff.
-        sampling: position in a cell at which a MERL value was sampled, "centre" or "edge", see `read_merl`. A
-            table from an RGL file has the same sampling. Default: "centre"; loaders of MERL files disagree.
+        sampling: position in a cell at which a MERL value was sampled, "centre" or "edge", see `read_merl`. If an RGL
+            file is resampled to a table, the table is sampled at this position. Default: "centre", because readers of
+            MERL files differ.
         square: nodes along each side of the square of a new RGL file, see `adaptive_grid`. Default: 192; fewer nodes give
             a smaller file.
-        error: largest error of a new RGL file, no unit. It replaces `square`: the first of eight grids (0.2 to 70 MB) is
-            used whose median differences at random pairs of directions and at the peak do not exceed this value.
-            Default: None, `square` is used.
+        error: largest relative error of a new RGL file, no unit; it replaces `square`. Eight grids (0.2 to 70 MB) are
+            tried in ascending order, until the median differences at random pairs of directions and at the peak do not
+            exceed `error`. The last grid is used if none satisfies this condition. Default: None, `square` is used.
         force: True to replace an existing output. Default: False.
 
     Returns:
-        Report as plain values: `input`, `output`, `format`, `content` and `holds` of the input, and `resampled`, None if every
-        value is kept. If resampled: `missing_share` of interpolated values, and `error`, relative to the value or to
-        1e-6 of the peak, whichever is larger: at 4096 random pairs of directions (`median`, `p99`, `largest`, and
-        `known`, the share of pairs with a value) and in mirror directions (`peak`).
+        Report as plain values. `input` and `output` are the paths; `format`, `content` and `holds` (a description)
+        refer to the data of the input; `sidecar` is the path of a copied sidecar. `resampled` describes the resampling;
+        it is None if every value is kept.
+
+        A report of resampled data also has `missing_share`, the share of interpolated values, and `error`, the relative
+        differences of the BRDF. These are `median`, `p99` and `largest` at 4096 random pairs of directions, and `peak`,
+        the median in mirror directions. A difference is relative to the value or to 1e-6 of the peak, whichever is larger.
+        `known` is the share of pairs with a positive value.
 
     Raises:
-        ArgumentError: the format of the output does not support the data.
+        ArgumentError: the suffix of the output is unknown, its format does not support the data, or an argument is out
+            of range.
         FileFormatError: the input is damaged, or its format is not supported.
         OutputError: the output exists, or cannot be written.
 
@@ -104,15 +110,16 @@ def convert(
 def resampling_error(before: Material, after: Material) -> dict[str, float]:
     """Compare the BRDFs of two materials at random pairs of directions.
 
-    There are 4096 pairs up to 80 degrees from the normal. The difference is relative to the first material's value, or
-    to 1e-6 of its peak where the value is smaller: a sharp lobe decreases below 1e-300 1/sr, where a relative difference
-    has no meaning. The peak is the largest value of a channel in mirror directions up to 45 degrees. The difference of a
-    pair is the largest one among the channels in which the first material has a positive value.
+    There are 4096 pairs up to 80 degrees from the normal. A difference is relative to the value of the first material,
+    or to 1e-6 of the peak of this material, whichever is larger. A sharp lobe decreases below 1e-300 1/sr, where a
+    difference relative to the value has no meaning. The peak is the largest value of a channel in mirror directions up
+    to 45 degrees. The difference of a pair is the largest one among the channels in which the first material has a
+    positive value.
 
     Returns:
         Values without unit: the `median`, `p99` (exceeded by 1 % of the pairs) and `largest` difference; `known`, the
         share of pairs with a positive value; and `peak`, the median difference in the mirror directions, because random
-        pairs miss a sharp highlight.
+        pairs miss a sharp highlight. A difference is NaN if no value is positive.
     """
     random = np.random.default_rng(1)
     light, view = (_directions(random) for _ in range(2))
@@ -132,7 +139,10 @@ def resampling_error(before: Material, after: Material) -> dict[str, float]:
 
 
 def _differences(first: np.ndarray, second: np.ndarray, floor: np.ndarray) -> np.ndarray:
-    """Compute the largest relative difference of the channels, for pairs with a positive value."""
+    """Compute the largest relative difference among the channels of each pair.
+
+    Pairs are omitted if no channel of the first BRDF is positive.
+    """
     above = first > 0  # measured tables are negative where data are missing; NaN is not positive
     scale = np.where(above, np.maximum(first, floor), 1.0)
     relative = np.max(np.abs(second - first) / scale, axis=1, where=above, initial=-np.inf)
@@ -162,9 +172,11 @@ def _directions(random: np.random.Generator) -> Vector:
 def _resample(
     contents: Contents, form: Format, sampling: Sampling, square: int, error: float | None
 ) -> tuple[Contents, dict[str, Any]]:
-    """Resample a BRDF to the grid of the format.
+    """Resample a BRDF if the format requires another grid.
 
-    The result is the contents, and details for the report; contents that the format supports are unchanged.
+    Returns:
+        The contents on the grid of the format, and details for the report. Other contents are unchanged and have no
+        details.
     """
     if contents.content == "table" and form.holds == ("fields",):
         material, source = material_of(contents), str(contents.data.attrs.get("source", ""))
@@ -219,8 +231,8 @@ def _as_table(contents: Contents, sampling: Sampling) -> tuple[Contents, dict[st
     material = material_of(contents)
     if isinstance(material, Adaptive) and material.mirrored:
         raise ArgumentError(
-            "this RGL file is anisotropic, but a table on the MERL grid is isotropic: give an isotropic file, or another "
-            "output format"
+            "the BRDF in RGL's parameterisation is anisotropic, but a table on the MERL grid is isotropic: give an isotropic "
+            "BRDF, or another output format"
         )
     table = true_table(material, sampling)
     negative = float((table < 0).mean())  # tables of RGL are negative where data are missing

@@ -24,20 +24,23 @@ def inspect(source: Any, *, sampling: Sampling = "centre", radius: float = 256.0
     `matcam inspect` prints the same report.
 
     Args:
-        source: path of a file of any format that matcam reads, of a photograph, or of a folder: a capture, the results of a
-            run, tables or photographs; or a table, a result, an image or a `Camera`.
+        source: path or object. A path is that of a file of any format that matcam reads, of a photograph, or of a
+            folder with a capture, the results of a run, tables or photographs. An object is a table, a result, an image
+            or a `Camera`.
         sampling: position in a cell at which a MERL value was sampled, "centre" or "edge" (see `read_merl`).
             Default: "centre".
         radius: radius of the sphere from which a table was recorded, px. Default: 256, as in the MERL rig.
 
     Returns:
-        Plain values that JSON can represent; the names contain units. The report of a file has `file` and `format`,
-        that of a BRDF the grid, missing shares, range, reciprocity, albedo, lobe widths and the trace of a camera,
-        that of a camera its parameters and MTF50, and that of a photograph its size, range and share of saturated values.
+        Plain values that JSON can represent; names of quantities end in their unit. The report of a file has `file` and
+        `format`. The report of a BRDF has the grid, missing shares, range, reciprocity, albedo, lobe widths and the
+        trace of a camera. The report of a camera has its parameters and MTF50. The report of a photograph has its size,
+        range and share of saturated values.
 
     Raises:
-        FileFormatError: the format of the file is not supported, or the file is damaged.
-        ArgumentError: `source` is of another type, or the radius is out of range.
+        FileFormatError: the file is missing or damaged, its format is not supported, or the folder contains nothing of
+            these kinds.
+        ArgumentError: `source` is of another type, an image has no values, or the radius is not positive.
 
     Example:
         >>> report = matcam.inspect(matcam.rigs.merl().camera)
@@ -51,7 +54,7 @@ def inspect(source: Any, *, sampling: Sampling = "centre", radius: float = 256.0
         from matcam.exchange.contents import contents_of
         from matcam.exchange.inspection import inspect_contents
 
-        return inspect_contents(contents_of(source), radius)
+        return inspect_contents(contents_of(source, "source", "a Camera or a path"), radius)
     return {"file": str(source), **_file_report(Path(source), sampling, radius)}
 
 
@@ -83,8 +86,7 @@ def _chart_report(chart: Chart) -> dict[str, Any]:
 def _camera_report(camera: Camera) -> dict[str, Any]:
     """Report on a camera: parameters, standard deviations, MTF50 (cycles/px, along a row), sensor and provenance.
 
-    For a lens with colours, or one that varies over the image, the report has MTF50 of each representative lens, by
-    name.
+    A lens that differs between colours or positions has an MTF50 for each of its representative lenses, by name.
     """
     found = mtf50(camera.optics, camera.pixel)
     return {

@@ -1,8 +1,8 @@
-"""Properties of a file and of a table without a model of the material.
+"""Properties of files and tables, computed without a model of the material.
 
-These are grids, gaps, reciprocity, albedo, and the trace of a camera in a table. A camera widens a lobe in the plane of
-light and view as width^2 = lobe^2 + (kernel / cos theta_d)^2 (docs/model.md 3). A source disc widens a lobe across that
-plane instead.
+The properties are grids, gaps, reciprocity, albedo, and the trace of a camera in a table. A camera widens a lobe in the
+plane of light and view: width^2 = lobe^2 + (kernel / cos theta_d)^2. All three are widths in theta_h, rad, and theta_d
+is the difference angle (docs/model.md 3). A source disc widens a lobe across that plane instead.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ def lobe_widths(table: xr.DataArray) -> LobeWidths:
 
     The BRDF is averaged over the channels and over azimuths. The azimuths are within 18 degrees of the plane of light
     and view for `in_plane`, and beyond 72 degrees from this plane for `across`. Between the angles of the grid, the
-    logarithm of the mean is linear in theta_h^2. The maximum is the value at the first theta_h.
+    logarithm of the mean is interpolated linearly in theta_h^2. The maximum is the value at the first theta_h.
 
     Args:
         table: BRDF on the MERL grid, (90, 90, 180, channels), 1/sr, such as `read_merl` returns.
@@ -89,19 +89,20 @@ def lobe_widths(table: xr.DataArray) -> LobeWidths:
 
 
 def camera_trace(table: xr.DataArray) -> dict[str, Any]:
-    """Check whether lobes are widened as by a camera.
+    """Check whether a camera may have widened the lobes of a table.
 
-    The squares of the widths in the plane of light and view are fitted by lobe^2 + (kernel / cos theta_d)^2. The camera
-    is visible if the term of the kernel exceeds 5 standard deviations, and the widening is above 1.15. The cause is
-    then a camera, or a finish with the same widening.
+    The squares of the widths in the plane of light and view are fitted by lobe^2 + (kernel / cos theta_d)^2. A camera
+    is visible if kernel^2 exceeds 5 of its standard deviations, and if the ratio of the width in the plane to that
+    across grows by more than a factor of 1.15. The cause is then a camera, or a finish with the same widening.
 
     Args:
         table: BRDF on the MERL grid, (90, 90, 180, channels), 1/sr, such as `read_merl` returns.
 
     Returns:
-        Plain values, all None if too few angles show a lobe: `visible`; `kernel_rad` and `lobe_rad`, standard
-        deviations of Gaussians, rad; `significance` of the kernel's term; `widening` in
-        the plane over that across, from normal view to 75 degrees.
+        Plain values, all None if fewer than 20 angles theta_d show a lobe. `visible` is the verdict. `kernel_rad` and
+        `lobe_rad` are standard deviations of Gaussians, rad. `significance` is kernel^2 divided by its standard
+        deviation, no unit. `widening` is the factor by which the ratio of widths grows from normal view to 75 degrees,
+        no unit.
 
     Source:
         docs/model.md 3.
@@ -141,9 +142,10 @@ def camera_trace(table: xr.DataArray) -> dict[str, Any]:
 
 
 def _half_widths(values: np.ndarray, theta_h: np.ndarray) -> np.ndarray:
-    """Compute the half width at each theta_d.
+    """Compute the half width at half maximum at each theta_d, rad.
 
-    The logarithm of the values (theta_h, theta_d, phi_d, channel) is linear in theta_h^2 between the angles, as for a Gaussian.
+    The values (theta_h, theta_d, phi_d, channel) are averaged over phi_d and the channels. Between the angles, the
+    logarithm of the mean is interpolated linearly in theta_h^2, which is exact for a Gaussian.
     """
     present = np.isfinite(values)
     count = present.sum(axis=(2, 3))
@@ -168,9 +170,9 @@ REPORTED_ANGLES = (0, 15, 30, 45, 60, 70, 75, 80)
 def inspect_contents(contents: Contents, radius: float = SPHERE_RADIUS) -> dict[str, Any]:
     """Report on contents (see `read_contents`), as plain values (JSON).
 
-    The report has `holds`, and sections for a table, samples, another result or an image. For fields of RGL it has
-    their grid, and the sections of a table after resampling. `radius` is the radius of the sphere from which a table
-    was recorded, px.
+    The report has `holds`, a description, and sections for a table, samples, another result or an image. The report on
+    RGL's fields has their own grid. It also has the sections of a table after resampling, or only albedos if the
+    material is anisotropic or spectral. `radius` is the radius of the sphere from which a table was recorded, px.
     """
     report: dict[str, Callable[[Any], dict[str, Any]]] = {
         "table": partial(inspect_table, radius=radius),
@@ -192,18 +194,20 @@ def inspect_table(table: xr.DataArray, radius: float = SPHERE_RADIUS) -> dict[st
     Returns:
         Grid, missing shares, range, and:
 
-        - `reciprocity_rms`: rms over cells of the relative difference between phi_d and pi - phi_d. Reciprocity and the
-          mirror symmetry of an isotropic material make them equal.
-        - `albedo`: albedo for light from theta_o, per channel. Missing values are omitted, so it is a lower bound if
-          `missing_share`, the largest share of diffuse light without values, is above 0. None if all values are missing.
-        - `lobe`: half width at half maximum in theta_h, degrees, in the plane of light and view and across it, mean
-          over channels; None where there is no lobe.
+        - `reciprocity_rms`: rms over cells of the relative difference between the values at phi_d and pi - phi_d, no
+          unit. Reciprocity and the mirror symmetry of an isotropic material make these values equal.
+        - `albedo`: directional albedo of each channel, no unit, for angles theta_o to the normal. It is None if all
+          values are missing. `missing_share` is the share of diffuse light whose values are missing, in the channel with
+          the largest share. If it is above 0, the albedo is a lower bound.
+        - `lobe`: half widths at half maximum in theta_h, degrees, in the plane of light and view and across it, None
+          where there is no lobe. They refer to the mean of the channels.
         - `camera`: see `camera_trace`.
-        - `correction`: `possible`, and the `reason` if a correction does not accept the table.
-        - `cells`: `rule` by which cells were read from real pixels, "nearest", "bilinear" or "mean", None if there
-          is no evidence; `phase_px` of the pixels, or one per slice, with `phase_std_px`, None if no grid on a sphere of
-          `radius_px` fits; the share of neighbours near the highlight with equal values, `repeated_share`; and
-          `distinct_values` there, mean over slices.
+        - `correction`: `possible` is True if a correction accepts the table. Otherwise `reason` is the cause.
+        - `cells`: `rule` by which cells were read from real pixels, "nearest", "bilinear" or "mean", or None if there is
+          no evidence. `phase_px` is the phase of the pixel grid, or one phase for each slice, and `phase_std_px` its standard
+          deviation. Both are None if no grid on a sphere of `radius_px` fits. Near the highlight, `repeated_share`
+          is the share of neighbours with equal values, and `distinct_values` the number of distinct values, mean over
+          slices.
     """
     sampling = sampling_of(table)
     values = table.values
@@ -241,7 +245,7 @@ def _correction_report(table: xr.DataArray) -> dict[str, Any]:
     try:
         check_recorded(table, "the table")
         if sample_of(table) == "flat":
-            raise FitError("the sample is flat, so its table is not blurred: use the table as it is")
+            raise FitError("the sample is flat, so the lens does not blur its table: use the table as it is")
         check_values((table,), None)
     except (ArgumentError, FitError) as error:
         return {"possible": False, "reason": str(error)}

@@ -2,12 +2,12 @@
 
 OpenPBR (Academy Software Foundation, version 1.1) has GGX facets with height-correlated masking. Its
 `specular_roughness` is the square root of alpha, the scale of facet slopes (Walter et al. 2007). A metal and a
-dielectric are fitted, and the better of the two is written. The `base_color` of a metal is F at normal incidence in
-Schlick's formula. The `base_color` of a dielectric is the albedo of a Lambertian base under a clear interface of
-`specular_ior`. A renderer reduces the base by the reflectance of the interface; the fit adds base and interface without
-this reduction.
+dielectric are fitted, and the better of the two is written. The `base_color` of a metal is the reflectance at normal
+incidence in Schlick's formula. The `base_color` of a dielectric is the albedo of a Lambertian base under a clear
+interface of refractive index `specular_ior`. A renderer reduces the base by the reflectance of the interface. The fit
+adds base and interface without this reduction.
 
-Such a surface cannot represent a table exactly: the residual is part of the report and of the file.
+An OpenPBR surface cannot represent a measured table exactly. The residual is part of the report and of the file.
 """
 
 from __future__ import annotations
@@ -38,8 +38,9 @@ class OpenPBRSurface(NamedTuple):
 
     Attributes:
         metalness: 1 for a metal, 0 for a dielectric, no unit.
-        base_color: F at normal incidence of a metal, albedo of a dielectric's base, linear RGB, no unit.
-        specular_roughness: square root of alpha, no unit.
+        base_color: reflectance of a metal at normal incidence, or albedo of the base of a dielectric; linear RGB, no
+            unit.
+        specular_roughness: square root of alpha, the scale of facet slopes, no unit.
         specular_ior: refractive index of a dielectric, no unit; it has no effect for a metal.
         material: the same surface as a material that can be evaluated.
 
@@ -59,8 +60,8 @@ class OpenPBRSurface(NamedTuple):
 def fit_openpbr(material: Material) -> OpenPBRSurface:
     """Fit an OpenPBR surface to a material.
 
-    The fit minimises the squared differences of the cube roots of the BRDF times both cosines, which balances highlight and
-    tail.
+    A metal and a dielectric are fitted, and the better fit is returned. The fit minimises squared differences between
+    cube roots. A root is that of the BRDF times cos theta_i cos theta_o, which balances highlight and tail.
 
     Args:
         material: isotropic material with one or three channels, such as `Tabulated(table)`.

@@ -1,9 +1,9 @@
 """Camera for a Mitsuba rendering: the effective kernel as a differentiable linear operation of Dr.Jit.
 
 Mitsuba renders radiance on a film with a box filter, with several subpixels per pixel. The value of a pixel of the
-camera is a weighted sum of the subpixels. Each weight is the integral of the kernel over the subpixel. The result is
-exact for constant radiance within a subpixel. The operation is linear: its forward derivative is itself, and its
-backward derivative the transpose.
+camera is a weighted sum of the subpixels. Each weight is the integral of the kernel over the subpixel, so the radiance
+is assumed to be constant within a subpixel. The operation is linear. Its forward derivative is therefore the same
+operation, and its backward derivative is the transpose.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ class MitsubaFilm:
     Args:
         camera: lens and pixel; its effective kernel is applied.
         subpixels: number of subpixels of the rendering along each side of a pixel, no unit, 1 to 16. Default: 4.
-        reach: support radius of the kernel, px. Default: None, the radius that contains 99.9 % of the line spread
-            function, at most 32 px.
+        reach: support radius of the kernel, px, a whole number from 1 to 256. Default: None, the radius that contains
+            99.9 % of the line spread function, at most 32 px.
 
     Raises:
-        ArgumentError: the camera has no single kernel, or an argument is out of range.
+        ArgumentError: the kernel of the camera differs between colours or positions, or an argument is out of range.
 
     Example:
         >>> film = matcam.exchange.MitsubaFilm(matcam.Camera(matcam.GaussianOptics(0.5)), subpixels=2)
@@ -60,15 +60,18 @@ class MitsubaFilm:
                 multiples of `subpixels`.
 
         Returns:
-            Radiance of the pixels.
+            Radiance of the pixels, (rows / subpixels, columns / subpixels) and the channels, if any.
 
         Raises:
-            ArgumentError: the image does not consist of whole pixels.
+            ArgumentError: the image has another number of axes, is empty, or does not consist of whole pixels.
         """
         image = np.asarray(image, np.float64)
         s = self.subpixels
         if image.ndim not in (2, 3) or image.shape[0] % s or image.shape[1] % s or 0 in image.shape:
-            raise ArgumentError(f"image must have {s} x {s} subpixels for each pixel, got shape {image.shape}")
+            raise ArgumentError(
+                f"image must have axes (rows, columns) or (rows, columns, channels), not be empty, and have {s} x {s} "
+                f"subpixels for each pixel, got shape {image.shape}"
+            )
         margin = self.reach * s
         padded = np.pad(image, [(margin, margin)] * 2 + [(0, 0)] * (image.ndim - 2))
         kernel = self._kernel(image.ndim)[::-1, ::-1]
@@ -101,7 +104,7 @@ class MitsubaFilm:
             Tensor of the pixels, of the same type.
 
         Raises:
-            ArgumentError: the image does not consist of whole pixels.
+            ArgumentError: the image has another number of axes, is empty, or does not consist of whole pixels.
         """
         import drjit as dr
 
@@ -126,7 +129,10 @@ class MitsubaFilm:
 
 
 def _reach(camera: Camera) -> int:
-    """Compute the distance that contains 99.9 % of the line spread function, px."""
+    """Compute the smallest support radius that contains 99.9 % of the line spread function, px.
+
+    The radius is at most 32 px.
+    """
     distance = np.arange(1, _FARTHEST + 1)
     enclosed = np.asarray(camera.esf(distance + 0.5)) - np.asarray(camera.esf(-distance - 0.5))
     # the support contains 99.9 % of the kernel; the weights within it are scaled to a sum of 1

@@ -23,7 +23,7 @@ _CODED = (b"\x89PNG", b"\xff\xd8\xff")
 
 
 def is_photograph(path: Path) -> bool:
-    """Check whether a file is an image of integers as a camera stores it: PNG, JPEG, TIFF or camera raw."""
+    """Check whether a file is a photograph: an image of integers (PNG, JPEG or TIFF) or a camera raw file."""
     if not is_file(path):
         return False
     with path.open("rb") as file:
@@ -54,7 +54,10 @@ def photograph_overview(path: Path) -> dict[str, Any]:
 
 
 def result_overview(path: Path) -> dict[str, Any] | None:
-    """Report on the JSON file of a correction or a reconstruction; None for any other JSON file."""
+    """Report on the JSON file of a correction or a reconstruction.
+
+    The result is None for any other JSON file.
+    """
     document = read_json(path, "a result")
     if not isinstance(document, dict) or not isinstance(document.get("verdict"), str):
         return None
@@ -82,7 +85,9 @@ def result_overview(path: Path) -> dict[str, Any] | None:
             "remarks": [remark["text"] for remark in known["remarks"]],
         }
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise FileFormatError(f"{path}: damaged result: field {error} is missing or wrong") from None
+        raise FileFormatError(
+            f"{path}: damaged result, in which a field is missing or wrong ({error}): create the file again"
+        ) from None
 
 
 def folder_overview(folder: Path) -> dict[str, Any]:
@@ -96,7 +101,8 @@ def folder_overview(folder: Path) -> dict[str, Any]:
     tables, photographs = suffixes[".binary"], sum(suffixes[suffix] for suffix in PICTURES)
     if not tables and not photographs:
         raise FileFormatError(
-            f"{folder}: the folder contains neither a capture ({SETTINGS}), nor tables (.binary), nor photographs: give a file"
+            f"{folder}: the folder contains no capture ({SETTINGS}), no results of a run ({_RUN_SETTINGS}), no tables "
+            "(.binary) and no photographs: give another folder, or a file"
         )
     return {"format": "folder", "holds": "a folder of files", "tables": tables, "photographs": photographs}
 
@@ -129,7 +135,10 @@ def _run_overview(folder: Path, settings: dict[str, Any]) -> dict[str, Any]:
             "page": str(pages) if is_file(pages) else None,
         }
     except (KeyError, TypeError, AttributeError) as error:
-        raise FileFormatError(f"{folder}: damaged settings of a run: field {error} is missing or wrong") from None
+        raise FileFormatError(
+            f"{folder}: {_RUN_SETTINGS} or {_RUN_FAILURES} is damaged, because a field is missing or wrong ({error}): repeat "
+            "the run"
+        ) from None
 
 
 def _in_words(description: dict[str, Any]) -> str:

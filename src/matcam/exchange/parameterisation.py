@@ -1,17 +1,20 @@
 """Isotropic materials in RGL's adaptive parameterisation (Dupuy & Jakob 2018), which renderers can sample.
 
-The format divides the BRDF by functions such that the tabulated remainder is smooth:
+The format divides the BRDF by functions such that the tabulated remainder is smooth. i is the direction of the light, o
+that of the view, and m the half vector:
 
-- `ndf`: D(theta_h), the mean over difference angles of 4 BRDF cos_i cos_o, which includes D F G and all other parts.
-  Its nodes are equally spaced in sqrt(theta_h), with twice the density of a MERL table, so they include the points of
-  the table and its kinks.
-- `sigma`: the projected area of facets with this distribution. The integral over azimuth has a closed form.
-- `vndf`: density of visible normals, D max(0, i . m) / sigma, mixed with a density proportional to sqrt(D) cos theta_m,
-  which samples the tail logarithmically, and with a uniform density. Visible normals alone would assign only a few per
-  cent of the square to the tail.
+- `ndf`: the facet distribution D(theta_h). Here it is the mean over difference angles of 4 BRDF cos theta_i cos theta_o,
+  which also includes the Fresnel term, masking and any other part of the BRDF. Its nodes are equally spaced in
+  sqrt(theta_h), with at least twice the density of a MERL table. They therefore include the points of the table and its
+  kinks.
+- `sigma`: the projected area of facets with the distribution D. The integral over azimuth has a closed form.
+- `vndf`: density of visible normals, D max(0, i . m) / sigma. It is mixed with a density proportional to
+  sqrt(D) cos theta_h, which resolves the tail, and with a uniform density. Visible normals alone would assign only a
+  few per cent of the square to the tail.
 - `rgb`: BRDF cos theta_o 4 sigma / D. For views below the horizon it is extrapolated linearly in cos theta_o, so that
   interpolation is correct above the horizon. Negative values are set to 0, because renderers would reject them.
-- `luminance`: the remaining density, so that samples are distributed as BRDF cos theta_o.
+- `luminance`: the density of samples on the square after the map by `vndf`. With it, samples are distributed as
+  BRDF cos theta_o.
 """
 
 from __future__ import annotations
@@ -34,11 +37,11 @@ _HALF_PI = np.pi / 2
 
 
 def _light_angles(below: int, beyond: int) -> np.ndarray:
-    """Choose angles of the light, rad, with a spacing proportional to cos theta.
+    """Choose angles theta of the light to the normal, rad, with a spacing proportional to cos theta.
 
-    `below` is the number of angles up to 82 degrees, and `beyond` the number of angles from 82 to 89 degrees. `sigma`
-    leaves a factor 1 / cos theta for broad lobes. The error of its interpolation for a spacing h is h^2 (1 + 2 tan^2
-    theta) / 8.
+    `below` is the number of angles up to 82 degrees, and `beyond` the number of angles from 82 to 89 degrees. For broad
+    lobes, `sigma` leaves a factor 1 / cos theta in the tabulated values. The relative error of linear interpolation of
+    this factor is h^2 (1 + 2 tan^2 theta) / 8 for a spacing of h rad.
     """
     log_tan = lambda degrees: np.log(np.tan(np.pi / 4 + np.radians(degrees) / 2))  # noqa: E731  the integral of 1 / cos
     effort = np.concatenate([np.linspace(0, log_tan(82), below), np.linspace(log_tan(82), log_tan(89), beyond + 1)[1:]])
@@ -49,10 +52,11 @@ class GridSize(NamedTuple):
     """Numbers of nodes of an RGL file.
 
     Attributes:
-        angles: number of angles of the light up to 82 degrees, and number beyond.
+        angles: number of angles of the light up to 82 degrees, and number of angles beyond 82 degrees.
         square: number of nodes of the tabulated square along each side.
         azimuths: number of azimuths at which visible normals are tabulated.
-        normals: number of angles at which visible normals are tabulated; 0: the number of nodes of D.
+        normals: number of angles theta_h at which visible normals are tabulated; 0: the number of nodes of D, the facet
+            distribution.
     """
 
     angles: tuple[int, int]
@@ -88,7 +92,7 @@ _FAINTEST = 1e-9  # smallest divisor, as a share of the peak of D
 def adaptive_grid(material: Material, *, description: str = "", square: int = SQUARE) -> xr.Dataset:
     """Resample an isotropic material to the fields of an RGL file.
 
-    The format does not support missing values. They are interpolated along theta_h, and extrapolated at the ends.
+    The format does not support missing values. These are interpolated along theta_h, and extrapolated at the ends.
     `convert` reports the difference of the result from the material.
 
     Args:
@@ -102,7 +106,8 @@ def adaptive_grid(material: Material, *, description: str = "", square: int = SQ
         `missing_share` is the share of missing values among all values above the horizon.
 
     Raises:
-        ArgumentError: the material is anisotropic or black, or has neither one nor three channels; `square` is invalid.
+        ArgumentError: the material is anisotropic or black, or has neither one nor three channels; or `square` or
+            `description` is invalid.
 
     Source:
         Dupuy and Jakob (2018), *An Adaptive Parameterization for Efficient Material Acquisition and Rendering*.
@@ -120,7 +125,7 @@ def adaptive_grid(material: Material, *, description: str = "", square: int = SQ
         )
     if isinstance(material, Adaptive) and material.mirrored:
         raise ArgumentError(
-            "only isotropic materials can be resampled, but this RGL file is anisotropic: give an isotropic file"
+            "only isotropic materials can be resampled, but this Adaptive material is anisotropic: give an isotropic material"
         )
     if type(square) is not int or square % 2 or not 8 <= square <= 512:
         raise ArgumentError(f"square must be an even number from 8 to 512, got {square!r}")
@@ -130,10 +135,10 @@ def adaptive_grid(material: Material, *, description: str = "", square: int = SQ
 def resampled_grid(
     material: Material, size: GridSize, description: str = "", *, peak_error: float | None = None
 ) -> xr.Dataset:
-    """Resample a material, checked by `adaptive_grid`, to a grid of this size.
+    """Resample a material that `adaptive_grid` supports to an RGL grid of the given size.
 
-    `peak_error` is the largest relative error of the peak between two angles of the light up to 45 degrees. Angles are
-    added to satisfy this error. None: no angle is added.
+    `peak_error` is the largest relative error, no unit, of a peak that is interpolated between two angles of the light
+    up to 45 degrees. Angles are added to satisfy this error. Default: None, no angles are added.
     """
     square, light_angles = size.square, _light_angles(*size.angles)
     if peak_error is not None:
@@ -179,13 +184,13 @@ def resampled_grid(
 
 
 def peak_angles(material: Material, error: float) -> np.ndarray:
-    """Choose angles of the light between which the peak is linear, rad.
+    """Choose angles of the light, rad, between which the peak is approximately linear.
 
     Intervals are divided at their largest deviation until the error is satisfied (Douglas and Peucker 1973).
 
     Args:
         material: isotropic material.
-        error: largest deviation relative to the peak, no unit.
+        error: largest deviation of the peak from linear interpolation, relative to the peak, no unit.
     """
     angle = np.radians(np.arange(0, _PEAK_TO + _PEAK_STEP / 2, _PEAK_STEP))
     peak = np.asarray(material.brdf(np.zeros_like(angle), angle, np.full_like(angle, _HALF_PI)))
@@ -212,18 +217,19 @@ def peak_angles(material: Material, error: float) -> np.ndarray:
 def _nodes(material: Material) -> int:
     """Choose the number of nodes in theta_h.
 
-    The number of intervals is a multiple of that of a MERL table. The width of the lobe contains ten or more nodes if
-    the largest multiple permits it.
+    The number of intervals is a multiple of 180, which is two for each theta_h cell of a MERL table. It is the smallest
+    multiple with ten or more intervals within the width of the lobe, and at most the eighth.
     """
     finest = np.sqrt(float(material.finest) / _HALF_PI)
     return (_THETA_NODES - 1) * int(np.clip(np.ceil(10 / finest / (_THETA_NODES - 1)), 1, 8)) + 1
 
 
 def _facets(material: Material, u: np.ndarray) -> np.ndarray:
-    """Compute D at the nodes, 1/sr, (n,).
+    """Compute D at the nodes `u` = sqrt(theta_h / (pi / 2)), 1/sr, (n,).
 
-    The integral of D cos over the hemisphere is 1. Difference angles extend to the horizon, because a camera widens a
-    lobe there, and the values are divided by D.
+    D is the weighted mean of BRDF cos theta_i cos theta_o over difference angles. It is normalised such that the
+    integral of D cos theta_h over the hemisphere is 1. The difference angles extend to the horizon, because a camera
+    widens a lobe there, and the values of the file are divided by D.
     """
     theta_h = (u**2 * _HALF_PI)[:, None, None]
     theta_d = np.radians(np.arange(2.5, 90, 5))[:, None]
@@ -237,7 +243,9 @@ def _facets(material: Material, u: np.ndarray) -> np.ndarray:
     total = np.sum(np.where(known, weight, 0), axis=(1, 2))
     light = np.sum(np.where(known, weight**2 * brdf, 0), axis=(1, 2))
     if not np.any(light > 0):
-        raise ArgumentError("the material is black: it has no lobe to sample")
+        raise ArgumentError(
+            "the BRDF of the material has no positive value, so it has no lobe to sample: give a material that is not black"
+        )
     mean = np.where(total > 0, light / np.where(total > 0, total, 1), np.nan)
     d = np.interp(u, u[total > 0], mean[total > 0])
     d = np.maximum(d, _FAINTEST * d.max())
@@ -251,9 +259,10 @@ def _between(u: np.ndarray) -> np.ndarray:
 
 
 def _projected_area(u: np.ndarray, facets: np.ndarray, theta_o: np.ndarray) -> np.ndarray:
-    """Compute the projected area of the facets: integral of D max(0, m . o) over the hemisphere of m.
+    """Compute the projected area of the facets in directions o, no unit.
 
-    The integral of max(0, a + b cos phi) over azimuth has a closed form.
+    It is the integral of D max(0, m . o) over the hemisphere of facet normals m. `theta_o` are the angles of o to the
+    normal, rad. The integral of max(0, a + b cos phi) over the azimuth phi has a closed form.
     """
     fine = _between(u)
     theta = fine**2 * _HALF_PI
@@ -264,15 +273,18 @@ def _projected_area(u: np.ndarray, facets: np.ndarray, theta_o: np.ndarray) -> n
 
 
 def _jacobian(u: np.ndarray) -> np.ndarray:
-    """Compute the solid angle per area of the unit square."""
+    """Compute the solid angle of half vectors per area of the unit square, sr.
+
+    `u` is the coordinate sqrt(theta_h / (pi / 2)) of the square.
+    """
     return 2 * np.pi**2 * u * np.sin(u**2 * _HALF_PI)
 
 
 def _visible(u: np.ndarray, facets: np.ndarray, light_angles: np.ndarray, azimuths: int) -> np.ndarray:
-    """Compute the density of half vectors, (T, azimuths, nodes), per area of the unit square.
+    """Compute the relative density of half vectors per area of the unit square, (light angles, azimuths, nodes).
 
     Half of the azimuths are distributed as visible normals, and half uniformly. At each azimuth, 40 % of the angles are
-    distributed as visible normals, 30 % as sqrt(D) cos, and 30 % uniformly, to resolve the tail.
+    distributed as visible normals, 30 % as sqrt(D) cos theta_h, and 30 % uniformly, to resolve the tail.
     """
     theta = u**2 * _HALF_PI
     phi = np.linspace(-np.pi, np.pi, azimuths)[:, None]
@@ -289,10 +301,13 @@ def _visible(u: np.ndarray, facets: np.ndarray, light_angles: np.ndarray, azimut
 def _outgoing(
     material: Material, theta_m: np.ndarray, phi_m: np.ndarray, light_angles: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, float]:
-    """Compute BRDF cos_o, cos_o, and the missing share above the horizon.
+    """Compute BRDF cos theta_o for light at `light_angles` and half vectors at `theta_m` and `phi_m`.
 
-    The light is at `light_angles`, and half vectors have shape (T, rows, columns). Channels are on the last axis. BRDF
-    cos_o is NaN below the horizon and for missing values.
+    All angles are in rad. Half vectors have the shape (light angles, rows, columns).
+
+    Returns:
+        BRDF cos theta_o, 1/sr, with channels on the last axis, NaN below the horizon and for missing values; cos
+        theta_o; and the share of missing values among those above the horizon.
     """
     light = np.broadcast_to(light_angles[:, None, None], theta_m.shape)
     i = np.sin(light), np.zeros(light.shape), np.cos(light)
@@ -314,8 +329,9 @@ def _outgoing(
 def _fill_gaps(values: np.ndarray, cos_o: np.ndarray) -> np.ndarray:
     """Fill the missing values of every row.
 
-    Gaps between values are interpolated linearly along the row. Beyond the last value, the extrapolation is linear in
-    cos_o, and constant for cos_o below -0.2.
+    Gaps between values are interpolated linearly along the row. Missing values before the first value equal this value.
+    Beyond the last value, the extrapolation is linear in `cos_o` down to -0.2, and constant below. It does not increase
+    towards the horizon. A row without values is filled with 0.
     """
     columns = np.arange(values.shape[2])
     result = np.empty_like(values)

@@ -1,16 +1,17 @@
 """Solid angles of a rig in the terms of goniophotometers.
 
 A camera and a sphere have an equivalent solid angle of the receiver. The kernel k of lens and pixel averages over the
-area A = 1 / integral of k^2 (px^2). For an ideal lens, A is the area of the pixel. On a sphere of radius r px this area
-covers normals in a solid angle of A / (r^2 cos theta_o). A goniophotometer has a fixed sample, and averages over
-directions of view. The views that move the half vector by the same amount fill the solid angle
+area A = 1 / integral of k^2 (px^2). For a lens without blur, A is the area of the pixel. On a sphere of radius r px
+this area covers normals in a solid angle of A / (r^2 cos theta_o). A goniophotometer has a fixed sample, and averages
+over directions of view. Normals in a solid angle omega_h correspond to views that move the half vector by the same
+amount. These views fill a solid angle omega_o,
 
     d omega_o = 4 cos theta_d d omega_h,
 
-which is 4 A / r^2 at the peak, where theta_o = theta_d, for every angle. For a near camera the line of sight rotates as
-well, and the value applies to normal view. The normals of a cylinder lie in one plane and do not fill a solid angle if
-the camera is distant. The pupil of the lens, seen from the sample, is a second cone of directions, and the source disc
-a third. All three widen a highlight.
+where theta_d is the difference angle. At the peak theta_o = theta_d, so omega_o is 4 A / r^2 for every angle. For a
+near camera the line of sight rotates as well, and this value applies to normal view only. The normals of a cylinder lie
+in one plane and do not fill a solid angle if the camera is distant. The pupil of the lens, seen from the sample, is a
+second cone of directions, and the source disc a third. All three widen a highlight.
 """
 
 from __future__ import annotations
@@ -32,16 +33,17 @@ _REACH, _RINGS, _DIRECTIONS = 12.0, 6001, 64
 def solid_angles(rig: Rig) -> dict[str, float | None]:
     """Compute the solid angles of a rig's receiver, pupil and lamp.
 
-    The solid angle of the receiver is that of an equivalent goniophotometer: its views move the half vector at the peak by
-    the same amount as the kernel of lens and pixel does.
+    The receiver is that of an equivalent goniophotometer. The views in its solid angle move the half vector at the peak
+    by the same amount as the kernel of lens and pixel does.
 
     Args:
         rig: camera, sample and lamp.
 
     Returns:
-        `equivalent_receiver_sr`, sr, None if the half vector does not rotate in every direction: for a flat sample, and
-        for a cylinder with a distant camera. `pupil_sr`, sr: the lens as seen from the sample, pi aperture^2 / 4.
-        `lamp_sr`, sr: the source disc. `kernel_area_px2`, px^2: the kernel's noise-equivalent area.
+        `equivalent_receiver_sr`: solid angle of the receiver, sr. It is None if the half vector does not rotate in
+        every direction, that is, for a flat sample, and for a cylinder with a distant camera. `pupil_sr`: solid angle
+        of the lens seen from the sample, pi aperture^2 / 4, sr. `lamp_sr`: solid angle of the source disc, sr.
+        `kernel_area_px2`: noise-equivalent area of the kernel, px^2.
 
     Raises:
         ArgumentError: `rig` is not a `Rig`.
@@ -80,7 +82,7 @@ def metadata(rig: Rig, **about: str) -> dict[str, Any]:
         The document, as plain values.
 
     Raises:
-        ArgumentError: an entry of `about` is not a string.
+        ArgumentError: `rig` is not a `Rig`, or an entry of `about` is not a string.
 
     Source:
         Modelled on the BRDF format of the BiRD and BxDiff projects (Lanevski et al. 2022), with another schema.
@@ -109,11 +111,11 @@ def metadata(rig: Rig, **about: str) -> dict[str, Any]:
 
 
 def effective_area(camera: Camera) -> float:
-    """Compute the noise-equivalent area of the camera's kernel, px^2.
+    """Compute the noise-equivalent area of the camera's kernel k, px^2.
 
     The area is 1 / integral of k^2 or, by Parseval's theorem, 1 / integral of the squared MTF over all frequencies. The
-    area is 1 px^2 for a pixel of full fill factor without a lens, and 4 pi sigma^2 for a Gaussian of standard deviation
-    sigma.
+    area is 1 px^2 for a pixel of full fill factor without a lens. It is 4 pi sigma^2 for a Gaussian of standard
+    deviation sigma, px.
     """
     frequency = np.linspace(0, _REACH, _RINGS)
     angles = (np.arange(_DIRECTIONS) + 0.5) / _DIRECTIONS * np.pi / 4  # a square has eight such wedges

@@ -4,7 +4,7 @@ Conventions of "roughness" differ. In this package, roughness is alpha, the scal
 
 - Mitsuba's `alpha` is the same value. pbrt's `roughness` is the same value only with `remaproughness false`; by default pbrt
   uses alpha = sqrt(roughness). Disney's roughness is sqrt(alpha).
-- Mitsuba uses separable masking, G1 G1, as `masking="smith-separable"`, pbrt height-correlated masking, as "smith".
+- Mitsuba uses separable masking, as `masking="smith-separable"` does. pbrt uses height-correlated masking, as "smith" does.
 - Materials without a counterpart in the renderer raise ArgumentError; `adaptive_grid` converts any isotropic material.
 """
 
@@ -29,25 +29,25 @@ from matcam.material.ndf.beckmann import AnisotropicBeckmann, Beckmann
 from matcam.material.ndf.ggx import GGX, AnisotropicGGX
 from matcam.material.reflectance import Conductor, Constant
 
-_ELSE = "convert it to a .bsdf file instead"
+_ELSE = "write the material as a .bsdf file instead (adaptive_grid and write_rgl)"
 
 
 def mitsuba_material(material: Microfacet) -> dict[str, Any]:
     """Convert a microfacet material to a dict for `mitsuba.load_dict`.
 
     The dict is for RGB variants of Mitsuba. The conversion is exact for `masking="smith-separable"`, except for the
-    rational approximation of Beckmann's masking in Mitsuba (0.35 %). Any other masking is replaced by separable masking.
-    A `blendbsdf` adds the diffuse part; the reflectances compensate its weights.
+    rational approximation of Beckmann's masking in Mitsuba (0.35 %). Any other masking is replaced by separable
+    masking. A `blendbsdf` adds the diffuse part. Its weights are compensated by larger reflectances.
 
     Args:
         material: GGX or Beckmann facets, isotropic or not, of a metal (`Conductor`) or a constant reflectance, with a
-            diffuse part below 1, such as the `.material` of a fit.
+            diffuse albedo below 1, such as the `.material` of a fit.
 
     Returns:
         The dict.
 
     Raises:
-        ArgumentError: Mitsuba has no such material.
+        ArgumentError: Mitsuba has no equivalent material.
 
     Source:
         Walter et al. (2007): alpha. Mitsuba 3, plugins `roughconductor` and `blendbsdf`.
@@ -77,11 +77,13 @@ def mitsuba_material(material: Microfacet) -> dict[str, Any]:
         scaled = _rgb(material.fresnel.value) / (1 - share)
         grey = bool(np.all(scaled == scaled[0]))
         if not grey and scaled.max() > 1:
-            raise ArgumentError(f"a coloured reflectance and a diffuse albedo must not exceed 1 together: {_ELSE}")
+            raise ArgumentError(
+                f"the sum of a coloured reflectance and the diffuse albedo must not exceed 1 in Mitsuba: {_ELSE}"
+            )
         facets |= {"material": "none", "specular_reflectance": float(scaled[0]) if grey else _colour(scaled)}
     else:
         raise ArgumentError(
-            f"Mitsuba's rough conductor does not support a {type(material.fresnel).__name__} term: {_ELSE}"
+            f"Mitsuba's rough conductor does not support {type(material.fresnel).__name__} as the Fresnel term: {_ELSE}"
         )
     if not share:
         return facets
@@ -92,7 +94,8 @@ def mitsuba_material(material: Microfacet) -> dict[str, Any]:
 def pbrt_material(material: Microfacet, name: str | None = None) -> str:
     """Convert a microfacet material to text for a pbrt-v4 scene.
 
-    n and k are given at the wavelengths of R, G and B of this package, in nm.
+    The refractive index and the extinction coefficient of the metal are given at the wavelengths of R, G and B of this
+    package, nm.
 
     Args:
         material: GGX facets, isotropic or not, of a metal (`Conductor`) without a diffuse part.
@@ -140,7 +143,7 @@ def pbrt_material(material: Microfacet, name: str | None = None) -> str:
 def _check(material: Microfacet) -> None:
     if not isinstance(material, Microfacet):
         raise ArgumentError(
-            f"material must be a Microfacet (a fit's .material), got {type(material).__name__}: {_ELSE}"
+            f"material must be a Microfacet such as the .material of a fit, got {type(material).__name__}: {_ELSE}"
         )
 
 
@@ -154,7 +157,7 @@ def _alphas(material: Microfacet) -> tuple[float, float]:
 def _rgb(values: Any) -> np.ndarray:
     array = np.asarray(values, dtype=np.float64)
     if array.ndim and array.size not in (1, len(CHANNELS)):
-        raise ArgumentError(f"renderers require {len(CHANNELS)} channels, but this material has {array.size}")
+        raise ArgumentError(f"a material for a renderer must have 1 or {len(CHANNELS)} channels, got {array.size}")
     return np.broadcast_to(array, len(CHANNELS)).copy()
 
 
@@ -170,17 +173,17 @@ def rendered_sphere(
     size: int = 256,
     samples: int = 64,
 ) -> np.ndarray:
-    """Render a sphere of a material by Mitsuba 3 (extra `matcam[render]`).
+    """Render a sphere of a material with Mitsuba 3 (extra `matcam[render]`).
 
-    The sphere fills the image. The camera is distant. The film stores float32 and has a box filter of one pixel, because
-    the default filter of Mitsuba blurs by half a pixel. Materials are converted by `adaptive_grid`.
+    The sphere fills the image. The camera is distant. The film stores float32 and has a box filter of one pixel,
+    because the default filter of Mitsuba blurs by half a pixel. The material is converted by `adaptive_grid`.
 
     A distant lamp of irradiance pi is displaced towards +x, and upwards by a third of this displacement. The sky has a uniform
     radiance of 0.2. A white diffuse sphere has radiance 1 + 0.2 where it faces the lamp.
 
     Args:
         material: any isotropic material with one or three channels.
-        lamp_angle: angle between lamp and camera, in (-pi, pi), rad. Default: 0.7.
+        lamp_angle: angle between lamp and camera in the horizontal plane, in (-pi, pi), rad. Default: 0.7.
         environment: OpenEXR file of three channels (latitudes by longitudes) that replaces lamp and sky. Default: None,
             lamp and sky.
         size: side of the image, in [16, 4096], px. Default: 256.
@@ -190,7 +193,8 @@ def rendered_sphere(
         Linear radiance, float32, (size, size, 3), without NaN; row 0 on top.
 
     Raises:
-        ArgumentError: Mitsuba is not installed, or an argument is out of its range.
+        ArgumentError: Mitsuba is not installed, the material is not supported, or an argument is out of its range.
+        FileFormatError: the file of the environment is missing or damaged.
 
     Source:
         Mitsuba 3, plugin `measured`; docs/exchange.md.
@@ -206,7 +210,7 @@ def rendered_sphere(
     for name, value, low, high in (("size", size, 16, 4096), ("samples", samples, 1, 1 << 16)):
         checks.whole_number(name, value, low, high)
     if not -np.pi < float(checks.scalar("lamp_angle", checks.number("lamp_angle", lamp_angle))) < np.pi:
-        raise ArgumentError(f"lamp_angle must lie in (-180, 180) degrees, got {np.degrees(lamp_angle):g}")
+        raise ArgumentError(f"lamp_angle must lie in ({-np.pi:.6g}, {np.pi:.6g}) rad, got {float(lamp_angle):g}")
     checks.extra("rendering", "render", "mitsuba")
     import mitsuba
 
@@ -245,9 +249,7 @@ def _scene(
     if environment is not None:
         light = read_exr(environment)
         if light.ndim != 3 or light.shape[2] != 3 or not np.all(light >= 0) or not np.all(np.isfinite(light)):
-            raise ArgumentError(
-                f"{environment}: an environment must have three channels of finite, non-negative radiance"
-            )
+            raise ArgumentError(f"{environment}: an environment must have three channels with finite values >= 0")
         return scene | {"environment": {"type": "envmap", "bitmap": mitsuba.Bitmap(light)}}
     towards = np.array([np.sin(lamp_angle), np.sin(lamp_angle) / 3, np.cos(lamp_angle)])
     lamp = {"type": "directional", "direction": (-towards).tolist(), "irradiance": {"type": "rgb", "value": np.pi}}

@@ -32,14 +32,15 @@ _SHOWN = np.pi / 4
 def draw_camera(axes: Axes, camera: Camera) -> None:
     """Draw the MTFs of a camera and of its lens.
 
-    The MTF of the camera is drawn along the rows and the diagonal.
+    The MTF of the camera is drawn along the rows and the diagonal. The MTF of the lens is drawn if the lens is
+    isotropic.
     """
     from matcam.camera.optics.varying import VaryingOptics
 
     if isinstance(camera.optics, VaryingOptics):
         raise ArgumentError(
-            "the lens of this camera differs between colours or positions: draw a camera with one of its lenses, such as "
-            "Camera(camera.optics.red, camera.pixel)"
+            "the lens of this camera differs between colours or positions: draw a camera with a single lens, such as "
+            "Camera(camera.optics.red, camera.pixel) if the lens has colours"
         )
     frequency = np.linspace(0, 1, 201)
     axes.plot(frequency, np.asarray(camera.mtf(frequency)), color=BLUE, label="lens and pixel, along the rows")
@@ -53,7 +54,7 @@ def draw_camera(axes: Axes, camera: Camera) -> None:
 
 
 def draw_fit(axes: Axes, fit: MaterialFit, channel: int | None = None) -> None:
-    """Draw F of every slice of a fit with its standard deviation.
+    """Draw the Fresnel term F of every slice of a fit with its standard deviation.
 
     `channel` is the index of the channel. Default: None, all channels.
     """
@@ -73,8 +74,8 @@ def draw_fit(axes: Axes, fit: MaterialFit, channel: int | None = None) -> None:
 def draw_correction(axes: Axes, done: Correction, theta_d: float = _SHOWN, channel: int | None = None) -> None:
     """Draw the recorded and the corrected lobe over theta_h.
 
-    The azimuth phi_d is 90 degrees. `theta_d` is the difference angle of the lobe, rad. `channel` is the index of the
-    channel, by default the middle one.
+    The azimuth phi_d is 90 degrees. `theta_d` is the difference angle of the lobe, rad. Default: pi / 4. `channel` is
+    the index of the channel. Default: None, the middle one.
     """
     _draw_lobe(axes, done.table, theta_d, channel, done.recorded)
 
@@ -82,7 +83,7 @@ def draw_correction(axes: Axes, done: Correction, theta_d: float = _SHOWN, chann
 def draw_corrected_table(axes: Axes, table: xr.Dataset, theta_d: float = _SHOWN, channel: int | None = None) -> None:
     """Draw the recorded and the corrected lobe of a result of `correct`.
 
-    The recorded lobe is recovered from the result. The parameters are those of `draw_correction`.
+    The recorded lobe is computed from the result. The parameters are those of `draw_correction`.
     """
     from matcam.inverse.correction.corrected_table import recorded_table
 
@@ -102,10 +103,10 @@ def _draw_lobe(axes: Axes, table: xr.Dataset, theta_d: float, channel: int | Non
 
 
 def draw_fresnel_term(axes: Axes, result: xr.Dataset, metal: str | None = None, channel: int | None = None) -> None:
-    """Draw raw and corrected F.
+    """Draw the raw and the corrected Fresnel term F.
 
-    `metal` is the name of a metal for comparison, by default none. `channel` is the index of the channel, by default the
-    middle one.
+    `metal` is the name of a metal for comparison. Default: None. `channel` is the index of the channel. Default: None,
+    the middle one.
     """
     from matcam.inverse.fresnel_tables import tabulated_fresnel
 
@@ -179,7 +180,7 @@ _ARTISTS: dict[str, Callable[..., None]] = {
 
 
 def draw(kind: str, result: Any, ax: Axes | None, options: Mapping[str, Any]) -> Axes:
-    """Draw a result on Axes by the function for its kind.
+    """Draw a result on Axes with the drawing function of its kind.
 
     Args:
         kind: kind of the result.
@@ -191,7 +192,7 @@ def draw(kind: str, result: Any, ax: Axes | None, options: Mapping[str, Any]) ->
         ArgumentError: there is no drawing function for the kind, `ax` is not an Axes, or an option is unknown.
     """
     if kind not in _ARTISTS:
-        raise ArgumentError(f"{kind} has no figure of one panel: use its arrays")
+        raise ArgumentError(f"{kind} has no figure of one panel: draw the arrays of the result")
     artist = _ARTISTS[kind]
     known = list(inspect.signature(artist).parameters)[2:]
     for name in options:

@@ -39,7 +39,7 @@ def edge_figure(result: EdgeMTF, image: np.ndarray, roi: Sequence[int] | None, n
 
     Args:
         result: the result.
-        image: image in which the edge was measured, in any codes.
+        image: image in which the edge was measured, in any unit.
         roi: region (x, y, width, height), px; None: the entire image.
         name: title.
     """
@@ -62,7 +62,11 @@ def edge_figure(result: EdgeMTF, image: np.ndarray, roi: Sequence[int] | None, n
 
 
 def _reach(result: EdgeMTF) -> float:
-    """Compute the distance beyond which the edge response is constant, px."""
+    """Compute the range of drawn distances from the edge, px.
+
+    It is 2.2 times the largest distance at which the line spread function exceeds 1 % of its central value, and at
+    least 4 and at most 30 px.
+    """
     distance = np.linspace(0.5, 30, 60)
     line = result.lsf(distance).value
     return float(np.clip(2.2 * distance[line > 0.01 * line[0]].max(initial=2.0), 4, 30))
@@ -159,8 +163,8 @@ def calibration_figure(found: Calibration, picture: np.ndarray | None, lines: Se
 
     Args:
         found: the result.
-        picture: the first image, in any codes; None: not drawn.
-        lines: lines of the verdict, printed below.
+        picture: the first image, in any unit; None: no image is drawn.
+        lines: lines of the verdict, which are printed below the panels.
     """
     channel = found.channels[found.channel]
     edges = channel.edges if picture is not None else None
@@ -288,7 +292,8 @@ def targets_figure(samples: Sequence[MTFSamples], camera: Camera | None = None, 
 
     Args:
         samples: samples of all targets.
-        camera: camera to compare with; a second panel then shows the differences in standard deviations. Default: None.
+        camera: camera to compare with; a second panel then shows the differences in standard deviations. Default: None,
+            no comparison.
         title: title. Default: "", the title is "MTF".
     """
     with drawing(9.2, 4.2) as figure:

@@ -1,4 +1,4 @@
-"""Chart as a page to print. Levels are encoded for a printer or screen that reproduces sRGB."""
+"""Page of a chart for printing. Levels are encoded for a printer or screen that reproduces sRGB."""
 
 from __future__ import annotations
 
@@ -79,7 +79,10 @@ def element_polygons(element: Element) -> Iterator[_Polygon]:
 
 
 def _nearest_code(level: float) -> float:
-    """Round a level to the nearest 8-bit sRGB code, in [0, 1], because file writers truncate it."""
+    """Convert a level to the nearest 8-bit sRGB code, as a value in [0, 1].
+
+    A quarter of a code is added, because file writers truncate the value to 8 bits.
+    """
     return min((round(255 * float(srgb.encoded(level))) + 0.25) / 255, 1.0)
 
 
@@ -129,7 +132,7 @@ def _star(star: Star) -> Iterator[_Polygon]:
 def _staircase(low: float, high: float, of: Grating | Star, per: float) -> Iterator[tuple[float, float, float]]:
     """Yield (start, stop, level) of equal steps whose first harmonic is exactly the required sine.
 
-    `per` is the phase per unit of length, rad.
+    `per` is the phase of the sine, rad, per unit of `low` and `high`.
     """
     mean, amplitude = (of.bright + of.dark) / 2, (of.bright - of.dark) / 2 / np.sinc(1 / _STEPS)
     step = 2 * np.pi / _STEPS / per

@@ -31,9 +31,10 @@ RAW_LABEL = "raw: from the recorded peak, camera ignored"
 
 
 def fresnel_figure(result: xr.Dataset, tables: xr.Dataset | None = None, channel: int | None = None) -> Figure:
-    """Draw raw and corrected F, and the recorded share of the peak.
+    """Draw the raw and the corrected Fresnel term F, and the recorded share of the peak.
 
-    The left panel shows F over theta_d with tabulated metals, the right panel the recorded share of the peak.
+    The left panel shows F and tabulated metals over the difference angle theta_d. The right panel shows the recorded
+    share of the peak, relative to that at theta_d = 0.
 
     Args:
         result: result of `fresnel`.
@@ -106,9 +107,10 @@ def _draw_loss(axes: Axes, result: xr.Dataset) -> None:
 
 
 def prediction_figure(data: Prediction, title: str) -> Figure:
-    """Draw the relative response over theta for each roughness.
+    """Draw the relative response over the viewing angle for each roughness.
 
-    Loss angles are marked. `data` is the result of `predicted`.
+    The response is the ratio of the recorded to the true peak, relative to normal view. Loss angles are marked. `data`
+    is the result of `predicted`.
     """
     with drawing(7.4, 4.4) as figure:
         axes = figure.subplots()
@@ -118,9 +120,10 @@ def prediction_figure(data: Prediction, title: str) -> Figure:
 
 
 def draw_prediction(axes: Axes, data: xr.Dataset) -> None:
-    """Draw the relative response over theta for each roughness.
+    """Draw the relative response over the viewing angle for each roughness.
 
-    Loss angles are marked. `data` is the result of `predict`.
+    The response is the ratio of the recorded to the true peak, relative to normal view. Loss angles are marked. `data`
+    is the result of `predict`.
     """
     colours = matplotlib.colormaps["cividis"](np.linspace(0.0, 0.88, data.sizes["roughness"]))
     limit, theta = 1 - LOSS, np.degrees(data["theta"].values)
@@ -142,9 +145,10 @@ def draw_prediction(axes: Axes, data: xr.Dataset) -> None:
 
 
 def plane_figure(data: Prediction, title: str) -> Figure:
-    """Draw the relative response over angle and roughness, and the loss angle.
+    """Draw the relative response over viewing angle and roughness.
 
-    `data` is the result of `predicted`.
+    The response is the ratio of the recorded to the true peak, relative to normal view. A line marks the loss angle of
+    each roughness. `data` is the result of `predicted`.
     """
     with drawing(7.4, 4.6) as figure:
         axes = figure.subplots()
@@ -165,7 +169,7 @@ def plane_figure(data: Prediction, title: str) -> Figure:
 
 
 def highlight_figure(data: xr.Dataset) -> Figure:
-    """Draw a highlight on the sensor, after the optics, and in pixels.
+    """Draw a highlight on the sensor: the signal, the signal after the optics, and the values of the pixels.
 
     These are Figures 3 and 4 of Holzschuch & Pacanowski (2017). `data` is the result of `paper.figure_3_4`.
     """
@@ -199,10 +203,10 @@ def highlight_figure(data: xr.Dataset) -> Figure:
 
 
 def loss_figure(data: xr.Dataset) -> Figure:
-    """Draw the ratio of recorded to true peak over the angle.
+    """Draw the ratio of the recorded to the true peak over the viewing angle, relative to normal view.
 
-    This is Figure 5 of Holzschuch & Pacanowski (2017), for narrow to wide lobes. `data` is the result of
-    `paper.figure_5`.
+    This is Figure 5 of Holzschuch & Pacanowski (2017), with one curve for each width of the lobe. `data` is the result
+    of `paper.figure_5`.
     """
     with drawing(7.4, 4.4) as figure:
         axes = figure.subplots()
@@ -258,8 +262,8 @@ def draw_lobe(
 ) -> None:
     """Draw a BRDF over theta_h, degrees, on logarithmic axes.
 
-    `seen` is the mask of the drawn angles, and `good` is the mask of the supported angles. `label` is the label of the
-    curve.
+    `value` and `std` are the BRDF and its standard deviation, 1/sr. `seen` is the mask of the drawn angles, and `good`
+    is the mask of the supported angles. `label` is the label of the curve.
     """
     axes.plot(theta_h[seen], value[seen], color=BLUE, label=label)
     low = np.maximum(value - std, value * 1e-2)

@@ -1,4 +1,4 @@
-"""Maps of a calibration over the image: local width of the lens, and lateral colour."""
+"""Field figures of a calibration: map of the blur of the lens, and lateral colour over the distance from the centre."""
 
 from __future__ import annotations
 
@@ -19,15 +19,14 @@ _FEWEST = 2  # smallest number of edges in a part, for robustness against one ba
 
 
 class BlurMap(NamedTuple):
-    """Median blur in parts of the image, (rows, columns).
-
-    The blur is NaN in parts with too few edges.
+    """Median blur of the lens in rectangular parts of the image.
 
     Attributes:
-        x: borders of the columns, px.
-        y: borders of the rows, px.
-        sigma: median width of the lens as a Gaussian, px.
-        edges: number of edges (no unit).
+        x: borders of the columns of parts, px, (columns + 1,).
+        y: borders of the rows of parts, px, (rows + 1,).
+        sigma: median standard deviation of the blur as a Gaussian, px, (rows, columns); NaN in parts with fewer than
+            two edges.
+        edges: number of edges in each part, no unit, (rows, columns).
     """
 
     x: np.ndarray
@@ -39,7 +38,7 @@ class BlurMap(NamedTuple):
 def blur_map(edges: EdgeTable, shape: tuple[int, int]) -> BlurMap:
     """Compute the median blur of edges in parts of the image.
 
-    `shape` is the height and width of the image, px.
+    `shape` is (height, width) of the image, px.
     """
     height, width = shape
     rows, columns = (_SHORTER, _LONGER) if width >= height else (_LONGER, _SHORTER)
@@ -98,9 +97,10 @@ def draw_lateral_colour(axes: Axes, found: Calibration, shape: tuple[int, int]) 
 
 
 def lateral_shift(lateral: LateralColour, radius: np.ndarray, corner: float) -> np.ndarray:
-    """Compute the radial displacement of a colour, px.
+    """Compute the radial displacement of a colour relative to green, px.
 
-    `radius` contains distances from the centre of the image, px. `corner` is the distance of the corners, px.
+    `radius` contains distances from the centre of the image, px. `corner` is the distance of the corners from the
+    centre, px.
     """
     linear = lateral.scale * corner
     rho = radius / corner

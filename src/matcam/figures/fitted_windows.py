@@ -22,12 +22,17 @@ def fitted_windows(result: Reconstruction) -> xr.Dataset:
         result: the reconstruction.
 
     Returns:
-        Dataset. Variables over `picture`, `window_row` and `window_column`: `window_recorded` and `window_fitted`, in the
-        unit of the merged images, and `window_residual`, recorded minus fitted, in standard deviations of the noise.
-        Pixels that were not used are NaN; the residual of clipped pixels is also NaN. Variables over `picture`:
-        `picture_name`; `picture_theta_d`, rad; and in px: `window_left` and `window_top`, the first column and row;
-        `outline_column`, `outline_row` and `outline_radius`; `highlight_column` and `highlight_row`, the brightest pixel
-        of the fitted window.
+        Dataset. These variables depend on `picture`, `window_row` and `window_column`. They are NaN in unused pixels:
+
+        - `window_recorded` and `window_fitted`, in the unit of the merged images.
+        - `window_residual`, recorded minus fitted, in standard deviations. It is also NaN in clipped pixels.
+
+        These variables depend on `picture`:
+
+        - `picture_name`, and `picture_theta_d`, the difference angle at the highlight, rad.
+        - `window_left` and `window_top`, first column and first row of the window, px.
+        - `outline_column`, `outline_row` and `outline_radius`, centre and radius of the fitted outline, px.
+        - `highlight_column` and `highlight_row`, position of the brightest pixel of the fitted window, px.
     """
     solution, layout = result.fit.solution, result.fit.layout
     problem, p = solution.problem, solution.p
@@ -76,17 +81,17 @@ def fitted_windows(result: Reconstruction) -> xr.Dataset:
 
 
 def pinhole_slice(pinhole: xr.DataArray, theta_d: int, channel: int) -> np.ndarray:
-    """Compute the mean over phi_d of a pinhole slice, 1/sr.
+    """Compute the mean over phi_d of a slice of the pinhole table, 1/sr.
 
     The mean is used because few cells of one azimuth contain a pixel.
 
     Args:
-        pinhole: the table.
+        pinhole: the pinhole table.
         theta_d: index of the slice.
         channel: index of the channel.
 
     Returns:
-        Positive values over theta_h; NaN where there are no pixels.
+        Mean over theta_h; NaN where there are no pixels, or where the mean is not positive.
     """
     all_round = np.asarray(pinhole.values[:, theta_d, :, channel], dtype=float)
     there = np.isfinite(all_round)

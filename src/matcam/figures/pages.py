@@ -1,7 +1,8 @@
 """HTML pages of `correct`: page of a corrected table, and index of a run over many tables.
 
-Each page is one file that works offline and can be stored with the data. The index can be sorted and links to the page
-of each material. Figures have fixed margins, because the computation of margins is slow.
+The page of a table is one file that works offline and can be stored with the data. The index can be sorted, and links
+to the page of each material. It shows thumbnails, which are embedded or separate files. Figures have fixed margins,
+because the computation of margins is slow.
 """
 
 from __future__ import annotations
@@ -55,12 +56,12 @@ _READ_AS = {
 def write_correction_page(
     path: str | Path, raw: xr.DataArray, done: Correction, name: str, *, force: bool = False
 ) -> None:
-    """Write the page of a correction: verdict, parameters, F, lobes and spheres.
+    """Write the page of a correction: verdict, parameters, Fresnel term, lobes and spheres.
 
     Args:
         path: HTML file to write; it needs no network and no other file.
         raw: the table that was corrected.
-        done: its correction.
+        done: correction of this table.
         name: title of the page.
         force: True to replace the file. Default: False.
     """
@@ -86,9 +87,10 @@ def write_correction_page(
 
 
 def reflectance_figure(raw: xr.DataArray, done: Correction) -> Figure:
-    """Draw F over theta_d from the fit and from the recorded peak.
+    """Draw the Fresnel term F over theta_d, from the fit and from the recorded peak.
 
-    F of the fit is free in every slice. F of the peak is computed as in `fresnel`. The channel is the middle one.
+    In the fit, F of every slice is a free parameter. F from the peak is computed as in `fresnel`. The channel is the
+    middle one.
     """
     curves = done.fit.curves
     channel = curves.sizes["channel"] // 2
@@ -115,7 +117,7 @@ def reflectance_figure(raw: xr.DataArray, done: Correction) -> Figure:
 
 
 def lobe_figure(raw: xr.DataArray, done: Correction) -> Figure:
-    """Draw the BRDF over theta_h at several theta_d.
+    """Draw the recorded and the corrected BRDF over theta_h at several theta_d.
 
     The azimuth phi_d is 90 degrees, and the channel is the middle one.
     """
@@ -137,8 +139,8 @@ def lobe_figure(raw: xr.DataArray, done: Correction) -> Figure:
 def sphere_figure(raw: xr.DataArray, done: Correction) -> Figure:
     """Draw a sphere and its magnified highlight before and after the correction.
 
-    The lamp is 50 degrees from the camera. The sphere has a logarithmic scale; the highlight is encoded for the screen.
-    Each row has one scale.
+    The lamp is 50 degrees from the camera. The sphere has a logarithmic scale. The highlight has a linear scale,
+    encoded as sRGB. Both images of a row have the same scale.
     """
     tables = raw.values, done.table["brdf"].values
     # 20 times, if an image cannot contain the highlight completely
@@ -176,7 +178,7 @@ class _Cell(NamedTuple):
     """Cell of the index.
 
     Attributes:
-        value: sort key of the column; "" is last.
+        value: sort key of the cell; "" is last.
         text: displayed text.
         link: address of the link; "": no link.
         details: lines that are shown after a click on the text.
@@ -197,12 +199,12 @@ def write_run_index(
     inline: bool = True,
     force: bool = False,
 ) -> None:
-    """Write the index of a run into the folder of its files.
+    """Write the index of a run into the folder of the run.
 
     Args:
         path: HTML file to write.
-        records: (name, content of NAME.json) of the finished materials, read one after the other. NAME.png and, if the
-            record lists it, NAME.html are beside the index.
+        records: (NAME, content of NAME.json) of each finished material. The folder also contains NAME.png and, if the
+            record lists it, NAME.html.
         failures: one line for each material that failed.
         summary: description of the common settings of all materials of the run. Default: "".
         inline: True to embed thumbnails in the page, False to link to their files. Default: True.

@@ -58,8 +58,9 @@ def write_reconstruction_page(
         path: HTML file to write; it needs no network and no other file.
         result: the reconstruction.
         name: title of the page.
-        overview: an image in which the fitted outline and highlights are drawn. Default: None, not drawn.
-        exposures: name, relative light and its standard deviation for each exposure. Default: (), not listed.
+        overview: image of a sphere, for a figure with the fitted outline and highlights. Default: None, no such figure.
+        exposures: name, relative light and standard deviation of the light for each exposure. Default: (), exposures
+            are not listed.
         force: True to replace the file. Default: False.
     """
     figures = _of_cylinder(result) if result.sample == "cylinder" else _of_sphere(result, overview)
@@ -180,7 +181,7 @@ def draw_reflectance(axes: Axes, result: Reconstruction) -> None:
 def lobe_figure(result: Reconstruction) -> Figure:
     """Draw the reconstructed BRDF and the pinhole table over theta_h.
 
-    The angles are several theta_d at phi_d = 90 degrees. The pinhole table is averaged over phi_d.
+    Each panel shows one of up to four theta_d, at phi_d = 90 degrees. The pinhole table is averaged over phi_d.
     """
     grid = merl_grid("centre")
     theta_d = np.sort(np.degrees(result.fit.solution.theta_d))  # the pinhole table has cells at these angles, too
@@ -209,9 +210,9 @@ def lobe_figure(result: Reconstruction) -> Figure:
 
 
 def highlight_figure(result: Reconstruction) -> Figure:
-    """Draw the window of every highlight: recorded, fitted, and residual.
+    """Draw the windows of up to 18 highlights: recorded, fitted, and residual.
 
-    The residual is in standard deviations.
+    The residual is in standard deviations of a pixel.
     """
     solution, windows = result.fit.solution, fitted_windows(result)
     shown = evenly(len(result.fit.names), 18)

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def sensor_figure(result: SensorCharacteristics, name: str) -> Figure:
-    """Draw photon transfer, signal-to-noise ratio, linearity and maps of the response.
+    """Draw photon transfer, signal-to-noise ratio, linearity, and fixed patterns of a sensor.
 
     Args:
         result: result of `characterise_sensor`.

@@ -22,9 +22,9 @@ LAMP = np.radians(50.0)
 def table_sphere(
     values: np.ndarray, size: int, zoom: float = 1.0, lamp: float = LAMP, azimuth: float = 0.0
 ) -> np.ndarray:
-    """Compute the radiance of a sphere under a distant lamp.
+    """Compute the radiance of a sphere under a distant lamp of irradiance 1.
 
-    The result has shape (size, size, channel).
+    The result is in 1/sr and has the shape (size, size, channel).
 
     Args:
         values: values of a table (theta_h, theta_d, phi_d, channel), 1/sr. The cell that contains a direction is used, and
@@ -51,10 +51,9 @@ def table_sphere(
 
 
 def whole_sphere(values: np.ndarray, size: int) -> np.ndarray:
-    """Compute the image of `table_sphere`, with an average at the highlight.
+    """Compute the image of `table_sphere`, averaged over the pixel of the highlight.
 
-    The average over the area of a pixel is required, because a highlight may be much narrower than a pixel and lie
-    between pixel centres.
+    The average is required, because a highlight may be much narrower than a pixel and lie between pixel centres.
 
     Args:
         values: values of a table (theta_h, theta_d, phi_d, channel), 1/sr.
@@ -78,7 +77,7 @@ def encoded_for_screen(picture: np.ndarray, white: float) -> np.ndarray:
 def body_white(corrected: np.ndarray) -> float:
     """Compute the radiance that is displayed as white for a well exposed sphere.
 
-    This is the 99th percentile of the lit pixels.
+    This is the 99th percentile of the lit pixels, or 0 if no pixel is lit.
     """
     lit = corrected[corrected > 0]
     return float(np.quantile(lit, 0.99)) if lit.size else 0.0
@@ -97,8 +96,8 @@ def logarithmic_range(*pictures: np.ndarray) -> tuple[float, float]:
         pictures: radiances (height, width, channel), any number of them.
 
     Returns:
-        The 5 % quantile of lit pixels, at least 2 and at most 8 decades below the largest value; and the largest
-        value.
+        Black and white. White is the largest value. Black is the 5 % quantile of lit pixels, limited to the range from
+        2 to 8 decades below white.
     """
     lit = np.concatenate([picture[picture > 0] for picture in pictures])
     if not lit.size:
@@ -112,14 +111,14 @@ def logarithmic_range(*pictures: np.ndarray) -> tuple[float, float]:
 def logarithmic(picture: np.ndarray, black: float, white: float) -> np.ndarray:
     """Encode a radiance on a logarithmic scale, in [0, 1].
 
-    The background of the sphere is grey. The highlight of a mirror is 10^6 times brighter than its body: on a linear
-    scale the image would be a dot on black. The scale applies to the brightest channel; the ratios of the channels are
-    encoded as in sRGB.
+    The highlight of a mirror is 10^6 times brighter than the other parts of the sphere. On a linear scale the image
+    would be a dot on black. The scale applies to the brightest channel. The ratios of the channels are encoded as in
+    sRGB. The background of the sphere is grey.
 
     Args:
         picture: radiance from `table_sphere`, (size, size, channel).
-        black: radiance that is black.
-        white: radiance that is white.
+        black: radiance at the lower end of the scale.
+        white: radiance at the upper end of the scale.
     """
     largest = picture.max(axis=-1, keepdims=True)
     level = np.log(np.maximum(largest, black) / black) / np.log(white / black)
@@ -137,9 +136,10 @@ _INSET = 26
 
 
 def highlight_zoom(*tables: np.ndarray) -> float | None:
-    """Compute the largest magnification at which all highlights are complete.
+    """Choose the largest magnification at which all highlights are complete.
 
-    The result is None if no magnification shows the highlight of each table completely.
+    The magnifications are 200, 60, 20 and 6. A highlight is complete if it decreases to 30 % of its peak at the border
+    of the image. The result is None if no magnification shows all highlights completely.
 
     Args:
         tables: values (theta_h, theta_d, phi_d, channel), 1/sr.
@@ -158,8 +158,9 @@ def highlight_zoom(*tables: np.ndarray) -> float | None:
 def write_thumbnail(path: str | Path, raw: xr.DataArray, corrected: xr.DataArray, *, force: bool = False) -> None:
     """Write a PNG of a sphere before and after the correction.
 
-    The image has 128 x 64 px: the sphere of the recorded table is on the left, that of the corrected table on the right.
-    Both have the same logarithmic scale. The highlight is magnified in the lower left corner, on a linear scale.
+    The image has 128 x 64 px. The sphere of the recorded table is on the left, and that of the corrected table on the
+    right. Both have the same logarithmic scale. Each half shows the magnified highlight in its lower left corner, on a
+    linear scale. It is omitted if no magnification shows the highlights completely.
     """
     tables = raw.values, corrected.values
     spheres = [whole_sphere(table, SIZE) for table in tables]
@@ -184,7 +185,7 @@ def spheres_figure(pictures: Mapping[str, np.ndarray], light: str, exposure: flo
 
     Args:
         pictures: linear radiances (size, size, 3) by their titles.
-        light: light source, in words.
+        light: description of the light source.
         exposure: factor before display: radiance 1 / exposure is white. Default: 1.
     """
     with drawing(3.6 * len(pictures), 4.15) as figure:
@@ -199,7 +200,7 @@ def spheres_figure(pictures: Mapping[str, np.ndarray], light: str, exposure: flo
 
 
 def picture_figure(data: xr.DataArray, title: str) -> Figure:
-    """Draw the image of a rig beside the profile through its axis.
+    """Draw the image of a rig beside the profile through the optical axis.
 
     The left panel shows the image encoded for display, with the 99.5th percentile of lit pixels as white. The right panel
     shows the row through the optical axis on a logarithmic scale, so that small values are visible.

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def profile_figure(result: Reconstruction) -> Figure:
-    """Draw the profiles about the highlight in some images, and their residuals.
+    """Draw the recorded and the fitted profiles about the highlight, and their residuals, in up to six images.
 
     Each strip has its own colour.
     """

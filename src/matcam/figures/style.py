@@ -65,7 +65,7 @@ def styled() -> AbstractContextManager[None]:
 
 @contextmanager
 def drawing(width: float, height: float, layout: Any = "constrained", **options: Any) -> Iterator[Figure]:
-    """Create a figure, and draw it in the style of all figures.
+    """Create a figure in the style of all figures, which applies during the block.
 
     `width` and `height` are the size of the figure, inches. For `layout` and `options`, see `Figure`.
     """
@@ -76,7 +76,7 @@ def drawing(width: float, height: float, layout: Any = "constrained", **options:
 def save(figure: Figure, path: str | Path, *, force: bool = False, dpi: float = 144) -> None:
     """Write a figure to a file, without a date, so that the same data give the same file.
 
-    `dpi` is the resolution of a PNG.
+    `dpi` is the resolution of a PNG, dots per inch.
     """
     path = check_picture(path, force=force)
     if path.suffix.lower() == ".png":
@@ -97,7 +97,7 @@ def save(figure: Figure, path: str | Path, *, force: bool = False, dpi: float = 
 
 
 def fit_titles(figure: Figure) -> bool:
-    """Shrink the titles of a drawn figure that do not fit.
+    """Shrink the titles that do not fit into a drawn figure.
 
     A title must not extend beyond the figure or overlap the panel to the right. Titles contain names of files and
     parameters of rigs, which may be long; Matplotlib clips them. A title that would be smaller than 7 points is also
@@ -119,7 +119,7 @@ def fit_titles(figure: Figure) -> bool:
 def _end(figure: Figure, axes: Axes) -> float:
     """Compute the right limit of a panel's title, dots.
 
-    This is the next panel of the row, or the edge of the figure.
+    It is the left edge of the next panel in the row, minus a gap, or the right edge of the figure.
     """
     here = axes.get_window_extent()
     # colour bars, which Matplotlib labels so, lie beside the panel and below its title
@@ -154,9 +154,9 @@ def draw_with_std(axes: Axes, x: Any, value: Any, std: Any, colour: Any, **line:
 
 
 def mtf_lines(axes: Axes) -> None:
-    """Mark an MTF of 0, and the Nyquist frequency, 0.5 cycles/px.
+    """Draw lines at an MTF of 0, and at the Nyquist frequency, 0.5 cycles/px.
 
-    The label is below the legend of an MTF.
+    The label of the Nyquist frequency is below the position of the legend.
     """
     axes.axhline(0, color=BLACK, lw=0.6)
     axes.axvline(0.5, color=GREY, lw=0.8)
@@ -179,7 +179,10 @@ def data_url(png: bytes) -> str:
 
 
 def _png(figure: Figure, dpi: float) -> bytes:
-    """Encode a figure as a PNG file, without `savefig`, which would compute the layout twice."""
+    """Encode a figure as a PNG file.
+
+    `savefig` is not used, because it would compute the layout twice.
+    """
     stream, drawn_for = io.BytesIO(), figure.dpi
     with styled():
         figure.dpi = dpi

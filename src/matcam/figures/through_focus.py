@@ -25,7 +25,7 @@ def through_focus_figure(series: Mapping[str, FocusSeries]) -> Figure:
     """Draw MTF50 over the focus position, with the fitted curves.
 
     Args:
-        series: measured series by label, such as region and channel.
+        series: measured series (see `FocusSeries`) by label, such as region and channel.
     """
     with drawing(7.2, 4.6) as figure:
         axes = figure.subplots()

@@ -1,11 +1,12 @@
 """Universal BRDF data format (JSON) of the metrology institutes (EMPIR 16NRM08 BiRD, schemas of version 1.0).
 
 A document has "metadata" (laboratory, sample, instrument) and "data": arrays of equal length with units, one entry per
-reading. The arrays are theta_i, phi_i, theta_r, phi_r and BRDF; optional arrays are the uncertainty uBRDF, wavelength_i,
-polarization_i and others.
+reading. The arrays are BRDF and the angles of light (theta_i, phi_i) and view (theta_r, phi_r). Optional arrays are the
+uncertainty uBRDF, wavelength_i, polarization_i and others.
 
-The reader arranges readings of one pair of directions as channels, one per wavelength and polarisation. The writer
-converts channels to the wavelengths in their names ("550 nm"), or otherwise to the ad hoc variable "channel".
+The reader arranges readings of one pair of directions as channels. A channel has one wavelength, polarisation and name.
+The writer stores the wavelengths of channels that are named by them ("550 nm"). It stores other names in the ad hoc
+variable "channel".
 """
 
 from __future__ import annotations
@@ -48,15 +49,15 @@ def read_bird(path: str | Path) -> xr.DataArray:
 
     Returns:
         Values in 1/sr, dims (sample, channel), NaN where a channel has no reading of a pair of directions. Coordinates
-        theta_h, theta_d and phi_d are in rad. Channels are named by wavelength and polarisation ("550 nm s"), or
-        "BRDF".
+        theta_h, theta_d and phi_d are in rad. Channels are named by wavelength, polarisation and ad hoc channel ("550
+        nm s"), or "BRDF" if the file has none of these.
 
     Raises:
-        FileFormatError: the file is not a BiRD document, or an array has a wrong length, unit or value.
+        FileFormatError: the file is missing or not a BiRD document, an array has a wrong length, unit or value, or
+            several readings have the same directions and channel.
 
     Example:
         >>> import tempfile, pathlib
-        >>> samples = matcam.io.read_samples
         >>> with tempfile.TemporaryDirectory() as folder:
         ...     text = pathlib.Path(folder, "a.csv")
         ...     _ = text.write_text("theta_h_deg,theta_d_deg,phi_d_deg,Y_per_sr\n0,30,90,0.25\n")
@@ -69,7 +70,9 @@ def read_bird(path: str | Path) -> xr.DataArray:
     document = read_json(path, "a BRDF in BiRD's format")
     data = document.get("data") if isinstance(document, dict) else None
     if not isinstance(data, dict):
-        raise FileFormatError(f'{path}: the file is not a BRDF in BiRD\'s format: it has no object "data"')
+        raise FileFormatError(
+            f'{path}: the file has no object "data", which BiRD\'s format requires: give a BRDF in this format'
+        )
     angles = [_column(path, data, name, {"rad": 1.0, "deg": math.pi / 180, "°": math.pi / 180}) for name in _ANGLES]
     values = _column(path, data, "BRDF", dict.fromkeys(("1/sr", "sr^-1"), 1.0))
     for name, angle in zip(_ANGLES, angles, strict=True):
@@ -112,7 +115,7 @@ def read_bird(path: str | Path) -> xr.DataArray:
 def write_bird(path: str | Path, samples: xr.DataArray, *, force: bool = False) -> None:
     r"""Write BRDF samples as a BiRD JSON file.
 
-    Required fields that the samples lack (such as the laboratory) are written as "not stated".
+    Required fields that the samples do not contain, such as the laboratory, are written as "not stated".
 
     Args:
         path: file to write (.brdf).
@@ -134,7 +137,9 @@ def write_bird(path: str | Path, samples: xr.DataArray, *, force: bool = False) 
     samples = checked_samples(samples)
     known = np.isfinite(samples.values)
     if known.sum() > _MOST:
-        raise ArgumentError(f"{known.sum()} values are too many for JSON, which is limited to {_MOST}: use .nc or .csv")
+        raise ArgumentError(
+            f"samples have {known.sum()} values, but at most {_MOST} are written as JSON: use .nc or .csv"
+        )
     half = [np.asarray(samples[name].values, np.float64) for name in ("theta_h", "theta_d", "phi_d")]
     theta_i, theta_r = (np.arccos(np.clip(np.asarray(one), 0, 1)) for one in cosines(*half))
     phi_r = np.asarray(azimuth_difference(*half)) * np.where(np.sin(half[2]) >= 0, -1.0, 1.0)
@@ -160,7 +165,7 @@ def write_bird(path: str | Path, samples: xr.DataArray, *, force: bool = False) 
 def _column(path: Path, data: dict[str, Any], name: str, units: dict[str, float]) -> np.ndarray:
     one = data.get(name)
     if not isinstance(one, dict) or "values" not in one:
-        raise FileFormatError(f"{path}: data.{name} is missing, or has no values")
+        raise FileFormatError(f"{path}: data.{name} is missing, or has no list of values: add unit and values")
     if not isinstance(one.get("unit"), str) or one["unit"] not in units:
         raise FileFormatError(
             f"{path}: data.{name}.unit must be one of {', '.join(units)}, got {one.get('unit')!r:.40}"

@@ -1,4 +1,4 @@
-"""Capture: a folder of photographs of a sample under a moved lamp, with a description of the rig.
+"""Reading of a capture: a folder of photographs of a sample under a moved lamp, with a description of the rig.
 
     capture.toml    description of the rig: units in the names, a value or [value, standard deviation]
     frames.csv      file,lamp,angle_deg,azimuth_deg,exposure,time_s; one line per image, empty where not applicable
@@ -53,7 +53,7 @@ class Capture:
     Attributes:
         folder: folder of the capture.
         frames: the usable images, in the order of `frames.csv`.
-        lamps: lamp positions by name, in the same order.
+        lamps: specified lamp positions by name, in the order of `frames.csv`.
         settings: checked content of capture.toml, with all defaults.
         problems: errors of the omitted images, each with its frame.
     """
@@ -114,12 +114,18 @@ class Capture:
 
     @property
     def camera_radii(self) -> Stated | None:
-        """Distance of the camera from the centre of the sample, radii; None if it is not specified."""
+        """Distance of the camera from the centre of the sample, in radii of the sample.
+
+        It is None if the distance or the radius is not specified.
+        """
         return self._in_radii("camera_mm")
 
     @property
     def lamp_radii(self) -> Stated | None:
-        """Distance of the lamp from the centre of the sample, radii; None if it is not specified."""
+        """Distance of the lamp from the centre of the sample, in radii of the sample.
+
+        It is None if the distance or the radius is not specified.
+        """
         return self._in_radii("lamp_mm")
 
     @property
@@ -129,15 +135,18 @@ class Capture:
 
     @property
     def reference_region(self) -> Region | None:
-        """Region of the reference in every frame; None if the reference is not in the frames."""
+        """Region of the reference in every frame.
+
+        It is None if the reference is not in the frames, or if its region is not specified.
+        """
         section = self.settings["reference"]
         return None if section is None or section["apart"] else self.reference_position
 
     @property
     def reference_position(self) -> Region | None:
-        """Region of the reference in its images; None if it is not specified.
+        """Region of the reference in the images that show it; None if it is not specified.
 
-        The images are the frames of the sample or separate images.
+        These images are the frames of the sample or separate images.
         """
         section = self.settings["reference"]
         return None if section is None or section["region_px"] is None else tuple(section["region_px"])
@@ -149,7 +158,7 @@ class Capture:
 
     @property
     def region(self) -> Region | None:
-        """Region of the frames that is used; None: the whole frame."""
+        """Region of the frames that is used; None if the whole frame is used."""
         box = self.settings["sample"]["region_px"]
         return None if box is None else tuple(box)
 
@@ -165,7 +174,7 @@ class Capture:
 
         Args:
             frame: one of `frames`.
-            region: first column, first row, width, height, px. None: the whole frame. Default: None.
+            region: first column, first row, width, height, px. Default: None, the whole frame.
 
         Returns:
             The image as stored, with metadata.
@@ -192,7 +201,7 @@ def read_capture(folder: str | Path) -> Capture:
         The capture.
 
     Raises:
-        FileFormatError: a file is missing or invalid, or no frame can be used; the message names the field.
+        FileFormatError: a file is missing or invalid, or no frame can be used. The message contains the invalid field.
 
     Example:
         >>> read_capture("none")
@@ -203,7 +212,9 @@ def read_capture(folder: str | Path) -> Capture:
     folder = Path(folder)
     check_folder(folder, ": give the folder of a capture")
     if not is_there(folder / SETTINGS):
-        raise FileFormatError(f"{folder}: no {SETTINGS}, so it is not a capture: `matcam capture init` creates one")
+        raise FileFormatError(
+            f"{folder}: the folder has no {SETTINGS}, so it is not a capture: create this file by `matcam capture init`"
+        )
     settings = read_settings(folder / SETTINGS)
     if settings["camera"]["profile"] is not None:
         _inside(folder, settings["camera"]["profile"])
@@ -227,15 +238,18 @@ def _check_light(folder: Path, settings: dict[str, Any], lamps: dict[str, LampGu
     if said == "table":
         if lacking:
             raise FileFormatError(
-                f"{path}: lamp.intensity is {said!r}, but {LIST} gives no {INTENSITY} of lamp {some_of(lacking, 3)}: fill it in"
+                f"{path}: lamp.intensity is {said!r}, but {LIST} gives no {INTENSITY} of lamp {some_of(lacking, 3)}: fill "
+                "in this column"
             )
         if settings["reference"] is not None:
             raise FileFormatError(
-                f"{path}: lamp.intensity is {said!r}, but there is also a [reference]: delete one of them"
+                f"{path}: lamp.intensity is {said!r}, but there is also a [reference]: delete this section, or set "
+                "lamp.intensity to 'reference'"
             )
     elif len(lacking) < len(lamps):
         raise FileFormatError(
-            f"{path}: lamp.intensity is {said!r}, but {LIST} has a column {INTENSITY}: set lamp.intensity to 'table'"
+            f"{path}: lamp.intensity is {said!r}, but {LIST} has values in its column {INTENSITY}: set lamp.intensity to "
+            "'table', or delete the column"
         )
 
 
@@ -275,12 +289,18 @@ def _listed(folder: Path) -> tuple[list[CaptureFrame], dict[str, LampGuess], lis
             (reader.line_num, [cell.strip() for cell in row]) for row in reader if any(cell.strip() for cell in row)
         ]
     except csv.Error as error:
-        raise FileFormatError(f"{path}: line {reader.line_num}: {error}") from None
+        raise FileFormatError(
+            f"{path}: line {reader.line_num} cannot be read as comma-separated values: {error}"
+        ) from None
     if not lines or sorted(set(lines[0][1]) - {INTENSITY}) != sorted(COLUMNS):
         got = " ".join(",".join(lines[0][1]).split()) if lines else "nothing"  # a quoted cell may have many lines
-        raise FileFormatError(f"{path}: the first line must be {','.join(COLUMNS)}, got {got:.100}")
+        raise FileFormatError(
+            f"{path}: the first line must be {','.join(COLUMNS)}, in any order and with or without {INTENSITY}, got {got:.100}"
+        )
     if len(lines) > _MOST:
-        raise FileFormatError(f"{path}: the list has {len(lines)} lines, but a capture has at most {_MOST} frames")
+        raise FileFormatError(
+            f"{path}: the list has {len(lines)} lines, but at most {_MOST} are allowed: split the capture into several folders"
+        )
     frames: list[CaptureFrame] = []
     lamps: dict[str, LampGuess] = {}
     problems: list[Remark] = []
@@ -309,7 +329,9 @@ def _listed(folder: Path) -> tuple[list[CaptureFrame], dict[str, LampGuess], lis
             lamps[frame.lamp] = guess
     if absent:
         where = folder / absent[0] if len(absent) == 1 else f"{folder}: {some_of(absent)}"
-        problems.append(Remark("bad-frame", f"{where}: no such file{'s' * (len(absent) > 1)}, but listed in {LIST}"))
+        files, lines, them = ("files", "lines", "them") if len(absent) > 1 else ("file", "line", "it")
+        text = f"{where}: no such {files}, but {LIST} lists {them}: add the {files}, or delete the {lines} of the list"
+        problems.append(Remark("bad-frame", text))
     times: dict[str, float] = {}
     for frame in frames:
         if not math.isnan(frame.time) and frame.time != times.setdefault(frame.exposure, frame.time):
@@ -322,7 +344,10 @@ def _listed(folder: Path) -> tuple[list[CaptureFrame], dict[str, LampGuess], lis
 def _frame(
     folder: Path, row: dict[str, str], seen: set[str], lamps: dict[str, LampGuess]
 ) -> tuple[CaptureFrame, LampGuess | None] | None:
-    """Parse the frame and lamp of one line; None for a missing file, FileFormatError for an unusable line."""
+    """Parse the frame and the lamp of one line.
+
+    The result is None if the file is missing. A FileFormatError is raised if the line cannot be used.
+    """
     name = row["file"]
     path = _inside(folder, name)
     kind = PurePosixPath(name).parts[0]
@@ -333,7 +358,7 @@ def _frame(
     if not is_file(path):
         return None
     if path.suffix.lower() not in PICTURES:
-        raise FileFormatError(f"{path}: its suffix is not that of an image: convert the file to TIFF or PNG")
+        raise FileFormatError(f"{path}: the suffix is not that of a supported image: convert the file to TIFF or PNG")
     values = {}
     for column in ("angle_deg", "azimuth_deg", "time_s"):
         try:
@@ -345,7 +370,7 @@ def _frame(
     for column in ("lamp", "exposure"):
         if row[column] and not re.fullmatch(r"[\w.+-]{1,60}", row[column]):
             raise FileFormatError(
-                f"{path}: {column} must consist of letters, digits and . + - _, got {row[column]!r:.20}"
+                f"{path}: {column} must consist of letters, digits and . + - _, at most 60 in all, got {row[column]!r:.20}"
             )
     lamp, guess = row["lamp"], None
     if kind == "frames":

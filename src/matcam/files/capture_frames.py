@@ -21,9 +21,9 @@ class CaptureFrame(NamedTuple):
 
     Attributes:
         file: name inside the folder, such as "frames/L05_E2.tif".
-        kind: "frames", "dark", "flat", "outline" or "reference": the name of its folder.
-        lamp: name of the lamp position; empty: not applicable.
-        exposure: name of the exposure; images of one exposure share their time.
+        kind: name of the folder of the file, "frames", "dark", "flat", "outline" or "reference".
+        lamp: name of the lamp position; empty if it does not apply to the image.
+        exposure: name of the exposure; all images of one exposure have the same exposure time.
         time: nominal exposure time, s; NaN: unknown.
     """
 
@@ -35,7 +35,7 @@ class CaptureFrame(NamedTuple):
 
 
 class LampGuess(NamedTuple):
-    """Specified direction of a lamp, seen from the centre of the sample.
+    """Specified direction and intensity of a lamp, seen from the centre of the sample.
 
     Attributes:
         angle: angle between lamp and optical axis, rad; NaN: unknown.
@@ -57,8 +57,9 @@ class LampGuess(NamedTuple):
 def stated_intensity(path: Path, text: str) -> tuple[float, ...]:
     """Parse the relative intensity of a lamp.
 
-    `path` is the photograph, for messages. `text` contains one positive number, or one number per colour, separated by
-    blanks. An empty text means that the intensity is unknown.
+    `path` is the photograph, for messages. `text` contains one positive number, or three (one for each colour),
+    separated by blanks. An empty text means that the intensity is unknown. A FileFormatError is raised for any other
+    text.
     """
     try:
         light = tuple(float(part) for part in text.split())

@@ -59,7 +59,7 @@ class Listing:
         wanted = [(source, target) for source, target in wanted if source.resolve() != target.resolve()]
         taken = [target.name for _, target in wanted if is_there(target)]
         if taken and not force:
-            raise OutputError(f"output {folder} already has {some_of(taken)}: use force=True to replace them")
+            raise OutputError(f"output {folder} already has {some_of(taken)}: use force=True to replace existing files")
         with all_or_nothing():
             for source, target in wanted:
                 with replacing(target, force=force) as temporary:
@@ -75,13 +75,14 @@ def list_photographs(source: str | Path, light_positions: str | Path | None = No
 
     Args:
         source: folder of photographs.
-        light_positions: `.lp` file with the lamp of each photograph. Default: None, the file in the folder, if it has one.
+        light_positions: `.lp` file with the lamp of each photograph. Default: None, the `.lp` file in the folder, if
+            there is one.
 
     Returns:
         The list of images.
 
     Raises:
-        ArgumentError: the folder contains no photograph.
+        ArgumentError: the folder contains no photograph of the sample, or several light position files.
         FileFormatError: the folder is missing, or the light position file is invalid.
     """
     source = Path(source)
@@ -141,7 +142,7 @@ def _in_order(path: Path) -> list[tuple[int, int, str]]:
 
 
 def _exposure_names(times: Sequence[float]) -> list[tuple[float, str]]:
-    """Compute the smallest time, s, and the name of each exposure, in ascending order."""
+    """Compute the smallest time, s, and the name of each exposure, in ascending order of the times."""
     least: list[float] = []
     for time in sorted(times):
         # times with a ratio below 1.1 belong to one exposure; steps of a third of a stop have a ratio of 1.26
@@ -165,7 +166,10 @@ def _light_positions(source: Path, path: str | Path | None) -> list[LightPositio
 
 
 def _matching(path: Path, directions: dict[str, LightPosition]) -> LightPosition | None:
-    """Find the lamp of a photograph by its name, or by its name without suffix, because files are often converted."""
+    """Find the light position of a photograph by its file name.
+
+    The name without suffix suffices, because files are often converted. The result is None if no name matches.
+    """
     if path.name.lower() in directions:
         return directions[path.name.lower()]
     stem = path.stem.lower()
@@ -175,7 +179,10 @@ def _matching(path: Path, directions: dict[str, LightPosition]) -> LightPosition
 def _lamp_names(
     frames: Sequence[Path], times: dict[Path, float | None], positions: list[LightPosition] | None
 ) -> dict[Path, tuple[str, str]]:
-    """Find the lamp position and the exposure of each photograph. The exposure is "" if its file name does not contain it."""
+    """Find the names of the lamp position and of the exposure of each photograph.
+
+    The name of the exposure is "" if the file name does not contain it.
+    """
     by_name = {one.file.lower(): one for one in positions or ()}
     stated = {path: one for path in frames if (one := _matching(path, by_name)) is not None}
     if stated and len(stated) == len(frames):  # some light position files list one photograph per lamp position

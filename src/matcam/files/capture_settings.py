@@ -18,7 +18,7 @@ from matcam.core.readers.schemas import Strict
 
 
 class Stated(NamedTuple):
-    """Specified value with its standard deviation, in the same unit.
+    """Specified value and its standard deviation, both in the same unit.
 
     A standard deviation of 0 means that the value is exact.
     """

@@ -71,7 +71,7 @@ def write_template(folder: str | Path, rows: Iterable[Mapping[str, Any]] = (), *
     Args:
         folder: folder of the capture; it is created.
         rows: lines of frames.csv, each with its values by column. Default: no lines.
-        force: True to replace an existing capture.toml and frames.csv (no unit). Default: False.
+        force: True to replace an existing capture.toml and frames.csv. Default: False.
 
     Returns:
         Paths of the two files.
@@ -127,7 +127,7 @@ def write_codes(path: Path, codes: np.ndarray, *, force: bool = False) -> None:
 def as_toml(settings: Mapping[str, Any]) -> str:
     """Format tables of plain values as TOML.
 
-    The values are written as JSON, because its numbers, strings and lists are valid TOML.
+    The values are written as JSON, because the numbers, strings and lists of JSON are valid TOML.
     """
     lines = [f"{key} = {json.dumps(value)}" for key, value in settings.items() if not isinstance(value, dict)]
     for name, table in settings.items():

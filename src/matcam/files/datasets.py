@@ -30,8 +30,8 @@ _DEFLATE = {"zlib": True, "complevel": 1, "shuffle": True}
 def write_netcdf(path: str | Path, data: xr.Dataset, *, force: bool = False, compress: bool = True) -> None:
     """Write a Dataset with its attributes as NetCDF-4.
 
-    Tables of standard deviations are stored as float32, because 7 digits of an uncertainty suffice. These are float64
-    variables of more than two dimensions with names that end in _std. All other variables are stored exactly.
+    Tables of standard deviations are stored as float32, because 7 digits of an uncertainty suffice. These tables are
+    float64 variables of more than two dimensions with names that end in _std. All other variables are stored exactly.
 
     Args:
         path: file to write (.nc).
@@ -72,7 +72,7 @@ def _write(path: Path, data: xr.Dataset, encoding: _Encoding) -> None:
 
 
 def with_short_deviations(data: xr.Dataset) -> xr.Dataset:
-    """Convert tables of standard deviations to float32; larger values are clipped."""
+    """Convert tables of standard deviations to float32. Values beyond the range of float32 are clipped."""
     tables = {
         name: one
         for name, one in data.data_vars.items()
@@ -97,7 +97,10 @@ def _compressed(data: xr.Dataset) -> _Encoding:
 
 
 def _readable(path: Path, data: xr.Dataset) -> bool:
-    """Check that `read_netcdf` accepts a compressed file. It rejects files whose arrays are much larger than the file."""
+    """Check that `read_netcdf` accepts a compressed file.
+
+    `read_netcdf` rejects a file whose arrays are much larger than the file.
+    """
     try:
         shapes = {str(name): (one.shape, one.dtype) for name, one in data.variables.items()}
         check_stored_sizes(path, path.stat().st_size, shapes)
@@ -116,7 +119,8 @@ def read_netcdf(path: str | Path) -> xr.Dataset:
         The Dataset, in memory.
 
     Raises:
-        FileFormatError: the file is not NetCDF-4 or is damaged, or its arrays exceed 16 times its size.
+        FileFormatError: the file is missing, damaged or not NetCDF-4, or its arrays take more than 16 times the bytes
+            of the file.
 
     Example:
         >>> import tempfile, xarray
@@ -131,7 +135,7 @@ def read_netcdf(path: str | Path) -> xr.Dataset:
     try:
         return xr.decode_cf(xr.Dataset(_variables(stored), attrs=stored["attrs"]))
     except Exception as error:  # inconsistent labels
-        raise FileFormatError(f"{path}: damaged NetCDF file: {one_line(error)}") from None
+        raise FileFormatError(f"{path}: the NetCDF file is damaged, create it again: {one_line(error)}") from None
 
 
 def write_zarr(path: str | Path, data: xr.Dataset, *, force: bool = False) -> None:
@@ -183,7 +187,8 @@ def read_zarr(path: str | Path) -> xr.Dataset:
 
     Raises:
         ArgumentError: zarr is not installed.
-        FileFormatError: the file is not Zarr in a zip or is damaged, or its arrays exceed 16 times its size.
+        FileFormatError: the file is missing, damaged or not Zarr in a zip, or its arrays take more than 16 times the
+            bytes of the file.
 
     Example:
         >>> import tempfile, xarray
@@ -207,7 +212,7 @@ def read_zarr(path: str | Path) -> xr.Dataset:
                 variable["attrs"]["_FillValue"] = FillValueCoder.decode(fill, variable["values"].dtype)
         return xr.decode_cf(xr.Dataset(_variables(stored), attrs=stored["attrs"]))
     except Exception as error:  # inconsistent labels
-        raise FileFormatError(f"{path}: damaged Zarr: {one_line(error)}") from None
+        raise FileFormatError(f"{path}: the Zarr store is damaged, create it again: {one_line(error)}") from None
 
 
 def _variables(stored: dict[str, Any]) -> dict[str, xr.Variable]:

@@ -1,6 +1,6 @@
 """Decoders of labelled arrays (NetCDF-4 and Zarr), which run in a separate process (apart.py).
 
-Files are not trusted. Links to other files, storage in other files and groups are rejected before any value is read.
+Files are not trusted. Links to other files, storage in other files, and groups are rejected before any value is read.
 Filters and codecs must be on a short list, because HDF5 would load plugins for others. Arrays must not be larger than
 16 times the file.
 """
@@ -40,13 +40,13 @@ _DESCRIPTION_BYTES = 1 << 20
 def check_stored_sizes(path: Path, size: int, variables: Mapping[str, tuple[tuple[int, ...], Any]]) -> None:
     """Check that a file can contain its arrays.
 
-    A FileFormatError is raised if a length is not a non-negative integer, or if the arrays take more than 16 times the
-    bytes of the file. Such a file is damaged or compressed too strongly.
+    A FileFormatError is raised if the file has more than 256 arrays, if a length is not an integer >= 0, or if the
+    arrays take more than 16 times the bytes of the file. Such a file is damaged or compressed too strongly.
     """
     if len(variables) > _MOST_VARIABLES:
         raise FileFormatError(
-            f"{path}: the file contains {len(variables)} variables, but a result has at most {_MOST_VARIABLES}: damaged, or "
-            "of another format"
+            f"{path}: the file contains {len(variables)} variables, but a result has at most {_MOST_VARIABLES}: give a "
+            "file of one result"
         )
     total = 0
     for name, (shape, kind) in variables.items():
@@ -58,15 +58,16 @@ def check_stored_sizes(path: Path, size: int, variables: Mapping[str, tuple[tupl
         if total > _MOST_TIMES * size + _SPARE:
             raise FileFormatError(
                 f"{path}: variable {name!r:.60} of {' x '.join(map(str, shape))} values does not fit into {size} bytes: "
-                "damaged, or compressed too strongly"
+                "the file is damaged, or compressed too strongly; create it again without compression"
             )
 
 
 def check_lengths(path: Path, name: str, shape: Sequence[Any]) -> None:
-    """Raise FileFormatError if lengths are not non-negative integers."""
+    """Raise FileFormatError unless all lengths are integers >= 0."""
     if not all(type(length) is int and length >= 0 for length in shape):
         raise FileFormatError(
-            f"{path}: variable {name!r:.60} has invalid lengths {list(shape)!r:.60}: the file is damaged"
+            f"{path}: variable {name!r:.60} has invalid lengths {list(shape)!r:.60}: the file is damaged; "
+            "create it again"
         )
 
 
@@ -76,7 +77,7 @@ def decode_netcdf(path: Path) -> dict[str, Any]:
 
     with path.open("rb") as file:
         if file.read(len(_HDF5)) != _HDF5:
-            raise FileFormatError(f"{path}: not a NetCDF-4 file")
+            raise FileFormatError(f"{path}: the file is not a NetCDF-4 file: convert it to NetCDF-4")
     with h5py.File(path, "r", locking=False) as stored:
         _check_hdf5(path, stored)
         with h5netcdf.File(stored, phony_dims="sort") as opened:
@@ -88,7 +89,7 @@ def decode_netcdf(path: Path) -> dict[str, Any]:
 
 
 def _texts(attributes: Mapping[str, Any]) -> dict[str, Any]:
-    """Decode attributes that are bytes: a single character is stored as a byte."""
+    """Decode attributes that are bytes, because HDF5 stores a text of one character as a byte."""
     return {
         name: value.decode("utf-8", "replace") if isinstance(value, bytes) else value
         for name, value in attributes.items()
@@ -102,7 +103,7 @@ def _check_hdf5(path: Path, file: Any) -> None:
     for index, name in enumerate(file):
         if index > _MOST_VARIABLES:
             raise FileFormatError(
-                f"{path}: the file contains more than {_MOST_VARIABLES} variables: damaged, or of another format"
+                f"{path}: the file contains more than {_MOST_VARIABLES} variables: give a file of one result"
             )
         link = file.get(name, getlink=True)
         if isinstance(link, h5py.ExternalLink):
@@ -117,7 +118,9 @@ def _check_hdf5(path: Path, file: Any) -> None:
             )
         variable = file[name]
         if isinstance(variable, h5py.Group):
-            raise FileFormatError(f"{path}: {name!r:.60} is a group, but results contain variables only")
+            raise FileFormatError(
+                f"{path}: {name!r:.60} is a group, which is not supported: store the variables outside of groups"
+            )
         if not isinstance(variable, h5py.Dataset):
             continue  # a named type, which no variable requires
         if variable.external:
@@ -143,7 +146,9 @@ def _check_hdf5(path: Path, file: Any) -> None:
                     f"{path}: variable {name!r:.60} is compressed by filter {code}; supported: {', '.join(_FILTERS.values())}"
                 )
             if code in seen:  # each pass of deflate multiplies the size by up to 1032
-                raise FileFormatError(f"{path}: damaged: variable {name!r:.60} is filtered twice by {_FILTERS[code]}")
+                raise FileFormatError(
+                    f"{path}: variable {name!r:.60} is filtered twice by {_FILTERS[code]}: the file is damaged; create it again"
+                )
             seen.add(code)
         shapes[name] = (variable.shape or (), variable.dtype)
         if variable.chunks:  # a chunk is decoded completely, even if the array uses little of it
@@ -175,9 +180,9 @@ def decode_zarr(path: Path) -> dict[str, Any]:
 
 
 def decode_rows(folder: Path, *, arrays: list[str], row: int | None = None) -> dict[str, Any]:
-    """Read attributes of a Zarr, and arrays or one row of each.
+    """Read the attributes of a Zarr store, and complete arrays or one row of each.
 
-    `arrays` contains the names of the arrays. `row` is the index of the row. None: complete arrays.
+    `arrays` contains the names of the arrays. `row` is the index of the row. Default: None, complete arrays.
     """
     import zarr
 
@@ -194,43 +199,47 @@ def _check_zarr(path: Path) -> None:
     with zipfile.ZipFile(path) as archive:
         members = archive.infolist()
         if any(m.compress_type != zipfile.ZIP_STORED or max(m.file_size, m.compress_size) > size for m in members):
-            raise FileFormatError(f"{path}: damaged, or compressed by zip: members must be uncompressed (zip -0)")
+            raise FileFormatError(
+                f"{path}: the file is damaged, or compressed by zip: its members must be uncompressed (zip -0)"
+            )
         _check_members(path, size, members)
         described = {}
         for member in members:
             if member.filename.endswith((".zarray", ".zgroup", ".zattrs", ".zmetadata")):
                 raise FileFormatError(
-                    f"{path}: {member.filename!r:.60} is of Zarr version 2, but only version 3 is supported"
+                    f"{path}: {member.filename!r:.60} is of Zarr version 2: write the store in version 3"
                 )
             if member.filename.rsplit("/", 1)[-1] == DESCRIPTION:
                 if member.filename.count("/") > 1:
                     raise FileFormatError(
-                        f"{path}: {member.filename!r:.60} is inside an array or a second group, but results have variables only"
+                        f"{path}: {member.filename!r:.60} is inside an array or a second group: store the arrays in the "
+                        "root group"
                     )
                 if member.file_size > _DESCRIPTION_BYTES:
                     raise FileFormatError(
-                        f"{path}: damaged: {member.filename!r:.60} has {member.file_size} bytes, but at most "
-                        f"{_DESCRIPTION_BYTES} are allowed"
+                        f"{path}: {member.filename!r:.60} has {member.file_size} bytes, but must have at most "
+                        f"{_DESCRIPTION_BYTES}: the file is damaged; create it again"
                     )
                 described[member.filename] = json.loads(archive.read(member))
         broken = archive.testzip()
     if broken:
-        raise FileFormatError(f"{path}: damaged: the checksum of {broken} differs")
+        raise FileFormatError(f"{path}: the checksum of {broken} differs: the file is damaged; copy or create it again")
     if described.get(DESCRIPTION, {}).get("node_type") != "group":
         raise FileFormatError(
-            f"{path}: the file is not a Zarr store of version 3: its root has no zarr.json of a group"
+            f"{path}: the file is not a Zarr store of version 3, because its root has no zarr.json of a group: write "
+            "the store in version 3"
         )
     shapes, chunks = {}, {}
     for name, document in described.items():
         if document.get("zarr_format") != 3:
-            raise FileFormatError(f"{path}: {name!r:.60} is not of Zarr version 3")
+            raise FileFormatError(f"{path}: {name!r:.60} is not of Zarr version 3: write the store in version 3")
         if document.get("node_type") == "array":
             check_codecs(path, name, document)
             width = _width(document["data_type"])
             shapes[name] = (tuple(document["shape"]), width)
             chunks[f"{name} (chunk)"] = (chunk_shape(document), width)
         elif name != DESCRIPTION:
-            raise FileFormatError(f"{path}: {name!r:.60} is a group inside a group, but results have variables only")
+            raise FileFormatError(f"{path}: {name!r:.60} is a group inside a group: store the arrays in the root group")
     check_stored_sizes(path, size, shapes)
     check_stored_sizes(path, size, chunks)
 
@@ -265,7 +274,7 @@ def chunk_shape(document: dict[str, Any]) -> tuple[int, ...]:
 
 
 def _width(kind: Any) -> np.dtype | None:
-    """Find a type with the width of one value; None for text of variable length."""
+    """Find a type with the width of one value. The result is None for text of variable length."""
     if isinstance(kind, dict):
         length = kind.get("configuration", {}).get("length_bytes")
         return np.dtype(f"V{int(length)}") if length else None
@@ -273,29 +282,44 @@ def _width(kind: Any) -> np.dtype | None:
 
 
 def _check_members(path: Path, size: int, members: list[zipfile.ZipInfo]) -> None:
-    """Reject members that overlap or occur twice, because many members with the same bytes are a zip bomb."""
+    """Reject members that overlap, occur twice or extend beyond the file.
+
+    Many members with the same bytes would be a zip bomb.
+    """
     end = 0
     for member in sorted(members, key=lambda m: m.header_offset):
         if member.header_offset < end:
-            raise FileFormatError(f"{path}: damaged: member {member.filename!r:.60} overlaps the previous member")
+            raise FileFormatError(
+                f"{path}: member {member.filename!r:.60} overlaps the previous member: the file is damaged; create it again"
+            )
         # a local header takes 30 bytes, without its name and extra field
         end = member.header_offset + 30 + len(member.filename.encode()) + member.compress_size
     if end > size:
-        raise FileFormatError(f"{path}: damaged: its members end at byte {end} of {size}")
+        raise FileFormatError(
+            f"{path}: the members of the zip end at byte {end} of {size}: the file is damaged; copy or create it again"
+        )
     names = [member.filename for member in members]
     if len(set(names)) < len(names):
-        raise FileFormatError(f"{path}: damaged: a member occurs twice")
+        raise FileFormatError(f"{path}: a member occurs twice in the zip: the file is damaged; create it again")
 
 
 def _check_directory(path: Path, size: int) -> None:
-    """Check that the directory of a zip lies within the file, because `zipfile` allocates the size that the file specifies."""
+    """Check that the directory of a zip lies within the file.
+
+    `zipfile` would allocate the size that the file specifies.
+    """
     with path.open("rb") as file:
         # the end of a zip takes 22 bytes, and its comment at most 64 KiB
         file.seek(max(0, size - (22 + (1 << 16))))
         end = file.read()
     at = end.rfind(b"PK\5\6")
     if at < 0 or len(end) < at + 22:
-        raise FileFormatError(f"{path}: not a zip file")
+        raise FileFormatError(
+            f"{path}: the file is not a zip file, or its end is missing: give a Zarr store in one zip file"
+        )
     length, start = struct.unpack_from("<II", end, at + 12)
     if length + start > size:
-        raise FileFormatError(f"{path}: damaged: the list of members, {length} bytes at byte {start}, exceeds the file")
+        raise FileFormatError(
+            f"{path}: the list of members of the zip, {length} bytes at byte {start}, exceeds the file: it is "
+            "damaged; copy or create it again"
+        )

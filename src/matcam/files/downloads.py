@@ -51,13 +51,14 @@ def fetch_merl(
 ) -> Path:
     """Fetch one published MERL file and check it.
 
-    An existing correct file is kept. No file remains after an error. At most the size of the published file is read.
+    An existing correct file is kept. No new file remains after an error. The download stops if the file is larger than
+    the published one.
 
     Args:
         material: name as published, such as "chrome".
         folder: folder for NAME.binary.
-        source: archive (ending in .zip) or folder on another server. Default: None, the value of `SOURCE_SETTING` if it
-            is set, otherwise `MERL_SOURCE`.
+        source: address of an archive (ending in .zip) or of a folder on another server. Default: None, the value of the
+            environment variable MATCAM_MERL_SOURCE if it is set, otherwise `MERL_SOURCE`.
         progress: function that is called with (done, total) bytes. Default: None.
         force: True to replace an existing file that differs from the published one. Default: False.
 
@@ -113,12 +114,15 @@ def _pieces(source: str, material: str) -> Generator[bytes]:
     except DownloadError as error:
         raise DownloadError(f"{material}: {error}") from None
     except zipfile.BadZipFile:
-        raise DownloadError(f"{material}: {source} is not a zip archive, or is damaged") from None
+        raise DownloadError(f"{material}: {source} is not a zip archive, or is damaged: use another source") from None
     except (requests.RequestException, urllib3.exceptions.HTTPError) as error:
-        raise DownloadError(f"{material}: cannot be fetched from {source}: {one_line(error)}") from None
+        raise DownloadError(
+            f"{material}: the file cannot be fetched from {source}: {one_line(error)}; check the address and the connection"
+        ) from None
     except (EOFError, zlib.error, ValueError, OverflowError, struct.error, NotImplementedError, RuntimeError) as error:
         raise DownloadError(
-            f"{material}: cannot be fetched from {source}, because the data are damaged: {one_line(error)}"
+            f"{material}: the file cannot be fetched from {source}, because the data are damaged ({one_line(error)}): use "
+            "another source"
         ) from None
 
 
@@ -127,10 +131,12 @@ def _limited(pieces: Iterable[bytes], source: str) -> Iterator[bytes]:
     for piece in pieces:
         done += len(piece)
         if done > _SIZE:
-            raise DownloadError(f"{source}: the server sends more than the {_SIZE} bytes of the published file")
+            raise DownloadError(
+                f"{source}: the server sends more than the {_SIZE} bytes of the published file: use another source"
+            )
         yield piece
     if done < _SIZE:
-        raise DownloadError(f"{source}: the connection ended after {done} of {_SIZE} bytes: try again")
+        raise DownloadError(f"{source}: the data end after {done} of {_SIZE} bytes: try again")
 
 
 def _member(web: _Web, source: str, name: str) -> Iterator[bytes]:
@@ -138,10 +144,11 @@ def _member(web: _Web, source: str, name: str) -> Iterator[bytes]:
     with zipfile.ZipFile(remote) as archive:
         member = next((m for m in archive.infolist() if m.filename.rsplit("/", 1)[-1] == name), None)
         if member is None:
-            raise DownloadError(f"{source} does not contain {name}")
+            raise DownloadError(f"{source} does not contain {name}: use another source")
         if member.file_size != _SIZE:
             raise DownloadError(
-                f"{source}: lists {name} with {member.file_size} bytes, but the published file has {_SIZE}"
+                f"{source}: the archive lists {name} with {member.file_size} bytes, but the published file has {_SIZE}: use "
+                "another source"
             )
         remote.end = min(remote.size, member.header_offset + member.compress_size + _BLOCK)
         with archive.open(member) as packed:
@@ -157,7 +164,7 @@ class _Web:
     def stream(self, address: str, span: tuple[int, int] | None = None) -> Iterator[bytes]:
         """Yield the response of a server in pieces.
 
-        `span` contains the first and the last byte of a range. None: the whole file.
+        `span` contains the first and the last byte of a range. Default: None, the whole file.
         """
         headers = {"Accept-Encoding": "identity"} | ({"Range": f"bytes={span[0]}-{span[1]}"} if span else {})
         with self.session.get(address, headers=headers, timeout=_TIMEOUT, stream=True) as reply:
@@ -179,12 +186,13 @@ class _Web:
         """Check that the response is a range of bytes that starts at the requested byte."""
         if reply.status_code != 206:
             raise DownloadError(
-                f"{address}: the server sends only the whole archive: unpack it yourself, or give a folder of files as source"
+                f"{address}: the server sends only the whole archive: download and unpack the archive, or give a folder of "
+                "files as source"
             )
         stated = reply.headers.get("Content-Range", "")
         if not re.fullmatch(rf"bytes {span[0]}-[0-9]{{1,18}}/[0-9]{{1,18}}", stated):
             raise DownloadError(
-                f"{address}: the server answered a request for a range of bytes with {stated!r:.60}: download the file yourself"
+                f"{address}: the server answered a request for a range of bytes with {stated!r:.60}: use another source"
             )
 
     def size(self, address: str) -> int:
@@ -200,7 +208,9 @@ class _Web:
 
 
 class _RemoteFile(io.RawIOBase):
-    """Remote file for zipfile. The end of the file is in memory, and the remainder is streamed sequentially.
+    """File on a server, as zipfile reads it.
+
+    The last 128 KiB of the file are in memory. The remainder is streamed sequentially.
 
     Attributes:
         size: size of the file, bytes.
@@ -233,7 +243,9 @@ class _RemoteFile(io.RawIOBase):
         size = max(0, self.size - self._at) if size < 0 else size
         # a directory of more than 16 MiB indicates damage
         if size > (16 << 20):
-            raise DownloadError(f"{self.address}: the list of members has {size} bytes: the archive is damaged")
+            raise DownloadError(
+                f"{self.address}: the list of members has {size} bytes: the archive is damaged; use another source"
+            )
         position = self._at - self._tail_at
         found = self._tail[position:][:size] if position >= 0 else self._streamed(size)
         self._at += len(found)

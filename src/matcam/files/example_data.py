@@ -15,14 +15,14 @@ FILE = "data/chromium.npz"
 def example_table() -> xr.DataArray:
     """Load a simulated record of a polished chromium sphere.
 
-    The lobe is GGX of roughness alpha 0.004. The rig is that of the MERL database: a Gaussian lens with a
-    standard deviation of 0.5 px, square pixels of full fill factor, and a sphere with a radius of 256 px. The standard
-    deviation of the noise of a pixel is 1 %. An independent program, which uses no code of matcam, computed the values
-    (`examples/make_chromium.py` in the sources). The table contains the cells that a fit uses: 13 of the 90 slices, and
-    one cell per pixel. All other cells are missing.
+    The lobe is GGX of roughness alpha 0.004. The rig is that of the MERL database: a Gaussian lens with a standard
+    deviation of 0.5 px, square pixels of full fill factor, and a sphere with a radius of 256 px. The standard deviation
+    of the noise of a pixel is 1 %. An independent program, which uses no code of matcam, computed the values
+    (`examples/make_chromium.py` in the sources). The table contains the cells that a fit uses: in 13 of the 90 slices
+    of theta_d, one cell for each pixel. All other cells are missing.
 
     Returns:
-        BRDF on the MERL grid, (90, 90, 180, 3), 1/sr; NaN where it is missing.
+        BRDF on the MERL grid, (90, 90, 180, 3), 1/sr; missing values are NaN.
 
     Example:
         >>> table = matcam.io.example_table()

@@ -7,8 +7,9 @@ There are two kinds of folders. The first has a descriptor, a text file in the f
     i images/b_000_snap_001.png     file, relative to the descriptor; two or more per exposure
     d 40000.0                       dark: exposure time, ns
 
-The second has images in folders dark/ and flat/, or with names that begin with "dark" or "flat". Exposure times are in
-the names ("flat_20ms_1.tif") or in the metadata of the files; the lamp must be constant.
+The second has dark images and lit images. The name of a dark image, or of its folder, begins with "dark" or "bias",
+that of a lit image with "flat" or "bright". Exposure times are in the names ("flat_20ms_1.tif") or in the metadata of
+the files. The lamp must be constant.
 """
 
 from __future__ import annotations
@@ -42,8 +43,9 @@ class ExposureSet(NamedTuple):
     Attributes:
         lit: True if the field was lit.
         time: exposure time, s.
-        photons: photons per pixel; NaN: unknown, and the light is assumed to be proportional to the time.
-        files: the frames.
+        photons: photons per pixel, 0 for dark frames. NaN if the number is unknown; the light is then assumed to be
+            proportional to the time.
+        files: paths of the frames.
     """
 
     lit: bool
@@ -64,7 +66,7 @@ class ExposureSeries:
     Attributes:
         source: folder or descriptor that was read.
         sets: frames of each exposure, dark frames first, then in ascending order of `light`.
-        bits: depth of the codes; None: unknown.
+        bits: number of bits of a code; None if it is unknown.
     """
 
     source: Path
@@ -85,11 +87,11 @@ def read_exposure_series(path: str | Path) -> ExposureSeries:
     """List the frames of a series of exposures.
 
     Args:
-        path: folder, or descriptor of a series.
+        path: folder of a series, or descriptor.
 
     Raises:
-        FileFormatError: the folder contains no series, a line of the descriptor is wrong, or a frame has no exposure
-            time.
+        FileFormatError: the folder contains no series or several descriptors, a line of the descriptor is wrong, a
+            frame has no exposure time, or there are no lit or no dark frames.
     """
     path = Path(path)
     with reading(path):
@@ -124,7 +126,7 @@ def _described(path: Path) -> ExposureSeries:
     lines = _lines(path)
     if len(lines) > _MOST_LINES:
         raise FileFormatError(
-            f"{path}: the file has {len(lines)} lines, but a descriptor of exposures has at most {_MOST_LINES}"
+            f"{path}: the file has {len(lines)} lines, but at most {_MOST_LINES} are allowed: use several descriptors"
         )
     bits: int | None = None
     sets: list[ExposureSet] = []

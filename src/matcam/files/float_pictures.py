@@ -1,4 +1,6 @@
-r"""Images of 32-bit floats, (H, W) or (H, W, channels), row 0 on top, as TIFF and as OpenEXR.
+r"""Images of 32-bit floats as TIFF and as OpenEXR.
+
+An image has the shape (H, W) or (H, W, channels), for height H and width W, px. Row 0 is on top.
 
 TIFF 6.0 with SampleFormat 3: one page, interleaved channels, compressed by deflate. Three channels are marked as RGB, any
 other number as grey with extra samples; the values are linear in both cases.
@@ -42,8 +44,8 @@ _LINES_PER_CHUNK = {0: 1, 1: 1, 2: 1, 3: 16, 4: 32}
 def as_float32(picture: ArrayLike) -> np.ndarray:
     """Convert an image to contiguous float32.
 
-    NaN (missing) and infinite values are accepted. An ArgumentError is raised for a wrong shape, for complex numbers or
-    text, and for values beyond float32.
+    NaN (missing) and infinite values are accepted. An ArgumentError is raised for a wrong shape or wrong labels of the
+    channels, for complex numbers or text, and for values beyond float32.
     """
     given = checks.plain_array("picture", picture)
     labels = [str(label) for label in np.atleast_1d(getattr(picture, "coords", {}).get("channel", ()))]
@@ -55,7 +57,7 @@ def as_float32(picture: ArrayLike) -> np.ndarray:
         raise ArgumentError(f"picture must contain real numbers, got {given.dtype}")
     if given.ndim not in (2, 3) or given.size == 0 or given.size > LARGEST:
         raise ArgumentError(
-            f"picture must have shape (H, W) or (H, W, channels) with at most {LARGEST} values, got {given.shape}"
+            f"picture must have shape (H, W) or (H, W, channels) with 1 to {LARGEST} values, got {given.shape}"
         )
     with np.errstate(over="ignore"):
         stored = np.ascontiguousarray(given, dtype=np.float32)
@@ -70,11 +72,13 @@ def write_float_tiff(path: str | Path, picture: ArrayLike, *, force: bool = Fals
 
     Args:
         path: file to write (.tif).
-        picture: linear values, shape (H, W) or (H, W, channels), row 0 on top; NaN where missing.
+        picture: linear values, shape (height, width) or (height, width, channels), row 0 on top; missing values are
+            NaN.
         force: True to replace an existing file. Default: False.
 
     Raises:
-        ArgumentError: the image has another shape, or values beyond float32.
+        ArgumentError: the image has another shape or wrong labels of its channels, or its values are not real numbers
+            within float32.
         OutputError: the file cannot be written, or exists and `force` is False.
 
     Example:
@@ -106,10 +110,11 @@ def read_float_tiff(path: str | Path) -> np.ndarray:
         path: TIFF file of one page.
 
     Returns:
-        Values, float32, shape (H, W) or (H, W, channels), row 0 on top.
+        Values, float32, shape (height, width) or (height, width, channels), row 0 on top.
 
     Raises:
-        FileFormatError: the file is damaged, has several pages, or contains values other than 32-bit floats.
+        FileFormatError: the file is missing or damaged, has several pages or separate planes of colours, or contains
+            values other than 32-bit floats.
 
     Example:
         >>> import tempfile
@@ -129,11 +134,13 @@ def write_exr(path: str | Path, picture: ArrayLike, *, force: bool = False) -> N
 
     Args:
         path: file to write (.exr).
-        picture: linear values, shape (H, W) or (H, W, channels), row 0 on top; NaN where missing.
+        picture: linear values, shape (height, width) or (height, width, channels), row 0 on top; missing values are
+            NaN.
         force: True to replace an existing file. Default: False.
 
     Raises:
-        ArgumentError: the image has another shape, or values beyond float32.
+        ArgumentError: the image has another shape or wrong labels of its channels, or its values are not real numbers
+            within float32.
         OutputError: the file cannot be written, or exists and `force` is False.
 
     Example:
@@ -154,7 +161,8 @@ def write_exr_layers(path: str | Path, layers: Mapping[str, ArrayLike], *, force
 
     Args:
         path: file to write (.exr).
-        layers: images of one size by name, (H, W) or (H, W, 3), row 0 on top; NaN where missing.
+        layers: images of the same size by name, (height, width) or (height, width, 3), row 0 on top; missing values are
+            NaN.
         force: True to replace an existing file. Default: False.
     """
     channels: dict[str, np.ndarray] = {}
@@ -189,10 +197,11 @@ def read_exr(path: str | Path) -> np.ndarray:
         path: OpenEXR file of one part with scan lines, losslessly compressed.
 
     Returns:
-        Values, float32, shape (H, W) or (H, W, channels), row 0 on top.
+        Values, float32, shape (height, width) or (height, width, channels), row 0 on top.
 
     Raises:
-        FileFormatError: the file is damaged, or its content is not supported; the message lists the supported content.
+        FileFormatError: the file is missing or damaged, or its content is not supported. The message lists the
+            supported content.
 
     Example:
         >>> import tempfile
@@ -208,7 +217,9 @@ def read_exr(path: str | Path) -> np.ndarray:
     stored = read_apart(f"{_DECODERS}:decode_exr", path, "an image", libraries=("OpenEXR",), channels=channels)
     planes = [stored[name] for name in channels]
     if any(p.shape != (height, width) or p.dtype != np.float32 for p in planes):
-        raise FileFormatError(f"{path}: damaged OpenEXR file: its channels differ from its header")
+        raise FileFormatError(
+            f"{path}: the OpenEXR file is damaged, because its channels differ from its header: create it again"
+        )
     return planes[0] if channels == ("Y",) else np.stack(planes, axis=-1)
 
 
@@ -224,7 +235,7 @@ def _checked_header(path: Path) -> tuple[tuple[str, ...], int, int]:
             size = path.stat().st_size
             head = file.read(min(size, 1 << 20))
             if len(head) < 8 or struct.unpack_from("<i", head)[0] != _MAGIC:
-                raise FileFormatError(f"{path}: not an OpenEXR file")
+                raise FileFormatError(f"{path}: the file is not an OpenEXR file: convert it to OpenEXR")
             version = struct.unpack_from("<i", head, 4)[0]
             if version & 0xFF != 2 or version & 0x1A00:
                 raise FileFormatError(
@@ -235,27 +246,30 @@ def _checked_header(path: Path) -> tuple[tuple[str, ...], int, int]:
             compression = attributes["compression"][0]
             if compression not in _LINES_PER_CHUNK:
                 raise FileFormatError(
-                    f"{path}: OpenEXR compression {compression} loses digits: use no compression, RLE, ZIP or PIZ"
+                    f"{path}: compression {compression} of OpenEXR is not supported, because it loses digits: use no "
+                    "compression, RLE, ZIPS, ZIP or PIZ"
                 )
             chunks = -(-height // _LINES_PER_CHUNK[compression])
             if start + 8 * chunks > size:
                 raise FileFormatError(
-                    f"{path}: truncated: the file of {size} bytes ends within the table of {chunks} chunks"
+                    f"{path}: the file is truncated: its {size} bytes end within the table of {chunks} chunks; copy it again"
                 )
             file.seek(start)
             offsets = np.frombuffer(file.read(8 * chunks), "<u8")
             for offset in offsets.tolist():
                 if not start + 8 * chunks <= offset <= size - 8:
-                    raise FileFormatError(f"{path}: truncated or damaged: a chunk starts at byte {offset} of {size}")
+                    raise FileFormatError(
+                        f"{path}: the file is truncated or damaged: a chunk starts at byte {offset} of {size}; copy it again"
+                    )
                 file.seek(offset + 4)
                 length = struct.unpack("<i", file.read(4))[0]
                 if not 0 <= length <= size - 8 - offset:
                     raise FileFormatError(
-                        f"{path}: truncated or damaged: byte {offset + 4} specifies a chunk of {length} bytes, but the file "
-                        f"has {size}"
+                        f"{path}: the file is truncated or damaged: byte {offset + 4} specifies a chunk of {length} bytes, but "
+                        f"the file has {size}; copy it again"
                     )
     except (struct.error, IndexError, KeyError, UnicodeDecodeError):
-        raise FileFormatError(f"{path}: damaged OpenEXR header") from None
+        raise FileFormatError(f"{path}: the header of the OpenEXR file is damaged: create it again") from None
     return channels, height, width
 
 

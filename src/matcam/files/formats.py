@@ -43,12 +43,12 @@ class Format:
     Attributes:
         name: short name, as in reports.
         title: full name, for messages and lists.
-        holds: keys of `CONTENTS` that it supports.
+        holds: keys of `CONTENTS` that the format supports.
         suffixes: endings of the names of its files, lower case, the preferred one first.
         starts: alternative first bytes of its files.
-        mark: text near the beginning of its documents, by which they are identified.
-        hint: description of the mark, for messages.
-        reader: function that reads a path, as "module:function" below `matcam`; "" if it is in a higher layer.
+        mark: text near the beginning of a document, by which the format is identified.
+        hint: description of the first bytes, for messages.
+        reader: function that reads a path, as "module:function" below `matcam`; "" if the reader is in a higher layer.
         writers: functions that write (path, data, force=...), by content, as "module:function".
     """
 
@@ -80,7 +80,8 @@ class Format:
     def writer(self, content: str) -> Callable[..., None]:
         """Select the function that writes a content.
 
-        Its arguments are (path, data, force=...). An ArgumentError is raised if the format does not support the content.
+        The function has the arguments (path, data, force=...). An ArgumentError is raised if the format does not
+        support the content.
         """
         if content in self.writers:
             return _function(self.writers[content])
@@ -245,7 +246,8 @@ def titles_for(*contents: str) -> str:
 def identify(path: str | Path) -> str:
     """Identify the format of a file by its content.
 
-    The name of the file is used if the content is damaged. A FileFormatError is raised for unsupported files.
+    The suffix is used if the content has no mark of a format. A FileFormatError is raised if the file is missing or not
+    supported.
     """
     path = Path(path)
     with reading(path), path.open("rb") as file:
@@ -283,8 +285,8 @@ def identify(path: str | Path) -> str:
 def format_for(path: str | Path, *contents: str) -> Format:
     """Select the format of an output by the suffix of its name.
 
-    `contents` are keys of `CONTENTS`. The format supports at least one of them. Default: any measurement. An ArgumentError is
-    raised for a name with another suffix.
+    `contents` are keys of `CONTENTS`, of which the format supports at least one. Default: none, which means any of
+    `MEASUREMENTS`. An ArgumentError is raised for a name with another suffix.
     """
     name, contents = Path(path).name.lower(), contents or MEASUREMENTS
     for form in FORMATS:
@@ -313,7 +315,7 @@ _DECODERS = {
 def decoded_by(paths: Iterable[Path]) -> list[str]:
     """List the modules that decode files, by the suffixes of the files.
 
-    `paths` are files, and folders of files. Missing files are ignored.
+    `paths` are files, and folders, of which at most 100 files are considered. Missing files are ignored.
     """
     suffixes = set()
     for path in paths:

@@ -56,7 +56,8 @@ def read_light_positions(path: str | Path) -> list[LightPosition]:
         One position per photograph, in the order of the file.
 
     Raises:
-        FileFormatError: the file is missing, or a line is wrong; the message names the line.
+        FileFormatError: the file is missing, its first line is not the number of the other lines, or a line is wrong.
+            The message contains the wrong line.
 
     Example:
         >>> positions = matcam.io.read_light_positions("lamps.lp")  # doctest: +SKIP
@@ -70,7 +71,8 @@ def read_light_positions(path: str | Path) -> list[LightPosition]:
         raise FileFormatError(f"{path}: the first line must be the number of photographs, got {head!r:.40}")
     if int(head) != len(numbered) - 1:
         raise FileFormatError(
-            f"{path}: the first line specifies {int(head)} photographs, but {len(numbered) - 1} lines follow"
+            f"{path}: the first line specifies {int(head)} photographs, but {len(numbered) - 1} lines follow: correct the "
+            "number"
         )
     return [_position(path, number, line) for number, line in numbered[1:]]
 
@@ -84,7 +86,8 @@ def write_light_positions(path: str | Path, positions: Sequence[LightPosition], 
         force: True to replace an existing file. Default: False.
 
     Raises:
-        ArgumentError: there is no position, a position is not three finite numbers, or a name has a line break.
+        ArgumentError: there is no position, an entry is not a `LightPosition`, a position is not three finite numbers
+            or is 0, or a name is empty, or has line breaks or outer blanks.
         OutputError: the file cannot be written, or exists and `force` is False.
 
     Example:
@@ -99,7 +102,7 @@ def write_light_positions(path: str | Path, positions: Sequence[LightPosition], 
     positions = checks.instances("positions", positions, LightPosition)
     checks.flag("force", force)
     if not positions:
-        raise ArgumentError("a light position file needs at least one position")
+        raise ArgumentError("positions must contain at least one LightPosition")
     for one in positions:
         vector = np.asarray(one.position, dtype=float)
         if vector.shape != (3,) or not np.isfinite(vector).all() or not vector.any():
@@ -113,9 +116,9 @@ def write_light_positions(path: str | Path, positions: Sequence[LightPosition], 
 
 
 def are_unit_vectors(positions: list[LightPosition]) -> bool:
-    """Check whether all positions have unit length.
+    """Check whether all positions have unit length, within 2 %.
 
-    They are then directions without distances.
+    Such positions are directions without distances.
     """
     # files are rounded to two or more digits
     return all(abs(float(np.linalg.norm(one.position)) - 1) < 0.02 for one in positions)

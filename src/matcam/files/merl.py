@@ -36,16 +36,16 @@ def read_merl(path: str | Path, sampling: Sampling = "centre") -> xr.DataArray:
 
     Args:
         path: MERL file (.binary).
-        sampling: position in a cell at which its value was sampled, "centre" or "edge" (no unit). Default: "centre".
-            The file does not specify the position, and at a sharp peak the choice changes values by up to 45 %. The
-            choice is stored in `attrs["sampling"]` and determines the angle coordinates.
+        sampling: position in a cell at which its value was sampled, "centre" or "edge". Default: "centre". The file
+            does not specify this position. At a sharp peak the choice changes values by up to 45 %. It is stored in
+            `attrs["sampling"]` and determines the angle coordinates.
 
     Returns:
         Table in 1/sr, dims (theta_h, theta_d, phi_d, channel), shape (90, 90, 180, 3); NaN where missing.
 
     Raises:
-        FileFormatError: the file is not a MERL file, contains NaN or infinities, or has no valid value; the message
-            names the byte.
+        FileFormatError: the file is missing or not a MERL file, contains NaN or infinities, or has no valid value. The
+            message contains the position of a wrong value.
         ArgumentError: `sampling` is neither "centre" nor "edge".
 
     Source:
@@ -72,7 +72,7 @@ def read_merl(path: str | Path, sampling: Sampling = "centre") -> xr.DataArray:
     if suspicious:
         _refuse_non_finite(path, stored)
     if missing.all():
-        raise FileFormatError(f"{path}: every value is negative, which means missing: the table is empty")
+        raise FileFormatError(f"{path}: every value is negative, which means missing: give a table with values")
     stored *= SCALE[:, None, None, None]
     stored[missing] = np.nan
     return brdf_table(np.moveaxis(stored, 0, -1), sampling, source=path.name)
@@ -90,7 +90,8 @@ def write_merl(path: str | Path, brdf: xr.DataArray, *, force: bool = False) -> 
         force: True to replace an existing file. Default: False.
 
     Raises:
-        ArgumentError: the table does not have three channels, or has negative values or no values.
+        ArgumentError: `brdf` is not a table on the MERL grid, does not have the channels R, G and B, or has negative
+            values, too large values or no values.
         OutputError: the file cannot be written, or exists and `force` is False.
 
     Example:
@@ -110,11 +111,16 @@ def write_merl(path: str | Path, brdf: xr.DataArray, *, force: bool = False) -> 
     if np.isnan(lowest):
         raise ArgumentError("a MERL file must have at least one value: all values of this table are missing")
     if lowest < 0:
-        raise ArgumentError(f"a MERL file cannot contain negative values (they mean missing), got {lowest:g} 1/sr")
+        raise ArgumentError(
+            f"a MERL file cannot contain negative values, got {lowest:g} 1/sr: use NaN for missing values"
+        )
     with np.errstate(over="ignore"):
         stored /= SCALE[:, None, None, None]
     if np.isinf(stored).any():
-        raise ArgumentError(f"a MERL file cannot contain {highest:g} 1/sr: its stored value would overflow")
+        raise ArgumentError(
+            f"a MERL file cannot contain {highest:g} 1/sr, because the stored value would overflow: give values below "
+            "1e305 1/sr"
+        )
     stored[np.isnan(stored)] = -1.0
     with replacing(path, force=force) as temporary, temporary.open("wb") as file:
         np.array(GRID_SHAPE, dtype=_HEADER).tofile(file)
@@ -141,10 +147,12 @@ def _read_stored(path: Path) -> np.ndarray:
                 )
             dims = tuple(np.frombuffer(header, dtype=_HEADER).tolist())
             if dims != GRID_SHAPE:
-                raise FileFormatError(f"{path}: not a MERL file: bytes 0 to 11 are {dims}, not {GRID_SHAPE}")
+                raise FileFormatError(
+                    f"{path}: the file is not a MERL file: its bytes 0 to 11 are {dims}, but must be {GRID_SHAPE}"
+                )
             if size != FILE_BYTES:
                 what = "truncated" if size < FILE_BYTES else "oversized"
-                raise FileFormatError(f"{path}: {what}: {size} bytes, but a MERL file has {FILE_BYTES}")
+                raise FileFormatError(f"{path}: the file is {what}: {size} bytes, but a MERL file has {FILE_BYTES}")
             values = np.fromfile(file, dtype=_VALUE)
     if values.nbytes != FILE_BYTES - _HEADER_BYTES:
         raise FileFormatError(f"{path}: the file changed while it was read: try again")
@@ -157,5 +165,6 @@ def _refuse_non_finite(path: Path, stored: np.ndarray) -> None:
     if bad.size:  # a sum of huge but valid values overflows, too
         byte = _HEADER_BYTES + _VALUE.itemsize * bad[0]
         raise FileFormatError(
-            f"{path}: byte {byte} is {stored.flat[bad[0]]}, not a finite number ({bad.size} such values)"
+            f"{path}: byte {byte} is {stored.flat[bad[0]]}, not a finite number ({bad.size} such values): store "
+            "missing values as -1"
         )

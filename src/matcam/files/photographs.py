@@ -1,6 +1,7 @@
 """Photographs as arrays of their stored codes: TIFF, PNG and JPEG in 8 or 16 bits, OpenEXR, camera raw.
 
-Images are not converted, scaled, rotated or demosaiced. Files are decoded in a separate process (picture_decoders.py).
+Images are not converted, scaled, rotated or demosaiced. Only the black level of camera raw is subtracted. Files are
+decoded in a separate process (picture_decoders.py).
 """
 
 from __future__ import annotations
@@ -53,9 +54,10 @@ class Photograph(NamedTuple):
 def open_photograph(path: str | Path, region: tuple[int, int, int, int] | None = None) -> Photograph:
     """Read an image of any supported format, or a region of it.
 
-    `region` contains first column, first row, width and height, px. None: the whole image. The first two must be even,
-    to preserve the mosaic. Images are cropped during decoding. A FileFormatError is raised if the file is missing, of
-    an unknown format, damaged, smaller than the region, or too large for the memory.
+    `region` contains first column, first row, width and height, px. Default: None, the whole image. First column and
+    first row must be even, to preserve the mosaic. Images are cropped during decoding. A FileFormatError is raised if
+    the file is missing, of an unknown format, damaged, smaller than the region, or too large for the memory, or if
+    rawpy is not installed.
     """
     path = Path(path)
     with reading(path, "an image"), path.open("rb") as file:
@@ -64,7 +66,7 @@ def open_photograph(path: str | Path, region: tuple[int, int, int, int] | None =
     if exif.dng or (path.suffix.lower() in SUFFIXES and is_file(path)):
         there = _memory_for(path)
         if importlib.util.find_spec("rawpy") is None:
-            raise FileFormatError(f"{path}: camera raw needs rawpy: python -m pip install 'matcam[raw]'")
+            raise FileFormatError(f"{path}: camera raw needs rawpy: run python -m pip install 'matcam[raw]'")
         raw = read_apart(f"{_DECODERS}:decode_raw", path, "an image", libraries=("rawpy",), there=there, region=region)
         return Photograph(raw["values"], raw["cfa"], raw["saturation"], True, exif)
     values = cut(_read_exr(path), region, path) if start == _EXR else read_photograph(path, region)

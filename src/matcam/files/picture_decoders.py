@@ -81,7 +81,10 @@ def _decoded(path: Path, start: bytes, there: int, *, in_part: bool = False) -> 
 
 
 def _tiff_size(shape: tuple[int, ...]) -> tuple[int, int, int]:
-    """Derive height, width and channels from the shape of a page. Planes of separate colours are on the first axis."""
+    """Derive height, width and channels from the shape of a page.
+
+    If the colours are stored as separate planes, the first axis is that of the colours.
+    """
     if len(shape) == 3 and shape[0] < shape[2]:
         return shape[1], shape[2], shape[0]
     return shape[0], shape[1], int(np.prod(shape[2:]))
@@ -90,8 +93,8 @@ def _tiff_size(shape: tuple[int, ...]) -> tuple[int, int, int]:
 def decode_raw(path: Path, *, there: int, region: Sequence[int] | None = None) -> dict[str, Any]:
     """Decode the mosaic of a camera raw file, or a region of it.
 
-    The result has three entries. `values` are float32 counts above the black level. `cfa` are the colours of the first
-    2 x 2 px row by row ("RGGB"). `saturation` is the number of counts of a saturated pixel.
+    The result has three entries. `values` are float32 counts above the black level. `cfa` contains the colours of the
+    first 2 x 2 px row by row ("RGGB"). `saturation` is the value of a saturated pixel in the same counts.
     """
     import rawpy
 
@@ -103,18 +106,20 @@ def decode_raw(path: Path, *, there: int, region: Sequence[int] | None = None) -
             black = np.asarray(raw.black_level_per_channel, dtype=np.float32)
             white = float(raw.white_level)
     except rawpy.LibRawFileUnsupportedError:
-        raise FileFormatError(f"{path}: unknown camera raw: LibRaw does not support this format or camera") from None
+        raise FileFormatError(
+            f"{path}: unknown camera raw, because LibRaw does not support this format or camera: convert the file to DNG"
+        ) from None
     except rawpy.LibRawError as error:
         what = error.args[0] if error.args else error
         what = what.decode("ascii", "replace") if isinstance(what, bytes) else str(what)
-        raise FileFormatError(f"{path}: camera raw cannot be read: {what}") from None
+        raise FileFormatError(f"{path}: the camera raw file cannot be read: {what}; copy it again") from None
     if counts is None or counts.ndim != 2 or pattern is None or pattern.shape != (2, 2):
         raise FileFormatError(
-            f"{path}: its colours are not a Bayer mosaic of 2 x 2 px; other mosaics are not supported"
+            f"{path}: the camera raw file has no Bayer mosaic of 2 x 2 px, and other data are not supported: convert it to TIFF"
         )
     cfa = "".join(names[i] for i in pattern.ravel())
     if sorted(cfa) != ["B", "G", "G", "R"] or cfa[0] == cfa[3] != "G":
-        raise FileFormatError(f"{path}: its mosaic is {cfa}, but it must have the colours red, green, green, blue")
+        raise FileFormatError(f"{path}: the mosaic is {cfa}, but must have the colours red, green, green, blue")
     height, width = counts.shape
     tile = black[pattern]
     counts -= np.tile(tile, (height // 2 + 1, width // 2 + 1))[:height, :width]
@@ -135,7 +140,11 @@ def decode_float_tiff(path: Path, *, there: int) -> np.ndarray:
                 f"{path}: the file contains {page.dtype or 'an unknown type'}, but only 32-bit floats are supported"
             )
         shape = file.series[0].shape if file.is_shaped else page.shape
-        if len(shape) not in (2, 3) or page.planarconfig != 1:
+        if page.planarconfig != 1:
+            raise FileFormatError(
+                f"{path}: the image of shape {shape} has separate planes of channels: store them interleaved"
+            )
+        if len(shape) not in (2, 3):
             raise FileFormatError(
                 f"{path}: the image has shape {shape}, but only (H, W) and (H, W, channels) are supported"
             )
@@ -143,10 +152,12 @@ def decode_float_tiff(path: Path, *, there: int) -> np.ndarray:
         check_promised(path, height, width, channels, size)
         check_memory(path, height, width, channels, 4, there)
         ends = [a + n for a, n in zip(page.dataoffsets, page.databytecounts, strict=True)]
-        if max(ends, default=0) > size or 0 in page.databytecounts:
+        if max(ends, default=0) > size:
             raise FileFormatError(
-                f"{path}: truncated: the data extend to byte {max(ends, default=0)}, but the file has {size}"
+                f"{path}: the file is truncated: the data extend to byte {max(ends)}, but the file has {size}; copy it again"
             )
+        if 0 in page.databytecounts:
+            raise FileFormatError(f"{path}: the file is damaged: a part of the image has no data; create it again")
         return np.ascontiguousarray(page.asarray().reshape(shape), dtype=np.float32)
 
 

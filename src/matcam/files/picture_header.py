@@ -49,8 +49,8 @@ def check_memory(path: Path, height: int, width: int, channels: int, depth: int,
     """Check that an image and its working copies fit into memory.
 
     `depth` is the number of bytes per sample, and `there` the available memory, bytes. A FileFormatError is raised if
-    the image does not fit. Unless files are trusted, a large image of more than 100 times the size of its file is also
-    rejected.
+    the image does not fit. Unless files are trusted, an image that needs more than 1 GiB is also rejected if it is more
+    than 100 times as large as its file.
     """
     decoded = height * width * channels * depth
     # a plane of float64, its mask, and two temporary copies take 24 bytes per pixel
@@ -71,8 +71,8 @@ def check_memory(path: Path, height: int, width: int, channels: int, depth: int,
 def cut(picture: np.ndarray, region: Sequence[int] | None, path: Path) -> np.ndarray:
     """Crop an image to a region.
 
-    `region` contains first column, first row, width and height, px. None: the whole image. A FileFormatError is raised
-    if the region is not within the image.
+    `region` contains first column, first row, width and height, px. None means the whole image. A FileFormatError is
+    raised if the region is not within the image.
     """
     if region is None:
         return picture
@@ -86,16 +86,16 @@ def cut(picture: np.ndarray, region: Sequence[int] | None, path: Path) -> np.nda
 
 
 def check_promised(path: Path, height: int, width: int, channels: int, size: int) -> None:
-    """Check that a file can contain its image, before memory is allocated.
+    """Check that a file can contain its image of 32-bit floats, before memory is allocated.
 
-    A FileFormatError is raised if the image is implausibly large, or `size` bytes cannot represent it with any
-    compression.
+    `size` is the size of the file, bytes. A FileFormatError is raised if the image is empty or implausibly large, or if
+    no compression represents it in `size` bytes.
     """
     values = height * width * channels
     if min(height, width, channels) < 1 or values > LARGEST or 4 * values > DEFLATE_LIMIT * size:
         raise FileFormatError(
-            f"{path}: the header specifies {height} x {width} pixels of {channels} channels in {size} bytes: damaged or too "
-            "large"
+            f"{path}: the header specifies {height} x {width} pixels of {channels} channels in {size} bytes: the file "
+            "is damaged, or the image is too large; give a smaller image"
         )
 
 
@@ -149,7 +149,10 @@ class Exif(NamedTuple):
 
 
 def read_exif(path: str | Path) -> Exif:
-    """Read the metadata of an image; empty if missing or unreadable."""
+    """Read the metadata of an image.
+
+    The result is empty if the metadata are missing or unreadable.
+    """
     try:
         with Path(path).open("rb") as file:
             base = _start(file)
@@ -159,7 +162,7 @@ def read_exif(path: str | Path) -> Exif:
 
 
 def _start(file: BinaryIO) -> int | None:
-    """Find the offset of the TIFF header, bytes; None if it is missing."""
+    """Find the offset of the TIFF header, bytes. The result is None if the file has no TIFF header."""
     head = file.read(12)
     if head[:4] in _TIFF:
         return 0
@@ -201,7 +204,10 @@ def _directory(file: BinaryIO, base: int) -> Exif:
 
 
 def _is_float(file: BinaryIO, base: int, entry: tuple[int, int, bytes] | None, order: str) -> bool:
-    """Check whether samples are floats. SampleFormat has one value per channel; without it, samples are unsigned integers."""
+    """Check whether samples are floats.
+
+    SampleFormat has one value per channel. Without SampleFormat, samples are unsigned integers.
+    """
     if entry is None:
         return False
     _, count, value = entry
@@ -212,7 +218,7 @@ def _is_float(file: BinaryIO, base: int, entry: tuple[int, int, bytes] | None, o
 
 
 def _ratio(file: BinaryIO, base: int, entry: tuple[int, int, bytes] | None, order: str) -> float | None:
-    """Read a positive rational number; None if it is missing or damaged."""
+    """Read a positive rational number. The result is None if the number is missing or damaged."""
     if entry is None:
         return None
     file.seek(base + struct.unpack(order + "I", entry[2])[0])

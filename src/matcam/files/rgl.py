@@ -7,7 +7,8 @@ r"""Tensor files of RGL (.bsdf; Dupuy & Jakob 2018): reading and writing of thei
              7 u64, 8 i64, 9 f16, 10 f32, 11 f64); uint64 offset; uint64 shape[dimensions]
           -  values of the fields, row-major; each field starts at a multiple of 8 bytes
 
-Fields of a BRDF, with P azimuths and T angles of the light, rows along azimuth and columns along theta:
+Fields of a BRDF, with P azimuths and T angles of the light, N x N nodes of the unit square, and W wavelengths. Rows are
+along the azimuth, and columns along theta:
 
     phi_i [P], theta_i [T]        f32  rad, ascending; an isotropic material has P <= 2
     ndf [., .], sigma [., .]      f32  normal distribution; projected area of the facets seen from a direction
@@ -79,8 +80,8 @@ def read_rgl(path: str | Path) -> xr.Dataset:
         Dataset of the fields; `Adaptive` converts it to a material.
 
     Raises:
-        FileFormatError: the file is not a tensor file, is truncated, or its fields do not define a BRDF; the message
-            names the byte or the field.
+        FileFormatError: the file is missing, truncated or not a tensor file, or its fields do not define a BRDF. The
+            message contains the wrong byte or field.
 
     Source:
         Dupuy and Jakob (2018), "An adaptive parameterization for efficient material acquisition and rendering".
@@ -111,7 +112,8 @@ def write_rgl(path: str | Path, fields: xr.Dataset, *, force: bool = False) -> N
         force: True to replace an existing file. Default: False.
 
     Raises:
-        ArgumentError: the fields do not define a BRDF; the message names the field.
+        ArgumentError: `fields` is not a Dataset, or does not define a BRDF, or has wrong types or units. The message
+            contains the wrong field.
         OutputError: the file cannot be written, or exists and `force` is False.
 
     Example:
@@ -132,7 +134,9 @@ def write_rgl(path: str | Path, fields: xr.Dataset, *, force: bool = False) -> N
     arrays = {name: np.ascontiguousarray(fields[name].values) for name in names}
     unknown = [name for name, array in arrays.items() if array.dtype not in _CODES]
     if unknown:
-        raise ArgumentError(f"field {unknown[0]}: {arrays[unknown[0]].dtype} cannot be stored: use integers or floats")
+        raise ArgumentError(
+            f"field {unknown[0]} has the type {arrays[unknown[0]].dtype}, which cannot be stored: use integers or floats"
+        )
     check_fields(fields)
     for name, unit in (("phi_i", "rad"), ("theta_i", "rad"), ("wavelengths", "nm")):
         if name in fields:
@@ -167,7 +171,9 @@ def _checked(fields: dict[str, np.ndarray]) -> xr.Dataset:
     colour = "spectra" if "wavelengths" in fields else "rgb"
     missing = [name for name in (*_REQUIRED, colour) if name not in fields]
     if missing:
-        raise ArgumentError(f"field {missing[0]} is missing: the data are not a BRDF in RGL's parameterisation")
+        raise ArgumentError(
+            f"field {missing[0]} is missing, so the data are not a BRDF in RGL's parameterisation: add this field"
+        )
     for name, dims in _DIMS.items():
         if name in fields:
             array = fields[name]

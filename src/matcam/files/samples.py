@@ -53,10 +53,10 @@ def samples_of(table: xr.DataArray) -> xr.DataArray:
 
 
 def table_of(samples: xr.DataArray) -> xr.DataArray:
-    """Build a table from samples; cells without a sample are missing.
+    """Build a table from samples. Cells without a sample are missing.
 
-    Samples are not interpolated. An ArgumentError is raised if a sample is not on the MERL grid, or two samples are in
-    one cell.
+    Samples are not interpolated. An ArgumentError is raised if a sample is not on the MERL grid, if two samples are in
+    one cell, or if the channels are neither one for all colours nor R, G and B.
     """
     samples = in_order(checked_samples(samples), "samples")
     labels = [str(label) for label in samples["channel"].values]
@@ -77,7 +77,7 @@ def table_of(samples: xr.DataArray) -> xr.DataArray:
         where = ", ".join(f"{name} {np.degrees(found[name][worst]):.4f}" for name in _HALF)
         raise ArgumentError(
             f"sample {worst + 1} ({where} degrees) must lie on the MERL grid, because samples are not interpolated: "
-            "resample them first"
+            "resample the samples to this grid first"
         )
     values = np.full((*(g.size for g in grid.values()), len(CHANNELS)), np.nan)
     numbers = np.ravel_multi_index(tuple(nearest), values.shape[:3])
@@ -106,7 +106,10 @@ def checked_samples(samples: xr.DataArray) -> xr.DataArray:
         check_unit(f"coordinate {name}", samples[name], "rad")
     labels = [str(label) for label in samples["channel"].values]
     if "channel" not in samples.coords or len(set(labels)) < len(labels) or not all(map(_LABEL.fullmatch, labels)):
-        raise ArgumentError(f"samples must have a different label for each channel, got {', '.join(labels)!r:.60}")
+        raise ArgumentError(
+            "samples must have a coordinate channel with a different label for each channel, of 1 to 60 characters without "
+            f"commas, quotes and control characters, got {', '.join(labels)!r:.60}"
+        )
     return samples
 
 
@@ -120,8 +123,8 @@ def write_samples(path: str | Path, samples: xr.DataArray, *, force: bool = Fals
 
     Args:
         path: file to write (.csv).
-        samples: values in 1/sr, such as those returned by `read_samples`, dims (sample, channel), shape (n, channels), with the
-            coordinates theta_h, theta_d and phi_d in rad.
+        samples: values in 1/sr, such as those returned by `read_samples`, dims (sample, channel), with the coordinates
+            theta_h, theta_d and phi_d in rad.
         force: True to replace an existing file. Default: False.
 
     Raises:
@@ -155,12 +158,12 @@ def read_samples(path: str | Path) -> xr.DataArray:
         path: CSV file whose first line names its columns, such as theta_h_deg or R_per_sr.
 
     Returns:
-        Values in 1/sr, dims (sample, channel), shape (n, channels), NaN where missing. Coordinates theta_h, theta_d and
-        phi_d are in rad.
+        Values in 1/sr, dims (sample, channel); missing values are NaN. Coordinates theta_h, theta_d and phi_d are in
+        rad.
 
     Raises:
-        FileFormatError: a column is unknown, a line is not numeric, an angle is out of its range, or a value is
-            infinite; the message names the line.
+        FileFormatError: the file is missing, a column is unknown or missing, a line is not numeric, an angle is out of
+            its range, a value is infinite, or all values are missing. The message contains the wrong line.
 
     Example:
         >>> import tempfile
@@ -190,8 +193,8 @@ def read_samples(path: str | Path) -> xr.DataArray:
 def samples_from(values: np.ndarray, angles: list[np.ndarray], channels: list[str]) -> xr.DataArray:
     """Build samples of a BRDF from arrays.
 
-    `values` is the BRDF, 1/sr, (n, channels). `angles` contains theta_h, theta_d and phi_d, rad, (n,) each. `channels`
-    contains the labels of the channels.
+    `values` is the BRDF, 1/sr, (samples, channels). `angles` contains theta_h, theta_d and phi_d, rad, (samples,) each.
+    `channels` contains the labels of the channels.
     """
     coords = {name: ("sample", angle, {"units": "rad"}) for name, angle in zip(_HALF, angles, strict=True)}
     attrs = {"units": "1/sr", "long_name": "BRDF"}
@@ -216,4 +219,4 @@ def _check(path: Path, angles: dict[str, np.ndarray], values: np.ndarray) -> Non
         line = int(np.flatnonzero(np.isinf(values).any(axis=1))[0])
         raise FileFormatError(f"{path}: line {line + 2} has an infinite value: leave missing values empty")
     if not np.isfinite(values).any():
-        raise FileFormatError(f"{path}: every value is missing: the file contains no samples")
+        raise FileFormatError(f"{path}: every value is missing: give a file with at least one value")

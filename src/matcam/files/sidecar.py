@@ -148,24 +148,26 @@ def write_sidecar(
 ) -> None:
     """Write the sidecar of an image from its sections.
 
-    docs/forward.md and the published schema (docs/picture-sidecar-v1.schema.json) list the fields; units are in their
-    names.
+    docs/forward.md and the published schema (docs/picture-sidecar-v1.schema.json) list the fields. The names of fields
+    contain the units.
 
     Args:
         path: file to write, such as the path returned by `sidecar_path`.
         picture: file, shape (rows, columns, channels), quantity, wavelengths in m, position of the optical axis in px.
         camera: camera profile, such as the result of `Camera.profile()`.
-        sample: kind "sphere", "cylinder" or "flat", radius in px, distance in radii (None: infinite).
+        sample: for the kinds "sphere" and "cylinder", radius in px and distance of the camera in radii (None:
+            infinite); for the kind "flat", viewing angle in rad and pitch of the texture in px (None: no texture).
         lamp: angles between lamp and optical axis, azimuths about the axis (None: 0) and the lamp's angular radius,
             rad, all seen from the centre of the sample; distance of the lamp in radii (None: infinite).
         blur: jitter in px, aperture over distance (no unit), angle of the normals in focus in rad.
-        exposure: electrons per unit of radiance, times in s, seed; None: without noise.
+        exposure: electrons per unit of radiance, times in s, and seed of the noise. None if no noise was added.
         material: free description of the material.
         notes: free text. Default: "".
         force: True to replace an existing file. Default: False.
 
     Raises:
-        ArgumentError: a field is missing, unknown or out of its range; the message names the field.
+        ArgumentError: a field is missing, unknown or out of its range, or a value cannot be written as JSON. The
+            message contains the wrong field.
         OutputError: the file cannot be written, or exists and `force` is False.
 
     Example:
@@ -217,8 +219,8 @@ def read_sidecar(path: str | Path) -> dict[str, Any]:
         Sections of the sidecar by name, as dicts with all fields.
 
     Raises:
-        FileFormatError: the file is not a sidecar, or a field is missing, unknown or out of its range; the message
-            names the field.
+        FileFormatError: the file is missing or not a sidecar, or a field is missing, unknown or out of its range. The
+            message contains the wrong field.
 
     Example:
         >>> matcam.io.read_sidecar("none.exr.json")

@@ -1,7 +1,7 @@
 """Decoders of tables (CSV, RGL, UTIA), which run in a separate process (core/readers/apart.py).
 
-samples.py, rgl.py and utia.py describe the formats. This file imports neither xarray nor JAX, so that it starts
-quickly.
+samples.py, rgl.py and utia.py describe the formats. This file imports neither xarray nor JAX, so that the process
+starts quickly.
 """
 
 from __future__ import annotations
@@ -34,7 +34,8 @@ _MOST_FIELDS, _MOST_DIMENSIONS, _LONGEST_NAME = 64, 8, 64
 def decode_csv(path: Path) -> dict[str, Any]:
     """Decode a CSV file of BRDF samples.
 
-    The result has `names` of the columns, their factors `scale` to rad or 1/sr, and `values` of shape (lines, columns).
+    The result has `names`, the names of the columns; `scale`, the factor of each column to rad or 1/sr; and `values`,
+    the numbers in the file, (lines, columns).
     """
     names, scale = _columns(path)
     _check_lines(path)
@@ -42,7 +43,10 @@ def decode_csv(path: Path) -> dict[str, Any]:
 
 
 def _check_lines(path: Path) -> None:
-    """Reject a long line, because the parser needs much more time and memory for it than for many short lines."""
+    """Reject a line of more than 16 KiB.
+
+    The parser needs much more time and memory for a long line than for many short lines.
+    """
     before, number = 0, 1
     with path.open("rb") as file:
         while block := file.read(1 << 16):
@@ -51,7 +55,7 @@ def _check_lines(path: Path) -> None:
             if max(lengths) > _LONGEST_LINE:
                 number += next(k for k, length in enumerate(lengths) if length > _LONGEST_LINE)
                 raise FileFormatError(
-                    f"{path}: line {number} has more than {_LONGEST_LINE} bytes: damaged, or without samples"
+                    f"{path}: line {number} has more than {_LONGEST_LINE} bytes: give one pair of directions per line"
                 )
             before, number = lengths[-1], number + len(lengths) - 1
 
@@ -78,7 +82,7 @@ def _columns(path: Path) -> tuple[list[str], list[float]]:
             )
     if len(set(names)) < len(names) or not (set(HALF) <= set(names) or set(PAIR) <= set(names)):
         raise FileFormatError(
-            f"{path}: line 1 must name either {', '.join(HALF)} or {', '.join(PAIR)}, each of them once"
+            f"{path}: line 1 must name all of {', '.join(HALF)} or all of {', '.join(PAIR)}, and each column only once"
         )
     if len(names) != len(PAIR if set(PAIR) <= set(names) else HALF) + sum(n.endswith(VALUE) for n in given):
         raise FileFormatError(
@@ -119,10 +123,10 @@ def _values(path: Path, columns: int) -> np.ndarray:
         pass
     except (ValueError, pd.errors.ParserError, pd.errors.ParserWarning, OverflowError) as error:
         raise FileFormatError(
-            f"{path}: cannot be read after line {at + 1}: {' '.join(str(error).split())[:120]}"
+            f"{path}: the file cannot be read after line {at + 1}: {' '.join(str(error).split())[:120]}"
         ) from None
     if not blocks:
-        raise FileFormatError(f"{path}: the file has no values below the names of the columns")
+        raise FileFormatError(f"{path}: the file has no values below the names of the columns: add lines of values")
     return np.concatenate(blocks)
 
 
@@ -131,27 +135,33 @@ def decode_rgl(path: Path) -> dict[str, np.ndarray]:
     start = len(RGL_MAGIC) + len(RGL_VERSION)
     if content[:start] != RGL_MAGIC + RGL_VERSION:
         raise FileFormatError(
-            f"{path}: not an RGL file: it starts with {content[:start]!r}, not {RGL_MAGIC + RGL_VERSION!r}"
+            f"{path}: the file is not an RGL file: its first bytes are {content[:start]!r}, but must be "
+            f"{RGL_MAGIC + RGL_VERSION!r}"
         )
     found: dict[str, np.ndarray] = {}
     left = len(content)
     try:
         (count,) = struct.unpack_from("<I", content, start)
         if count > _MOST_FIELDS:
-            raise FileFormatError(f"{path}: byte {start} specifies {count} fields: damaged, or not a BRDF")
+            raise FileFormatError(
+                f"{path}: byte {start} specifies {count} fields, but a BRDF has at most {_MOST_FIELDS}: the file is damaged; "
+                "copy it again"
+            )
         at = start + 4
         for _ in range(count):
             (length,) = struct.unpack_from("<H", content, at)
             name = content[at + 2 : at + 2 + length].decode()
             if not 0 < length <= _LONGEST_NAME or not name.isidentifier() or name in found:
                 raise FileFormatError(
-                    f"{path}: the name of a field at byte {at} is invalid or repeated: the file is damaged"
+                    f"{path}: the name of a field at byte {at} is invalid or repeated: the file is damaged; copy it "
+                    "again"
                 )
             at += 2 + length
             dimensions, code, offset = struct.unpack_from("<HBQ", content, at)
             if dimensions > _MOST_DIMENSIONS or code not in RGL_TYPES:
                 raise FileFormatError(
-                    f"{path}: field {name} has {dimensions} dimensions and type {code}, which is not supported"
+                    f"{path}: field {name} has {dimensions} dimensions and type {code}, but only up to {_MOST_DIMENSIONS} "
+                    f"dimensions and the types 1 to {len(RGL_TYPES)} are supported"
                 )
             shape = struct.unpack_from(f"<{dimensions}Q", content, at + 11)
             at += 11 + 8 * dimensions
@@ -159,12 +169,12 @@ def decode_rgl(path: Path) -> dict[str, np.ndarray]:
             left -= values * dtype.itemsize
             if left < 0 or offset + values * dtype.itemsize > len(content):
                 raise FileFormatError(
-                    f"{path}: truncated or damaged: field {name} has {' x '.join(map(str, shape))} values at byte {offset}, "
-                    f"but the file has {len(content)} bytes"
+                    f"{path}: the file is truncated or damaged: field {name} has {' x '.join(map(str, shape))} values at "
+                    f"byte {offset}, but the file has {len(content)} bytes; copy it again"
                 )
             found[name] = np.frombuffer(content, dtype, values, offset).reshape(shape)
     except (struct.error, UnicodeDecodeError):
-        raise FileFormatError(f"{path}: the list of fields is damaged") from None
+        raise FileFormatError(f"{path}: the list of fields is damaged: copy the file again") from None
     return found
 
 
@@ -172,10 +182,13 @@ def decode_utia(path: Path) -> np.ndarray:
     """Decode a UTIA BRDF, 1/sr, (channel, theta_i, phi_i, theta_o, phi_o)."""
     size = path.stat().st_size
     if size != _UTIA_BYTES:
-        raise FileFormatError(f"{path}: the file has {size} bytes, but a BRDF of UTIA has {_UTIA_BYTES}")
+        raise FileFormatError(
+            f"{path}: the file has {size} bytes, but a BRDF of UTIA has {_UTIA_BYTES}: copy the file again"
+        )
     values = np.fromfile(path, "<f8").reshape(UTIA_SHAPE)
     if not np.isfinite(values).all():
         raise FileFormatError(
-            f"{path}: the file has {np.count_nonzero(~np.isfinite(values))} values that are not finite"
+            f"{path}: the file has {np.count_nonzero(~np.isfinite(values))} values that are not finite: copy the "
+            "file again"
         )
     return values

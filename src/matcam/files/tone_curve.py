@@ -1,7 +1,7 @@
 """Tone curves: mapping from the codes of an image to linear values.
 
 The transfer function of sRGB (IEC 61966-2-1) converts linear values relative to white to codes relative to full scale.
-Its inverse is included.
+The module contains this function and its inverse.
 
 Curves as text (OECF tables, ISO 14524):
 
@@ -58,8 +58,9 @@ def read_tone_curve(path: str | Path) -> np.ndarray:
 def read_numbers(path: str | Path, columns: int | None = None) -> np.ndarray:
     """Read the numbers of a text file, (lines, columns).
 
-    Comments and empty lines are skipped. `columns` is the count of numbers in every line. None: one to three, the same
-    in all lines. The message of a FileFormatError contains the file and the line.
+    Comments and empty lines are skipped. `columns` is the count of numbers in every line. Default: None, one to three
+    numbers, the same count in all lines. A FileFormatError is raised for any other line. Its message contains the file
+    and the line.
     """
     path = Path(path)
     lines = read_lines(path, "a tone curve")
@@ -85,36 +86,44 @@ def checked_curve(values: np.ndarray) -> np.ndarray:
     """
     if values.ndim not in (1, 2) or len(values) < 2 or (values.ndim == 2 and values.shape[1] != 3):
         raise ArgumentError(
-            f"tone curve must have at least 2 codes with one or three linear values each, got shape {values.shape}"
+            f"the tone curve must have at least 2 codes with one or three linear values each, got shape {values.shape}"
         )
     if not np.isfinite(values).all():
-        raise ArgumentError("tone curve must contain finite values only")
+        raise ArgumentError("the tone curve must contain finite values only")
     falls = (np.diff(values, axis=0) < 0).reshape(len(values) - 1, -1).any(1)
     if falls.any():
         code = int(np.argmax(falls))
-        raise ArgumentError(f"tone curve must be monotone, but falls from code {code} to {code + 1}")
+        raise ArgumentError(f"the tone curve must be monotone, but decreases from code {code} to {code + 1}")
     if (values[-1] <= values[0]).any():
-        raise ArgumentError("tone curve must increase, but all codes have the same linear value")
+        raise ArgumentError("the tone curve must increase, but all codes of a channel have the same linear value")
     return values
 
 
 def curve_through(codes: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Interpolate a tone curve, (codes,), through points of code and linear value.
 
-    The curve is extrapolated linearly to code 0. An ArgumentError is raised if the codes do not increase strictly
-    within 0 to 65535, or the values decrease.
+    The curve is extrapolated linearly to code 0. An ArgumentError is raised if there are fewer than two points, if the
+    codes do not increase strictly within 0 to 65535, or if the values are not finite or decrease.
     """
     from scipy.interpolate import PchipInterpolator
 
-    if codes.size < 2 or not (np.diff(codes) > 0).all() or codes[0] < 0 or codes[-1] > _DEEPEST:
-        raise ArgumentError(f"tone curve's codes must increase strictly and lie in [0, {_DEEPEST}]")
-    if not np.isfinite(values).all() or (np.diff(values) < 0).any():
-        bad = int(np.argmax(~(np.diff(values) >= 0)))
-        raise ArgumentError(f"tone curve must be monotone, but falls from code {codes[bad]:g} to {codes[bad + 1]:g}")
+    if codes.size < 2:
+        raise ArgumentError(f"the tone curve must have at least 2 points of code and linear value, got {codes.size}")
+    if not (np.diff(codes) > 0).all() or codes[0] < 0 or codes[-1] > _DEEPEST:
+        raise ArgumentError(f"the codes of the tone curve must increase strictly and lie in [0, {_DEEPEST}]")
+    if not np.isfinite(values).all():
+        raise ArgumentError("the tone curve must contain finite values only")
+    if (np.diff(values) < 0).any():
+        bad = int(np.argmax(np.diff(values) < 0))
+        raise ArgumentError(
+            f"the tone curve must be monotone, but decreases from code {codes[bad]:g} to {codes[bad + 1]:g}"
+        )
     at = np.arange(int(np.ceil(codes[-1])) + 1)
     try:
         inside = PchipInterpolator(codes, values)(np.clip(at, codes[0], codes[-1]))
     except ValueError:
-        raise ArgumentError("tone curve is too steep for interpolation: give points that are further apart") from None
+        raise ArgumentError(
+            "the tone curve is too steep for interpolation: give points that are further apart"
+        ) from None
     slope = (values[1] - values[0]) / (codes[1] - codes[0])
     return checked_curve(inside + np.minimum(at - codes[0], 0) * slope)

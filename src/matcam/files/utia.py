@@ -27,7 +27,7 @@ def read_utia(path: str | Path) -> xr.Dataset:
         values cannot be converted to a table, because steps of 15 degrees do not resolve a highlight.
 
     Raises:
-        FileFormatError: the size of the file is wrong, or it contains non-finite values.
+        FileFormatError: the file is missing, has a wrong size, or contains non-finite values.
 
     Source:
         Filip and Vavra (2014), *Template-Based Sampling of Anisotropic BRDFs*.

@@ -5,8 +5,9 @@
     ScatterRadial 11 / 0 5 ... 80      Monochrome DataBegin
     then, for each angle of incidence, a total (TIS) and one row per azimuth
 
-Directions of view are relative to the mirror direction: radial is the angle from the mirror direction, and azimuth 0
-points towards the surface normal. RGL's files have the same suffix and are distinguished by their content.
+"/" marks the end of a line. Directions of view are relative to the mirror direction: radial is the angle from the
+mirror direction, and azimuth 0 points towards the surface normal. RGL's files have the same suffix and are
+distinguished by their content.
 """
 
 from __future__ import annotations
@@ -34,7 +35,8 @@ def read_zemax(path: str | Path) -> xr.DataArray:
         Coordinates theta_h, theta_d and phi_d are in rad.
 
     Raises:
-        FileFormatError: the file is damaged, or contains transmission or a sample without plane symmetry.
+        FileFormatError: the file is missing or damaged, or contains transmission, several sample rotations, or a sample
+            without plane symmetry.
 
     Source:
         Zemax OpticStudio, BSDF Data Interchange file format specification.

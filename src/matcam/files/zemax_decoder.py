@@ -1,6 +1,6 @@
 """Decoder of Zemax's BSDF Data Interchange files, which runs in a separate process (core/readers/apart.py).
 
-zemax.py describes the format. This file imports neither xarray nor JAX, so that it starts quickly.
+zemax.py describes the format. This file imports neither xarray nor JAX, so that the process starts quickly.
 """
 
 from __future__ import annotations
@@ -105,7 +105,7 @@ def _blocks(path: Path, words: list[str], shape: tuple[int, int, int]) -> tuple[
         at += 1
     if len(blocks) != shape[0] * len(names) or len(set(names)) != len(names):
         raise FileFormatError(
-            f"{path}: the file has {len(blocks)} blocks of values, but each channel must have one for each of the {shape[0]} "
-            "angles of incidence"
+            f"{path}: the file has {len(blocks)} blocks of values, but each channel must occur once, with one block for each "
+            f"of the {shape[0]} angles of incidence"
         )
     return names, np.array(blocks).reshape(len(names), *shape)

@@ -58,7 +58,7 @@ class CellChoice(NamedTuple):
     def cells(self, sample: Curved, lamp_nearness: jax.Array | None = None) -> TableCells | RealCells:
         """Compute the cells of a table of a sample.
 
-        lamp_nearness: inverse of the lamp's distance, 1/radii; None: a distant lamp.
+        `lamp_nearness` is the inverse of the distance of the lamp, 1/radii. Default: None, a distant lamp.
         """
         cells = self._unshifted(sample, lamp_nearness)
         # a pixel of a shifted image corresponds to another position in the unshifted image
@@ -81,7 +81,9 @@ class CellChoice(NamedTuple):
 
 
 class TableCells(NamedTuple):
-    """Cells of a table in one of the two reciprocal directions, as arrays over (theta_d, theta_h, phi_d, point, point).
+    """Cells of a table in one of the two reciprocal directions.
+
+    The arrays have the shape (theta_d, theta_h, phi_d, points along theta_h, points along phi_d).
 
     If the lamp is in the x direction of the sensor, the positions at phi_d + pi are mirror images of the positions at
     pi - phi_d. Reversing the order of phi_d, and of the points along phi_d, therefore yields the other direction. For
@@ -95,7 +97,7 @@ class TableCells(NamedTuple):
         irradiance: irradiance at each point divided by the irradiance of a surface that faces the lamp at the centre of
             the sample, no unit.
         weight: weight of each point in the value of its cell, no unit; 0 for invisible points.
-        pixels: number of pixels of each cell, (theta_h, theta_d, phi_d).
+        pixels: number of pixels of each cell in both directions, no unit, (theta_h, theta_d, phi_d).
         mirrored: True if reversing the order of phi_d yields the other direction.
     """
 
@@ -156,9 +158,9 @@ def _table_cells(sample: Curved, choice: CellChoice, lamp_nearness: jax.Array | 
 
 
 def _per_radian(sample: Curved, finest: float | None) -> float:
-    """Compute the largest shift of the image per rotation of the normal; 0 if it is unknown.
+    """Compute the largest shift of the image per rotation of the normal.
 
-    The unit is the standard deviation of the lens, `finest`, per rad.
+    The unit is the standard deviation of the lens, `finest`, per rad. The result is 0 if `finest` is None.
     """
     return 0.0 if finest is None else float(sample.stretch / (1 - sample.nearness)) / finest
 
@@ -171,8 +173,8 @@ class RealCells(NamedTuple):
         irradiance: cosine of the angle of incidence at the centre of each pixel, (pixels,).
         cell: index of a cell in the flattened (theta_d, theta_h, phi_d), (entries,).
         pixel: index of a pixel of this cell, (entries,).
-        share: share of this pixel in the value of the cell, (entries,).
-        pixels: number of pixels of each cell, (theta_h, theta_d, phi_d).
+        share: share of this pixel in the value of the cell, no unit, (entries,).
+        pixels: number of pixels of each cell, no unit, (theta_h, theta_d, phi_d).
     """
 
     positions: RecordPositions
@@ -184,7 +186,10 @@ class RealCells(NamedTuple):
 
 
 def _real_cells(radius: float, chosen: CellChoice, phase: PixelPhase) -> RealCells:
-    """Find the real pixels of all cells, slice by slice. radius: radius of the limb, px."""
+    """Find the real pixels of all cells, slice by slice.
+
+    `radius` is the radius of the limb, px.
+    """
     n_h, n_d, n_p = GRID_SHAPE
     theta_d = merl_grid("centre").theta_d
     columns: list[tuple[np.ndarray, ...]] = []
@@ -209,9 +214,8 @@ def _real_cells(radius: float, chosen: CellChoice, phase: PixelPhase) -> RealCel
 def cell_means(radiance: jax.Array, cells: TableCells | RealCells) -> AnyArray:
     """Average the BRDF over the positions of each cell in both directions.
 
-    The means have the shape (theta_h, theta_d, phi_d, channels) and the unit 1/sr. They are NaN where no position is visible.
-
-    radiance: radiance at the positions of the cells, 1/sr, (positions, channels).
+    The means have the shape (theta_h, theta_d, phi_d, channels) and the unit 1/sr. They are NaN where no position is
+    visible. `radiance` contains the radiance at the positions of the cells, 1/sr, (positions, channels).
     """
     # concrete values are averaged by NumPy, because JAX would compile a program for every shape
     if not is_concrete(radiance):

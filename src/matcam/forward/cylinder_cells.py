@@ -1,9 +1,9 @@
 """Record of the cells of a table on a cylinder, whose normals lie in one plane (docs/model.md 3).
 
 In general, the normal of a cell lies outside the plane of camera and lamp. A sphere has such a normal. A cylinder has
-it only if the lamp is rotated about the optical axis until the normal is perpendicular to the axis of the cylinder.
-Each cell therefore has a separate lamp azimuth. It is recorded on the line through the optical axis, perpendicular to
-the axis of the cylinder. In a near rig, the angles of the cell occur only on that line.
+such a normal only if the lamp is rotated about the optical axis until the normal is perpendicular to the axis of the
+cylinder. Each cell therefore has a separate lamp azimuth. The cell is recorded on the line through the optical axis,
+perpendicular to the axis of the cylinder. In a near rig, the angles of the cell occur only on that line.
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ _AT_ONCE = 1 << 17
 
 
 class CylinderCells(NamedTuple):
-    """Cells of a table on a cylinder, as arrays over (theta_h, theta_d, phi_d, direction).
+    """Cells of a table on a cylinder, as arrays over (theta_h, theta_d, phi_d, the two reciprocal directions).
 
     Attributes:
         positions: positions of the visible cells.
         flat_index: indices of the visible cells in the flattened arrays.
-        irradiance: irradiance at each cell divided by the irradiance of a surface that faces the lamp at the centre, no
-            unit.
+        irradiance: irradiance at each cell divided by the irradiance of a surface that faces the lamp at the centre of
+            the sample, no unit.
         seen: True for visible cells.
     """
 
@@ -53,12 +53,10 @@ class CylinderCells(NamedTuple):
 def check_cylinder(rig: Rig, azimuth: float = 0.0) -> None:
     """Raise ArgumentError if a rig with a cylinder cannot record a table.
 
-    azimuth: requested azimuth of the lamp, rad.
+    `azimuth` is the requested azimuth of the lamp, rad. Default: 0.
     """
     if any(abs(np.sin((turned or 0.0) / 2)) > _TURN for turned in (azimuth, rig.lamp_azimuth)):
-        raise ArgumentError(
-            "each cell of a table of a cylinder has its own lamp azimuth, so the azimuth must be left out"
-        )
+        raise ArgumentError("each cell of a table of a cylinder has its own lamp azimuth: omit the azimuth of the lamp")
     if rig.cell_value not in ("centre", "edge", UNKNOWN):
         raise ArgumentError(
             f"cell_value '{rig.cell_value}' needs a sphere, because on a cylinder each cell has its own image: specify "
@@ -67,10 +65,13 @@ def check_cylinder(rig: Rig, azimuth: float = 0.0) -> None:
 
 
 def cylinder_table(material: Material, rig: Rig, workspace: Workspace) -> tuple[jax.Array, np.ndarray]:
-    """Compute the table of a material on a cylinder, (90, 90, 180, channels), 1/sr, and the pixel counts of its cells.
+    """Compute the table of a material on a cylinder.
 
-    The table is NaN where a cell is not visible, and differentiable in the parameters of material and camera. The pixel
-    count of a cell is the number of its visible directions, 0 to 2.
+    The table is differentiable in the parameters of material and camera.
+
+    Returns:
+        The table, (90, 90, 180, channels), 1/sr, NaN where a cell is not visible; and the pixel count of each cell, the
+        number of its visible directions, 0 to 2.
     """
     sample, near = rig.sample, rig.lamp.nearness
     assert isinstance(sample, Cylinder)
@@ -85,7 +86,10 @@ def cylinder_table(material: Material, rig: Rig, workspace: Workspace) -> tuple[
 
 
 def record_cells(material: Material, rig: Rig, positions: RecordPositions) -> jax.Array:
-    """Compute the record of a material at positions on a cylinder at height 0, 1/sr, (positions, channels)."""
+    """Compute the record of a material at positions on a cylinder, 1/sr, (positions, channels).
+
+    The positions are on the line through the optical axis, perpendicular to the axis of the cylinder.
+    """
     parts = (
         positions.at(np.arange(begin, min(begin + _AT_ONCE, positions.x.size)))
         for begin in range(0, positions.x.size, _AT_ONCE)
@@ -108,10 +112,10 @@ def cylinder_cells(rig: Rig) -> CylinderCells:
 
 
 def line_positions(rig: Rig, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> RecordPositions:
-    """Compute the image position and the lamp of cells on the cylinder of a rig.
+    """Compute the image positions and the lamp azimuths of cells on the cylinder of a rig.
 
-    The angles are in rad. Distance and lamp angle of each position, measured from the optical axis, are those on a
-    sphere of the same radius.
+    The angles of the cells are in rad. The distance of a position from the optical axis and the lamp angle are those on
+    a sphere of the same radius.
     """
     sample: Cylinder = rig.sample  # type: ignore[assignment]
     sphere = Sphere(float(sample.radius), float(sample.distance))

@@ -42,19 +42,21 @@ def false_light(material: Material, rig: Rig, theta_d: float = np.pi / 8) -> xr.
         theta_d: difference angle of the slice of the table, in [0, pi/4], rad. Default: pi / 8.
 
     Returns:
-        Dataset over theta_h (rad) and channel, 1/sr: `true` BRDF, `recorded` BRDF, and `added`, the recorded BRDF minus
-        the BRDF recorded without the halo. `false_diffuse` over channel is the albedo of the Lambertian part that would
-        explain
-            `added` far from the highlight: pi times the mean of `added` for theta_h of at least 30 degrees.
+        Dataset. Over theta_h (rad) and channel it has the BRDFs `true` and `recorded`, and `added`, the recorded BRDF
+        minus the BRDF recorded without the halo, 1/sr. Over channel it has `false_diffuse`, no unit: the albedo of the
+        Lambertian part that would explain `added` far from the highlight. This is pi times the mean of `added` for
+        theta_h of at least 30 degrees.
 
     Raises:
-        ArgumentError: the lens has no halo, or the sample is not a sphere.
+        ArgumentError: the lens has no halo, the sample is not a sphere, or `theta_d` is out of its range.
     """
     optics = rig.camera.optics
     if not isinstance(optics, HaloOptics):
         raise ArgumentError("the lens has no halo: use HaloOptics(core, fraction, radius)")
     if not isinstance(rig.sample, Sphere):
-        raise ArgumentError(f"the prediction of false light needs a Sphere, got a {type(rig.sample).__name__}")
+        raise ArgumentError(
+            f"the prediction of false light needs a sphere, got a {type(rig.sample).__name__}: use a rig with a Sphere"
+        )
     theta_d = float(checks.within("theta_d", theta_d, 0, np.pi / 4, "rad"))
     sphere = rig.sample
     theta_h, phi_d = _FALSE_LIGHT_THETA_H, np.full(_FALSE_LIGHT_THETA_H.size, np.pi / 2)

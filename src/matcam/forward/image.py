@@ -52,14 +52,14 @@ def picture(
     The irradiance is 1 at the sample's centre, on a surface that faces the lamp. Row 0 is on top. Pixel centres lie on
     integers, and the optical axis at ((width - 1) / 2, (height - 1) / 2). For derivatives see `picture_values`.
 
-    The image under a source disc is the mean of the images under its points. This takes 15 times as long for a disc
-    whose image is as wide as the blur, and longer for a larger disc.
+    The image under a source disc is the mean of the images under the points of a quadrature rule. The computing time is
+    proportional to the number of points. A disc has at least 14 points, and more if its image is wider than the blur.
 
     Args:
         material: material of the sample, such as `Microfacet(GGX(0.1), 0.9)`.
         rig: camera, sample and lamp; the sample is a `Sphere` or `Cylinder`.
         lamp_angle: angle between lamp and optical axis, seen from the sample's centre, rad: 2 theta_d in a distant rig.
-            In [0, pi), or up to the angle where a near lamp lights no visible surface.
+            In [0, pi) in a distant rig; in a near rig, below the angle from which the lamp lights no visible surface.
         azimuth: azimuth of the lamp about the optical axis, in [-2 pi, 2 pi], rad. Pixels and the axis of a cylinder
             (y) do not rotate with the lamp. Default: None, the rig's `lamp_azimuth`, or 0, the lamp towards +x (right); pi / 2
             is towards +y (up).
@@ -68,8 +68,7 @@ def picture(
             down. Default: (0, 0).
         error: largest allowed error, as a share of the peak of the image, in [1e-6, 0.1], no unit; larger is faster.
             Default: None, full accuracy (1e-4 of every value or 1e-7 of the peak). If a finer image is filtered by the
-            transfer function of the lens, half of `error` is the allowed error of the transfer function; its default is
-            1e-6.
+            transfer function of the lens, the allowed error of the transfer function is `error` / 2, or 1e-6 for None.
         exposure: electrons per unit of radiance, e- sr, for a raw image of the camera's sensor. Default: None,
             radiance.
         seed: seed of the noise of the raw image, an integer or a JAX key. Default: None, for radiance only.
@@ -78,8 +77,8 @@ def picture(
     Returns:
         Radiance, 1/sr, or digital values, DN, (row, column, channel); (row, column) for a colour mosaic. Coordinates
         `x` and `y`, px, are relative to the optical axis, y upwards. Attribute `kernel_error`: see `measure`. Attribute
-        `route`: "frequencies" if a finer image was filtered by the transfer function of the lens, "space" if the lens
-        is a sum of Gaussians.
+        `route`: "frequencies" if a finer image was filtered by the transfer function of the lens; "space" if the lens was
+        represented by a sum of Gaussians.
 
     Raises:
         ArgumentError: an argument is out of its range, the lamp lights no visible surface or is inside the camera, the
@@ -294,7 +293,7 @@ def _raw_conversion(
     if sensor is None:
         raise ArgumentError("exposure needs a camera with a sensor: Camera(optics, pixel, sensor=Sensor(...))")
     if seed is None:
-        raise ArgumentError("exposure needs a seed of the noise: give seed an integer or a JAX key")
+        raise ArgumentError("exposure needs a seed of the noise: set seed to an integer or a JAX key")
 
     def raw(values: jax.Array) -> jax.Array:
         if sensor.cfa is not None and values.shape[-1] == 1:

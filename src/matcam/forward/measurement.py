@@ -1,10 +1,10 @@
 """Table of a material as recorded by a rig: the pixels of every cell of the MERL grid (docs/model.md 3).
 
 One image of a sphere, with an angle of 2 theta_d between lamp and camera, contains one theta_d slice of a table. Each
-cell occurs twice in this image: at the azimuth pi - phi_d about the half vector, and at the opposite azimuth. The value
-of a cell is the mean of both records, each divided by cos theta_i at its position. Positions and quadrature nodes
-depend only on the rig, so a workspace stores the plan for further materials. Cells on the same pixel have the same
-noise (docs/model.md 8).
+cell occurs twice in this image: at the azimuth pi - phi_d about the half vector, and at the opposite azimuth. Each record
+is divided by the cosine of the angle of incidence at its position. The value of a cell is the mean of the two quotients.
+Positions and quadrature nodes depend only on the rig, so a workspace stores the plan for further materials. Cells on the
+same pixel have the same noise (docs/model.md 8).
 """
 
 from __future__ import annotations
@@ -68,12 +68,13 @@ def measure(
     The value of a cell comes from a pixel centred on the point of the cell that `cell_value` of the rig specifies.
     "mean" is the mean over the pixels inside the cell. For "nearest" and "bilinear", and for "mean" if the rig has a
     `pixel_phase`, the value comes from the pixels of a real grid. Several cells near the peak then have the value of
-    the same pixel. The record is divided by cos theta_i at the centre of the pixel, and averaged over the two positions
-    of the cell (reciprocity). The radiance of a flat sample is uniform, so blur does not change its record.
+    the same pixel. The record is divided by the cosine of the angle of incidence at the centre of the pixel. The value is
+    the mean over the two positions of the cell, which are reciprocal configurations. The radiance of a flat sample is
+    uniform, so blur does not change the record of a flat sample.
 
     In a near rig, each cell is recorded in the image in which its angles occur, and the record is divided by the
     irradiance at its position. The computing time is proportional to the number of points of the lamp; a source disc has
-    at least 20 points. For derivatives see `table_values`.
+    at least 16 points. For derivatives see `table_values`.
 
     On a cylinder, cells are recorded on the line at height 0 that is perpendicular to the axis of the cylinder. Each
     cell has a separate image, whose lamp is rotated about the optical axis until the normal of the cell occurs on that
@@ -93,8 +94,9 @@ def measure(
         the largest error of the transfer function of the lens; 0 for Gaussian lenses.
 
     Raises:
-        ArgumentError: the lens varies over the field; a lamp azimuth, real pixels or a lens that is not isotropic are
-            specified for a cylinder; or the call is inside jax.jit.
+        ArgumentError: the material has neither one nor three channels; the lens varies over the field; the `cell_value` of
+            the rig is "mean", "nearest" or "bilinear" for a flat sample or a cylinder; a lamp azimuth or a lens that is not
+            isotropic is specified for a cylinder; or the call is inside jax.jit.
 
     Source:
         docs/model.md 2 and 3. The error is below 1e-4 of the value or 1e-7 of the peak for Gaussian optics (tests).
@@ -179,7 +181,7 @@ def table_values(
 
 
 def _colours(rig: Rig) -> list[tuple[Rig, tuple[float, float]]]:
-    """List the rig and the image shift, px, of each colour of the lens; one rig if the lens has no colours."""
+    """List the rig and the image shift, (right, up), px, of each colour; one rig without shift if the lens is achromatic."""
     optics = rig.camera.optics
     if not isinstance(optics, ColourOptics):
         return [(rig, (0.0, 0.0))]
@@ -253,7 +255,9 @@ class TablePlan(NamedTuple):
 
 
 def _table_plan(imaging: Imaging, chosen: CellChoice, lobe: tuple[float, float], workspace: Workspace) -> TablePlan:
-    """Compute the cells of a table and the plan of their record. An ArgumentError is raised inside jax.jit.
+    """Compute the cells of a table and the plan of their record.
+
+    An ArgumentError is raised if parameters of the rig are traced by jax.jit.
 
     lobe: narrowest scale, rad, and elongation of the lobe, see `record_plan`.
     """
@@ -277,7 +281,7 @@ def _table_plan(imaging: Imaging, chosen: CellChoice, lobe: tuple[float, float],
 
 
 def _flat_values(material: Material, rig: Rig) -> jax.Array:
-    """Compute the table of a flat sample, the mean of both directions, 1/sr, (90, 90, 180, channels).
+    """Compute the table of a flat sample, the mean of both reciprocal configurations, 1/sr, (90, 90, 180, channels).
 
     The sample is assumed to be tilted so that each cell is visible. Blur does not change its uniform radiance.
     """
@@ -310,7 +314,9 @@ def with_pixel_noise(table: xr.DataArray, rig: Rig, noise: PixelNoise, seed: int
         Table with noise, with the coordinates and attributes of `table`.
 
     Raises:
-        ArgumentError: the sample is flat, the noise is out of its range, or the table is not on the MERL grid.
+        ArgumentError: the sample is flat, the noise is out of its range, the seed is not a non-negative integer, or the
+            table is not on the MERL grid. For a cylinder also: the lamp has an azimuth, or the `cell_value` of the rig is
+            "mean", "nearest" or "bilinear".
 
     Source:
         docs/model.md 8: noise belongs to pixels, not to cells.
@@ -384,9 +390,9 @@ def cell_pixels(sphere: Sphere, sampling: Sampling, azimuth: float = 0.0) -> Cel
 def simulated_chromium() -> xr.DataArray:
     """Simulate the table of an ideal chromium sphere on the MERL rig.
 
-    The lobe is Gaussian, 0.002 rad wide; n and k are from Rakic et al. (1998). Noise is 1 % per pixel, without a floor,
-    because a MERL file cannot contain negative values. The truth is known, so the table is useful for demonstrations
-    and tests of the installation. The tests of the method are in tests/oracle.
+    The lobe is Gaussian, 0.002 rad wide. The refractive index n + i k is from Rakic et al. (1998). The noise is 1 % of the
+    value of a pixel, without a floor, because a MERL file cannot contain negative values. The true BRDF is known, so the
+    table is useful for demonstrations and for tests of the installation. The tests of the method are in tests/oracle.
     """
     return default_workspace().remember("simulated chromium", (), _noisy_chromium, most=1).copy()
 

@@ -57,7 +57,10 @@ def phase_of_slices(phase: PixelPhase) -> np.ndarray:
 
 
 def grid_of(rig: Rig) -> PixelGrid | None:
-    """Build the real pixel grid of the cells of a rig; None if each cell has a separate pixel or if the grid is unknown."""
+    """Build the real pixel grid of the cells of a rig.
+
+    The result is None if each cell has a separate pixel, or if the phase is unknown and the rule is "nearest" or "bilinear".
+    """
     if rig.cell_value == "mean" or (rig.cell_value in ON_REAL_PIXELS and rig.pixel_phase is not None):
         return PixelGrid(rig.cell_value, rig.pixel_phase, rig.lamp_azimuth or 0.0)
     return None
@@ -172,9 +175,9 @@ def slice_pixels(
 
     Args:
         rule: "nearest", "bilinear" or "mean".
-        phase: phase of the pixel grid, px.
+        phase: phase of the pixel grid, (2,), px.
         radius: radius of the sphere, px.
-        theta_d: theta_d of the slice, rad.
+        theta_d: difference angle of the slice, rad.
         crop: (height, width) of the sensor, px about the optical axis; None: unlimited.
         azimuth: azimuth of the lamp about the optical axis, rad.
     """
@@ -232,7 +235,7 @@ def _pixels_inside(
 
 
 def pixel_numbers(x: np.ndarray, y: np.ndarray, phase: npt.ArrayLike = (0.0, 0.0), azimuth: float = 0.0) -> np.ndarray:
-    """Number the pixels that contain positions. A number is unique in an image.
+    """Number the pixels that contain the given positions, px. Each pixel of an image has a unique number.
 
     phase: phase of the pixel grid, px, (..., 2). Default: a pixel is centred on the axis. azimuth: azimuth of the lamp
         relative to the rows of pixels, rad.

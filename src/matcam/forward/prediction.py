@@ -27,10 +27,10 @@ class Prediction(NamedTuple):
 
     Attributes:
         family: name of the family.
-        roughness: roughness of the lobes, (lobes,).
+        roughness: roughness of the lobes, (lobes,); rad for Gaussian lobes, no unit for other families.
         theta: viewing angles, rad, (angles,).
         response: recorded peak divided by true peak, (lobes, angles), no unit.
-        loss_angle: see `loss_angle`, rad, (lobes,).
+        loss_angle: smallest viewing angle with a relative loss above 5 %, rad, (lobes,); see the function `loss_angle`.
     """
 
     family: str
@@ -44,7 +44,7 @@ class Prediction(NamedTuple):
         return self.response / self.response[:, :1]
 
     def columns(self) -> dict[str, Sequence[Any]]:
-        """Tabulate the values: columns by name with unit, and one row for each lobe and angle."""
+        """Tabulate the values, with one row for each lobe and angle. The names of columns of angles end in "_rad"."""
         lobes, angles = self.response.shape
         arrays = {
             "roughness": np.repeat(self.roughness, angles),
@@ -94,9 +94,10 @@ def predict(rig: Rig, ndfs: NDF | Sequence[NDF], *, dims: int = 2, exact: bool =
             tangent plane of the sample.
 
     Returns:
-        Dataset over roughness and theta (viewing angle of the highlight, rad). `response` is the recorded peak divided by
-        the true peak, and `relative_response` is the response relative to theta = 0, both without unit. `loss_angle`,
-        rad, is the smallest angle with a relative loss above 5 %; it is pi/2 if there is none below 89.9 degrees.
+        Dataset over `roughness` (rad for Gaussian lobes, no unit for other families) and `theta` (viewing angle of the
+        highlight, rad). `response` is the recorded peak divided by the true peak, no unit. `relative_response` is the
+        response divided by the response at theta = 0, no unit. `loss_angle`, rad, is the smallest angle with a relative
+        loss above 5 %, or pi/2 if the loss is smaller at all angles up to 89.9 degrees.
         `result.matcam.plot()` draws the dataset.
 
     Raises:
@@ -142,8 +143,8 @@ def predicted(rig: Rig, ndfs: Sequence[NDF], dims: int = 2, exact: bool = False,
         ndfs: the lobes.
         dims: see `peak_response`. Default: 2.
         exact: see `peak_response`; the masking is Smith's. Default: False.
-        fast: True to use `response_preview` at a quarter of the angles, which is valid in two dimensions, on a sphere and
-            without defocus. Default: False.
+        fast: True to use `response_preview`, and only a quarter of the angles. The preview is valid in two dimensions, on a
+            sphere and without defocus. Default: False.
     """
     if fast:
         from matcam.forward.previews import response_preview
@@ -170,11 +171,11 @@ def loss_angle(rig: Rig, ndf: NDF, dims: int = 2) -> float:
     Args:
         rig: camera, sample and lamp.
         ndf: distribution of the microfacets' normals, such as `GGX(0.01)`.
-        dims: 2 for a real sample, 1 for the one-dimensional model of Holzschuch and Pacanowski. Default: 2. The
-            relative loss of Gaussian lobes is the same in both.
+        dims: 2 for a real sample, 1 for the one-dimensional model of Holzschuch and Pacanowski. For a Gaussian lobe and
+            a Gaussian lens, the relative loss is the same in both cases. Default: 2.
 
     Returns:
-        Angle, rad; pi/2 if the loss is smaller at all angles below 89.9 degrees.
+        Angle, rad; pi/2 if the loss is smaller at all angles up to 89.9 degrees.
 
     Raises:
         ArgumentError: see `peak_response`.

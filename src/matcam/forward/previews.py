@@ -5,7 +5,7 @@
 - The effect of the camera is the difference between recorded and true lobe, multiplied by the radiance at the peak. The
   effect is added to the image of the sphere.
 
-Limb and terminator are therefore not blurred in a preview. The lobe has the same shape everywhere as at the highlight. A
+Limb and terminator are therefore not blurred in a preview. The shape of the lobe on the sensor is that at the highlight. A
 source disc is replaced by a Gaussian of the same variance, and the aperture of a rig is neglected. A program is compiled
 once for all rigs with the same kinds of lens and pixel.
 """
@@ -82,14 +82,15 @@ def highlight_preview(
 ) -> xr.Dataset:
     """Simulate a close-up of the highlight, with and without the camera.
 
-    The lobe is computed in the tangent plane. On a sphere of 60 px, the error is 1 % of the peak for lobes up to 0.05
+    The lobe is computed in the tangent plane. On a sphere of 60 px radius, the error is 1 % of the peak for lobes up to 0.05
     rad and angles up to 60 degrees. The error is larger if limb or terminator is in the image.
 
     Args:
-        material: a metal or dielectric whose lobe is a sum of Gaussians: ggx, beckmann or gaussian.
+        material: a metal or dielectric whose lobe is a sum of Gaussians, such as `GGX`, `Beckmann` or `GaussianNDF`.
         rig: camera, `Sphere` and lamp.
         theta_d: difference angle at the highlight, in [0, 1.56], rad.
-        half_side: distance from the highlight to the border, px. Default: None, 4 half widths of the recorded lobe.
+        half_side: distance from the highlight to the border of the image, px. Default: None, four times the half width at
+            half maximum of the recorded lobe.
         points: number of values along each side. Default: 96.
 
     Returns:
@@ -121,16 +122,16 @@ def highlight_preview(
 def sphere_preview(material: Microfacet, rig: Rig, theta_d: float, side: int = 192) -> xr.Dataset:
     """Simulate a sphere under the lamp, with and without the camera.
 
-    On a sphere of 60 px, the error away from limb and terminator is 1 % of the peak for lobes up to 0.1 rad and angles
-    up to 60 degrees. For lobes of 0.3 rad it is 3 %. A halo of 2 % of the light spreads limb and terminator far into
-    the image; the error is then 1.5 %.
+    On a sphere of 60 px radius, the error away from limb and terminator is 1 % of the peak for lobes up to 0.1 rad and
+    angles up to 60 degrees. For lobes of 0.3 rad the error is 3 %. A halo of 2 % of the light spreads limb and terminator
+    far into the image; the error is then 1.5 %.
 
     Args:
-        material: a metal or dielectric whose lobe is a sum of Gaussians: ggx, beckmann or gaussian.
+        material: a metal or dielectric whose lobe is a sum of Gaussians, such as `GGX`, `Beckmann` or `GaussianNDF`.
         rig: camera, `Sphere` and lamp.
         theta_d: difference angle at the highlight, in [0, 1.56], rad.
-        side: largest number of values along each side. If the sphere is wider, a value covers several pixels. Default:
-            192.
+        side: largest number of values along each side. If the sphere is wider than `side` pixels, a value covers several
+            pixels. Default: 192.
 
     Returns:
         Dataset over y and x, px from the optical axis, x towards the lamp: `true` and `recorded` radiance of the middle
@@ -280,7 +281,10 @@ def _responses(rig: Rig, ndf: MixtureNDF, theta: jax.Array) -> jax.Array:
 def _closeup(
     material: Microfacet, rig: Rig, theta: jax.Array, positions: jax.Array, half_side: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Compute half the side, px, and the true and the recorded lobe, (y, x), 1/sr. half_side: px; NaN: the default."""
+    """Compute half the side, px, and the true and the recorded lobe, (y, x), 1/sr.
+
+    half_side: half the side, px; NaN: the default.
+    """
     lobe = _sum_of_gaussians(rig, _mixture(material), theta)
     half_side = jnp.where(jnp.isnan(half_side), 4 * _recorded_width(rig, lobe), half_side)
     scene, position = _scene(material, rig, theta)

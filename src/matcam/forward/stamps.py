@@ -43,12 +43,13 @@ class Highlights(NamedTuple):
 
     Attributes:
         flux: integral over each highlight, in the unit of radiance times px^2.
-        x: position of its centre to the right of the middle of the stamp, px. Pixel centres lie at integers if the size of
-            the stamp is odd, and half way between integers if the size is even.
-        y: position of its centre above the middle of the stamp, px.
-        std_along: standard deviation of the highlight alone along its direction, >= 0, px.
-        std_across: standard deviation across that direction, >= 0, px.
-        angle: direction, from the x axis, rad. Default: None, along the pixel grid, which is faster.
+        x: position of the centre of each highlight to the right of the middle of the stamp, px. Pixel centres lie at
+            integers if the size of the stamp is odd, and half way between integers if the size is even.
+        y: position of the centre of each highlight above the middle of the stamp, px.
+        std_along: standard deviation along the direction `angle`, without the blur of lens and pixel, >= 0, px.
+        std_across: standard deviation perpendicular to the direction `angle`, without this blur, >= 0, px.
+        angle: direction of each highlight from the x axis towards the y axis, rad. Default: None, along the rows of pixels,
+            which is faster.
 
     Example:
         >>> matcam.forward.Highlights(flux=1.0, x=0.0, y=0.0, std_along=0.8, std_across=0.4).angle is None
@@ -75,10 +76,12 @@ def highlight_stamps(camera: Camera, size: int, highlights: Highlights) -> jax.A
         highlights: the highlights; their broadcast shape gives the leading axes of the result.
 
     Returns:
-        Images, (..., size, size), in units of flux per px^2. Differentiable in all parameters, and usable inside jax.jit.
+        Images, (..., size, size), in units of flux per px^2. They are differentiable in all parameters, and can be computed
+        inside jax.jit.
 
     Raises:
-        ArgumentError: the lens or the pixel is of another kind, a value is not finite, or shapes do not broadcast.
+        ArgumentError: the lens or the pixel is of another kind, a value is out of its range or not finite, or shapes do not
+            broadcast.
 
     Source:
         docs/model.md 2: the product of erf differences.
@@ -111,9 +114,10 @@ def rig_highlights(
     Args:
         rig: camera, sample and lamp; the sample is a `Sphere`. Lens and pixel do not affect the result.
         width: standard deviation of the lobe, rad, (0, 0.5].
-        lamp_angle: angle between lamp and optical axis, seen from the sphere's centre, rad. All arguments broadcast.
+        lamp_angle: angle between lamp and optical axis, seen from the sphere's centre, rad. The arguments `width`,
+            `lamp_angle`, `azimuth` and `reflectance` broadcast.
         azimuth: azimuth of the lamp about the optical axis, in [-2 pi, 2 pi], rad. Default: None, the rig's
-            `lamp_azimuth`, or 0, towards +x, for stamps along the pixel grid, which are faster.
+            `lamp_azimuth`, or 0, towards +x. Stamps of highlights with the azimuth 0 are faster to compute.
         reflectance: Fresnel term F of each highlight, no unit, >= 0. Default: 1.
 
     Returns:
@@ -243,10 +247,10 @@ def _order(lens: list[tuple[jax.Array, jax.Array]], lights: _Lights) -> int:
 
 
 def _log_error(order: int, length: float) -> float:
-    """Compute the logarithm of the error of the Gauss-Legendre rule.
+    """Compute the logarithm of the error bound of the Gauss-Legendre rule with n = `order` nodes.
 
-    The integrand is exp(-t^2 / 2) on an interval of `length`, and the error is relative to the length. The bound is
-    length^(2n+1) n!^4 / ((2n+1) (2n)!^3) max |f^(2n)| with max |f^(2n)| = (2n-1)!!.
+    The integrand is f(t) = exp(-t^2 / 2) on an interval of `length`, and the error is relative to the length. The bound is
+    length^(2n+1) n!^4 / ((2n+1) (2n)!^3) max |f^(2n)|, where f^(2n) is a derivative and max |f^(2n)| = (2n-1)!!.
     """
     n = order
     derivative = lgamma(2 * n + 1) - n * log(2) - lgamma(n + 1)

@@ -58,17 +58,19 @@ class CapturePlan(NamedTuple):
     """Contents of a synthetic capture, and the errors of its specified values.
 
     Attributes:
-        theta_d: difference angle at the highlight for each lamp position, rad, (n,).
+        theta_d: difference angle at the highlight for each lamp position, rad, (n,). For a flat sample, only the number n is
+            used: the number of tilts.
         azimuth: azimuth of the lamp's arc about the optical axis, rad. Default: 0.
         exposures: number of exposures per lamp position. Default: 5.
         step: ratio of successive exposure times, > 1. Default: 4.
         lamp_std: standard deviation of the specified lamp angles, rad. Default: 0.3 degrees.
-        gain_std: relative standard deviation of the lamp's intensity between lamp positions. Default: 0.005.
-        time_std: relative standard deviation of the specified exposure times. Default: 0.05.
-        error: error of the simulated images, as a share of their peak (`picture`). Default: 1e-4.
+        gain_std: relative standard deviation of the lamp's intensity between lamp positions, no unit. Default: 0.005.
+        time_std: relative standard deviation of the specified exposure times, no unit. Default: 0.05.
+        error: largest allowed error of the simulated images, as a share of their peak (see `picture`), no unit. Default:
+            1e-4.
         shift_std: standard deviation of the position of the sphere between lamp positions, along columns and rows, px.
             Default: 0.2.
-        distance_std: standard deviation of the specified distances, relative. Default: 0.005.
+        distance_std: relative standard deviation of the specified distances of camera and lamp, no unit. Default: 0.005.
         patch: white patch in every frame of a sphere or cylinder; None: the reference is a monitor of the lamp's intensity.
             Default: a typical patch.
         shape: (height, width) of the images of a flat sample, px. Default: None, 256 x 256.
@@ -117,9 +119,9 @@ def simulate_capture(
         True parameters, as in truth.json.
 
     Raises:
-        ArgumentError: `seed` is not a non-negative integer, the rig has no sensor, its sample cannot be simulated, or
-            the plan is out of range.
-        OutputError: a file exists and `force` is False, or cannot be written.
+        ArgumentError: `seed` is not a non-negative integer, the rig has no sensor or a sensor of more than 16 bits, the
+            sample cannot be simulated, the lens is not isotropic, or a value of the plan is out of range.
+        OutputError: `folder` contains files and `force` is False, or a file cannot be written.
     """
     checks.whole_number("seed", seed, 0)
     sensor = _sensor(rig)
@@ -227,7 +229,9 @@ def _sensor(rig: Rig) -> Sensor:
     if sensor is None:
         raise ArgumentError("a capture needs a camera with a sensor: Camera(optics, pixel, sensor=Sensor(...))")
     if sensor.bits is None or sensor.bits > 16:
-        raise ArgumentError(f"a capture needs a sensor of at most 16 bits, got {sensor.bits}")
+        raise ArgumentError(
+            f"a capture needs a sensor with a specified number of bits, at most 16, got bits={sensor.bits}"
+        )
     return sensor
 
 

@@ -70,7 +70,7 @@ class SyntheticSample(Protocol):
         """Compute the radiance of one lamp position, (height, width, channels), 1/sr."""
 
     def before_field(self, shift: np.ndarray) -> np.ndarray | None:
-        """Compute the fraction of each pixel covered by the bright field behind the sample; None if the sample has no outline.
+        """Compute the share of each pixel that the bright field behind the sample covers; None if the sample has no outline.
 
         shift: shift of the sample, (right, down), px.
         """
@@ -88,12 +88,15 @@ def synthetic_sample(rig: Rig, shape: tuple[int, int] | None, seed: int) -> Synt
         seed: seed of a flat sample's textures.
 
     Raises:
-        ArgumentError: the sample has no images, or a shape is given for a curved sample.
+        ArgumentError: the sample is not a sphere, a cylinder or flat; a shape is given for a curved sample; or a flat sample
+            has a near lamp or a sensor with a mosaic.
     """
     if isinstance(rig.sample, Flat):
         return _FlatSample(rig, shape or (256, 256), seed)
     if shape is not None:
-        raise ArgumentError("the size of the images of a sphere or cylinder follows from the radius: omit the size")
+        raise ArgumentError(
+            "the size of the images of a sphere or cylinder follows from the radius: omit the size (shape)"
+        )
     if isinstance(rig.sample, Sphere):
         return _SphereSample(rig, rig.sample)
     if isinstance(rig.sample, Cylinder):
@@ -215,7 +218,9 @@ class _FlatSample:
 
     def __init__(self, rig: Rig, shape: tuple[int, int], seed: int):
         if isinstance(rig.lamp, NearLamp):
-            raise ArgumentError("a flat sample is simulated under a distant lamp: omit the lamp distance")
+            raise ArgumentError(
+                "a flat sample is simulated under a distant lamp: omit the lamp distance, or use DistantLamp()"
+            )
         if rig.camera.sensor is not None and rig.camera.sensor.cfa is not None:
             raise ArgumentError("a flat sample needs a grey sensor: give a camera whose sensor has no cfa")
         self.rig, self.shape = rig, shape

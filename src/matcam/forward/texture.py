@@ -1,4 +1,4 @@
-"""Texture of a flat sample: its recorded contrast after tilt and blur (paper (4)), and its image.
+"""Texture of a flat sample: its image, and its contrast after tilt and blur (Holzschuch and Pacanowski 2017, (4)).
 
 A texture is periodic, so its image is a sum of waves. The tilt along x changes the frequency of each wave on the
 sensor. The wave is multiplied by the transfer function of the camera at this frequency. The sum is evaluated at the
@@ -39,7 +39,7 @@ def texture_contrast(rig: Rig, frequency: ArrayLike, theta_o: ArrayLike) -> jax.
         Relative contrast, signed, of the broadcast shape, no unit.
 
     Raises:
-        ArgumentError: the sample is not flat, or an argument is out of its range.
+        ArgumentError: the sample is not flat, the lens is not isotropic, or an argument is out of its range.
 
     Source:
         Holzschuch and Pacanowski (2017), equation (4); docs/model.md 3.
@@ -70,18 +70,19 @@ def textured_picture(
         texture: albedo, or any other factor of the radiance, (H, W) or (H, W, channels), finite and >= 0; row 0 on top.
         rig: a rig with a `Flat` sample.
         theta_o: angle of the tilt, in [0, pi/2), rad.
-        shape: (rows, columns) of the image, px. Default: the texture's.
+        shape: (rows, columns) of the image, px. Default: None, the number of rows and columns of the texture.
         texture_pitch: distance of neighbouring texels on the sensor, head-on, px. Default: 1.
-        texels: signal between the texels' centres. Default: "band-limited", the band-limited periodic signal through the
-            values; a sampled sine is reproduced exactly, and edges overshoot, possibly below 0. With "squares" each texel
-            is a square of constant albedo, as in a printed chart, and the image through a positive kernel is >= 0.
+        texels: signal between the centres of the texels. Default: "band-limited", the band-limited periodic signal through
+            the values. It reproduces a sampled sine exactly; at edges it overshoots, possibly below 0. With "squares" each
+            texel is a square of constant albedo, as in a printed chart, and the image through a positive kernel is >= 0.
 
     Returns:
         Image in the texture's unit, (rows, columns) or (rows, columns, channels). A uniform texture keeps its value.
-        Differentiable in texture, angle and camera.
+        The image is differentiable in the texture, the angle and the parameters of the camera.
 
     Raises:
-        ArgumentError: the sample is not flat, an argument is out of its range, or the texture requires too many waves.
+        ArgumentError: the sample is not flat, the lens is not isotropic, an argument is out of its range, or the texture
+            requires too many waves.
 
     Source:
         Holzschuch and Pacanowski (2017), equations (3) and (4); docs/model.md 3.
@@ -122,12 +123,12 @@ def textured_picture(
 
 
 class _AxisWaves(NamedTuple):
-    """Waves exp(2 pi i k u / texels) of a texture along one axis, symmetric about 0.
+    """Waves exp(2 pi i k u / texels) along one axis of a texture, where u is the position in texels.
 
     Attributes:
         texels: number of texels.
-        k: wave numbers.
-        weight: factor of each wave in the signal between the texels' centres, no unit.
+        k: wave numbers, symmetric about 0.
+        weight: factor of each wave in the signal between the centres of the texels, no unit.
         at: positions of the pixels on the texture, in texels.
     """
 
@@ -154,9 +155,9 @@ def _axis_waves(texels: int, pixels: int, foreshortening: ArrayLike, pitch: floa
 
 @eqx.filter_jit
 def _sum_of_waves(planes: jax.Array, transfer: jax.Array, across: _AxisWaves, along: _AxisWaves) -> jax.Array:
-    """Sum the waves of a texture, (H, W, channels), multiplied by the transfer function of the camera.
+    """Sum the waves of a texture, multiplied by the transfer function of the camera; (rows, columns, channels).
 
-    transfer: transfer function at the wave numbers 0, 1, 2, ... of both axes.
+    planes: texture, (H, W, channels). transfer: transfer function at the wave numbers 0, 1, 2, ... of both axes.
     """
     transfer = transfer[jnp.abs(across.k)[:, None], jnp.abs(along.k)]
     spectrum = jnp.fft.fft2(planes, axes=(0, 1), norm="forward")
@@ -173,15 +174,19 @@ def _waves(axis: _AxisWaves) -> jax.Array:
 def _check_texture(texture: ArrayLike) -> jax.Array:
     array = texture if not is_concrete(texture) else checks.within("texture", texture, 0, np.inf, open_high=True)
     array = jnp.asarray(array, dtype=jnp.float64)
-    if array.ndim not in (2, 3) or 0 in array.shape:
+    if array.ndim not in (2, 3):
         raise ArgumentError(f"texture must have shape (H, W) or (H, W, channels), got {array.shape}")
+    if 0 in array.shape:
+        raise ArgumentError(f"texture must have at least one row, column and channel, got the shape {array.shape}")
     return array
 
 
 def _check_shape(shape: tuple[int, ...]) -> tuple[int, int]:
     whole = isinstance(shape, tuple) and all(isinstance(n, int | np.integer) and 1 <= n <= 1 << 15 for n in shape)
     if not whole or len(shape) != 2:
-        raise ArgumentError(f"shape must be two whole numbers (rows, columns) in [1, {1 << 15}], got {shape!r:.60}")
+        raise ArgumentError(
+            f"shape must be a tuple of two whole numbers (rows, columns) in [1, {1 << 15}], got {shape!r:.60}"
+        )
     return int(shape[0]), int(shape[1])
 
 

@@ -115,7 +115,9 @@ def _lens_of(material: Material, rig: Rig, sample: Curved, error: float | None) 
         return None
     aimed = None if error is None else error / 2  # error of the transfer function
     if isinstance(sample, Cylinder) and varies_over_field(optics):
-        raise ArgumentError("a cylinder's image needs a lens that is the same all over the field: use a Sphere")
+        raise ArgumentError(
+            "a cylinder's image needs a lens that is the same all over the field: use another lens, or a Sphere"
+        )
     lens = picture_lens(rig.camera, float(jax.lax.stop_gradient(sample.radius)), aimed)
     if lens is None:
         return None

@@ -1,4 +1,4 @@
-"""Lamp angles, exposures, radius and tolerances that a wanted accuracy of F requires (docs/model.md 10).
+"""Lamp angles, exposures, radius and tolerances for a wanted accuracy of the Fresnel term F (docs/model.md 10).
 
 `limits` computes the accuracy that pixels and lens allow. An error of an angle results in F at another angle, so the
 tolerances of the geometry follow from the slope of F. A relative error of the image gain is an equal relative error of F.
@@ -41,20 +41,20 @@ a factor of about sqrt(2), so that the number of pixels doubles.
 
 
 class CaptureNeeds(NamedTuple):
-    """Requirements of a capture for a wanted accuracy of F.
+    """Requirements of a capture for a wanted accuracy of the Fresnel term F.
 
     Attributes:
-        theta_d: theta_d of the lamp positions, rad, (n,).
+        theta_d: difference angle at the highlight for each lamp position, rad, (n,).
         lamp_angle: angle between lamp and optical axis, seen from the sample's centre, rad, (n,).
         radius: smallest tried radius of the limb at which the pixels allow the accuracy, px; infinite if there is none.
         fresnel_std: for each radius that was tried, the radius, px, and the bound of the relative standard deviation of F at
-            the last angle.
+            the largest wanted theta_d, no unit.
         exposures: number of exposures of each image. Their times differ by factors of 4.
-        dynamic_range: ratio of the values of the brightest and the dimmest useful pixel.
+        dynamic_range: ratio of the values of the brightest and the dimmest useful pixel, no unit.
         lamp_std: tolerance of the direction of each lamp, rad.
         outline_std: tolerance of centre and radius of the sphere, px.
-        gain_std: relative tolerance of the image gain.
-        slope: magnitude of the derivative of ln F with respect to theta_d at the last angle, 1/rad.
+        gain_std: relative tolerance of the image gain, no unit.
+        slope: magnitude of the derivative of ln F with respect to theta_d, at the largest wanted theta_d, 1/rad.
     """
 
     theta_d: np.ndarray
@@ -94,16 +94,17 @@ def plan_capture(
     k: float = 0.0,
     workspace: Workspace | None = None,
 ) -> CaptureNeeds:
-    """Plan a capture for a wanted accuracy of F.
+    """Plan a capture for a wanted accuracy of the Fresnel term F.
 
-    Four independent errors contribute: those of the lamp angle, the image gain, the outline, and the pixels. The standard
-    deviation of each may be half of the wanted standard deviation.
+    Four independent errors contribute to the error of F: those of the lamp angle, the image gain, the outline, and the
+    pixels. Each contribution may have half of the wanted standard deviation of F.
 
     Args:
         rig: camera with a Gaussian lens, a `Sphere` and a lamp, distant or near. Distances in radii stay constant when
             other radii of the sphere in the image are tried.
         roughness: alpha of a GGX lobe, no unit.
-        accuracy: wanted relative standard deviation of the ratio of F at `last` to F at small angles. Default: 0.01.
+        accuracy: wanted relative standard deviation of the ratio of F at `last` to F at small angles, no unit, in
+            [1e-4, 0.5]. Default: 0.01.
         last: largest theta_d at which F is wanted, rad, [0.2, 1.5]. Default: 75 degrees.
         n: refractive index of the material, no unit. Default: 1.5, for which F is steep at large angles.
         k: extinction coefficient of the material, no unit. Default: 0.

@@ -34,13 +34,17 @@ def check_fresnel_result(result: xr.Dataset) -> None:
     lacking = [name for name, wanted in dims.items() if name not in result.variables or result[name].dims != wanted]
     lacking += [] if np.shape(result.attrs.get("normalised_over", 0)) == (2,) else ["attrs['normalised_over']"]
     if lacking:
-        raise ArgumentError(f"result must be a Dataset from fresnel, but it lacks {', '.join(lacking)}")
+        raise ArgumentError(
+            "result must be a Dataset from fresnel, but these entries are missing or have other dimensions: "
+            f"{', '.join(lacking)}"
+        )
 
 
 def known_wavelengths(table: xr.DataArray | xr.Dataset) -> tuple[float, ...] | None:
     """Look up the wavelength of each channel of a table, m.
 
-    Three channels with other names than R, G and B are assumed to be in this order. The result is None for any other channels.
+    If three channels have other names than R, G and B, they are assumed to be R, G and B in this order. The result is None for
+    other channels with unknown names.
     """
     labels = [str(label) for label in table["channel"].values]
     if len(labels) == len(CHANNELS) and set(labels) != set(CHANNELS):
@@ -60,21 +64,21 @@ def tabulated_fresnel(
         result: Dataset from `fresnel`.
         metal: name of a metal in `metals`. Default: None, all metals, and dielectrics with refractive indices from 1.3 to
             1.8 in steps of 0.1.
-        wavelengths: wavelength of each channel, m, (channels,). Default: those of R, G and B by the names of the channels.
-            Other channels require their own wavelengths.
+        wavelengths: wavelength of each channel, m, (channels,). Default: None, 610, 550 and 465 nm for channels with the names
+            R, G and B, or for any three channels in this order. Other channels require their own wavelengths.
 
     Returns:
         Dataset over (table, theta_d, channel), without unit:
 
-        - `tabulated`: F from the n and k of each table, normalised over the same range of theta_d as `result`.
-        - `tabulated_f0`: F at normal incidence, (table, channel).
+        - `tabulated`: F from the refractive index of each table, normalised over the same range of theta_d as `result`.
+        - `tabulated_f0`: F at normal incidence, not normalised, (table, channel).
         - `rms_corrected`, `rms_raw`: rms over theta_d of (corrected / tabulated - 1) and (raw / tabulated - 1), (table,
-          channel). theta_d is between the start of the range of the normalisation and the supported angle. NaN if no
-          angle is supported.
+          channel). theta_d extends from the start of the range of the normalisation to the supported angle. Both are NaN if
+          there is no F in this interval.
 
     Raises:
-        ArgumentError: the metal is unknown, the number of wavelengths is not the number of channels, or `result` lacks
-            a variable.
+        ArgumentError: the metal is unknown, the wavelengths are unknown or their number is not the number of channels, or
+            `result` lacks a variable.
 
     Source:
         `metals` lists the tables.

@@ -86,40 +86,44 @@ def fresnel(
 ) -> xr.Dataset:
     """Estimate the Fresnel term of a table, with and without camera correction.
 
-    F is free in every slice; one lobe and a diffuse part are common to all slices. The uncertainty of the camera is
-    a prior of its parameters, and the shape of the lens is fitted, too. F is averaged over the same explanations as in
-    `correct`. F is not corrected if `correct` withholds the correction of the table. If `corrected` and
+    The Fresnel term F is free in every slice; one lobe and a diffuse part are common to all slices. The uncertainty of the
+    camera is a prior of the parameters of the camera. The shape of the lens is fitted, too. F is averaged over the same
+    explanations as in `correct`. F is not corrected if `correct` withholds the correction of the table. If `corrected` and
     `corrected_peak` differ by more than their errors, the shape of the lobe differs from the fitted shape, or the blur
     of the table differs from that of the camera.
 
     Args:
         brdf: table, 1/sr, for example from `read_merl`.
         rig: rig that recorded the table, with a sphere or a cylinder; camera and lamp are distant or near.
-        ndf: family of the lobe. Default: "auto", the mean over several explanations, weighted by their evidence. They are
-            "ggx" and "epd". If their residuals exceed the noise, Student's t, two lobes, a lobe over a rough base, and a
-            spline-modified lobe are added.
-        masking: masking G in (13): "smith", "smith-separable", "van-ginneken" or None. Default: "smith".
+        ndf: family of the lobe. Default: "auto", the mean over several explanations, weighted by their evidence. The
+            explanations are the families "ggx" and "epd". If their residuals exceed the noise, Student's t, two lobes, a lobe
+            over a rough base, and a spline-modified lobe are added.
+        masking: model of the masking G: "smith", "smith-separable", "van-ginneken", or None for G = 1. Default: "smith".
         noise: noise of a pixel. Default: None, estimated from the residuals.
         normalise: range of theta_d, rad, over which the mean of the corrected F is 1. Default: 10 to 45 degrees.
         slice_step: spacing of the slices of theta_d that are used (no unit). Default: 1, all slices. A larger
             spacing is faster.
         force_correction: True to correct a table whose data contradict the rig. Default: False, F is not corrected.
-        workspace: store of results that depend only on the rig. Default: None, that of the process.
+        workspace: store of results that depend only on the rig. Default: None, the store of the process.
 
     Returns:
         Dataset over (theta_d, channel), without unit except for angles:
 
-        - `raw`, `raw_std`: F from the recorded peak alone, as if the camera were perfect.
+        - `raw`, `raw_std`: F from the recorded peak alone, as if the camera were perfect, and its standard deviation.
         - `corrected_peak`: estimate of Holzschuch & Pacanowski (2017): `raw` divided by the response at the peak relative to
             that at theta_d = 0.
         - `corrected`, `corrected_std`: F from the lobe fitted through the camera. The standard deviation has a part from
-            pixel noise and image gain (`corrected_std_noise`), and a part from the camera (`corrected_std_camera`).
+            pixel noise and image gain (`corrected_std_noise`), and a part from the camera, the rig and the other explanations
+            (`corrected_std_camera`).
         - `absolute`, `absolute_std`: `corrected` without normalisation; NaN if the lobe is too narrow to
             determine its strength.
-        - `response`: recorded / true peak. `masking`: G in the mirror direction.
-        - `supported_angle`: largest theta_d, rad, up to which corrected_std is below 5 % of corrected.
-        - `width`, `width_std`: width of the lobe, as defined by its NDF; half width of a spline-modified lobe, rad.
-        - `hwhm`, `hwhm_std`: half width of a lobe of any shape at half its maximum, rad.
+        - `response`: recorded / true peak, over theta_d; 1 if the correction is withheld.
+        - `masking`: G in the mirror direction, over theta_d.
+        - `supported_angle`: largest theta_d, rad, up to which corrected_std is below 5 % of corrected, over channel; 0 if there
+            is none.
+        - `width`, `width_std`: first parameter of the lobe, such as alpha; half width, rad, of a lobe without parameters of a
+            family. `width_std` is infinite if the lobe is too narrow to be resolved.
+        - `hwhm`, `hwhm_std`: half width at half maximum of the lobe, rad.
         - `budget_std`: part of corrected_std due to each source, over (source, theta_d, channel). Its squares add up to the
           square of corrected_std. `budget_type`, `budget_value`, `budget_uncertainty` and `budget_degrees` are the type, value,
           standard uncertainty and degrees of freedom of each source (see `fresnel_budget`).
@@ -132,10 +136,11 @@ def fresnel(
 
     Raises:
         ArgumentError: an argument is wrong, or a fit does not support the rig.
-        FitError: the table has no highlight, or no values for normalisation.
+        FitError: the table has no highlight or not enough values, the cells contradict the rig, or a fit produced non-finite
+            parameters.
 
     Source:
-        The paper's equation (13) and Figure 6; docs/model.md sections 5 and 8.
+        Holzschuch & Pacanowski (2017), equation (13) and Figure 6; docs/model.md sections 5 and 8.
 
     Example:
         >>> table = matcam.read_merl("chrome.binary")  # doctest: +SKIP
@@ -247,8 +252,9 @@ class PeakFresnel(NamedTuple):
     """Fresnel term from the peaks of a table alone.
 
     Attributes:
-        raw: F without correction for the camera, with the same factor as `corrected`, (channels, slices).
-        corrected: F divided by the response at the peak, relative to the response at theta_d = 0, (channels, slices).
+        raw: F without correction for the camera, divided by the same factor as `corrected`, (channels, slices).
+        corrected: F divided by the response at the peak relative to the response at theta_d = 0, (channels, slices). Its mean
+            over the used slices is 1.
         masking: G in the mirror direction, (slices,).
     """
 
@@ -262,13 +268,13 @@ def fresnel_of_peaks(
 ) -> PeakFresnel:
     """Compute F from recorded peaks, without and with correction of the loss.
 
-    The corrected F has mean 1.
+    Both are divided by the mean of the corrected F.
 
     Args:
         brdf: table, 1/sr.
         theta_d: difference angles of the slices, rad, (slices,).
-        lobe: fitted lobe, from which masking is computed.
-        masking: masking G of the lobe.
+        lobe: fitted lobe, from which masking and the largest value of D are computed.
+        masking: model of the masking G.
         response: ratio of recorded to true peak, relative to that at theta_d = 0, (slices,).
         used: True for slices that contribute to the mean; it broadcasts to (channels, slices).
     """
@@ -282,12 +288,12 @@ def fresnel_of_peaks(
 def fresnel_budget(result: xr.Dataset, theta_d: float, channel: str | None = None) -> UncertaintyBudget:
     """Compute the uncertainty budget of the corrected F at an angle (GUM).
 
-    The combined uncertainty of the budget is `corrected_std`. The sources are the values of the pixels, the image gains,
-    the specified camera, and the other explanations of the table.
+    The combined uncertainty of the budget is `corrected_std`. The sources are the values of the pixels, the image gains, the
+    specified values of the camera and the rig, and the other explanations of the table.
 
     Args:
         result: Dataset from `fresnel`.
-        theta_d: difference angle, rad; the nearest slice of the result is used.
+        theta_d: difference angle, rad. The nearest slice of the result is used.
         channel: name of the channel. Default: None, the middle channel.
 
     Raises:
@@ -320,7 +326,7 @@ def fresnel_budget(result: xr.Dataset, theta_d: float, channel: str | None = Non
 
 
 def _peak_responses(rig: Rig, found: MaterialFit, masking: Masking, angles: np.ndarray, store: Workspace) -> np.ndarray:
-    """Compute the ratio of recorded to true peak for the fitted lens, (n,), at angles theta_d, rad, (n,)."""
+    """Compute the ratio of recorded to true peak for the fitted lens, (n,), at `angles`, values of theta_d, rad, (n,)."""
     cells, at = peak_cells(sample_view(rig), angles), found.coordinates
     recorded = operator_in(rig, cells, at.axes, repr(("peaks", rig_key(rig), at.axes, angles.tobytes())), store)
     recorded = recorded.leaning(found.log_slope(angles))
@@ -346,7 +352,7 @@ def _check_highlight(brdf: xr.DataArray, normalise: tuple[float, float]) -> None
     bright = there[0].any(axis=1) & (rings[0] > 0)
     if bright.sum() < 3:
         raise FitError(
-            "no highlight: the peak of the table (theta_h = 0) is missing or not positive at nearly all theta_d; "
+            "the table has no highlight: its peak (theta_h = 0) is missing or not positive at nearly all theta_d; "
             "give a table with a specular lobe"
         )
     seen = there.any(axis=2)[:, bright]
@@ -354,7 +360,7 @@ def _check_highlight(brdf: xr.DataArray, normalise: tuple[float, float]) -> None
     typical = [np.nanmedian(row) for row in fall if np.isfinite(row).any()]
     if min(typical) >= 0.5:
         raise FitError(
-            "no highlight: the table does not fall to half of its peak value; give a table with a specular lobe"
+            "the table has no highlight: it does not fall to half of its peak value; give a table with a specular lobe"
         )
     theta_d = merl_grid(sampling_of(brdf)).theta_d
     inside = (theta_d >= normalise[0]) & (theta_d <= normalise[1])

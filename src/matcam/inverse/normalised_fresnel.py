@@ -20,8 +20,8 @@ NO_CAMERA = "no camera, instead of the specified camera"
 class NormalisedFresnel:
     """Fresnel term F of the slices of a fit, divided by its mean, with standard deviations.
 
-    The arrays have shape (channels, slices). `parts` are the sources of the variance of the normalised
-    term. Their variances add up to the sum of the squares of `std_noise` and `std_camera`.
+    The arrays have shape (channels, slices). `parts` contains the sources of the variance of the normalised term. The variances
+    of the sources add up to the sum of the squares of `std_noise` and `std_camera`.
     """
 
     def __init__(self, found: MaterialFit, normalise: tuple[float, float]):
@@ -93,10 +93,10 @@ def averaged(
         terms: F of the most probable lobe through the camera and, unless its probability is negligible, F of the fit without a
             camera.
         members: F of each other lobe, with the probability of this lobe.
-        others: name of each refitted rig parameter, F of the refit, and the factor by which the difference between both F is
-            multiplied to obtain a standard deviation.
+        others: name of each refitted rig parameter, F of the refit, and a factor. The difference of this F from F of the most
+            probable lobe, multiplied by the factor, is a standard deviation.
         weight: probability of the explanation without a camera.
-        held_back: True if the correction is withheld, so that the result is F without a camera.
+        held_back: True if the correction is withheld. The result is then F of the fit without a camera.
     """
     camera, *blind = terms
     shift, spread, moved, scatter = (np.zeros_like(camera.normalised) for _ in range(4))
@@ -179,5 +179,5 @@ def budget_parts(result: xr.Dataset) -> list[VariancePart]:
 def nothing_to_normalise_by(normalise: tuple[float, float]) -> FitError:
     low, high = np.degrees(normalise)
     return FitError(
-        f"no theta_d between {low:g} and {high:g} degrees has a value of F in every channel; give other angles to normalise"
+        f"at least one channel has no value of F at theta_d from {low:g} to {high:g} degrees; give other angles to normalise"
     )

@@ -51,13 +51,13 @@ def peak_curve(table: xr.DataArray) -> xr.DataArray:
 
 
 def metal_curve(name: str, theta_d: np.ndarray) -> np.ndarray:
-    """Compute the Fresnel term of a metal from tabulated n and k.
+    """Compute the Fresnel term of a metal from its tabulated refractive index.
 
-    The term has shape (n, 3). It is normalised as in `peak_curve`.
+    The term has shape (angles, 3) and no unit. It is normalised as in `peak_curve`.
 
     Args:
         name: name of the metal, such as "Cr".
-        theta_d: difference angle, rad, (n,).
+        theta_d: difference angle, rad, (angles,).
     """
     n, k, _ = metal(name, CHANNEL_WAVELENGTHS)
     return conductor_curve(n, k, theta_d)
@@ -66,7 +66,7 @@ def metal_curve(name: str, theta_d: np.ndarray) -> np.ndarray:
 def conductor_curve(n: np.ndarray, k: np.ndarray, theta_d: np.ndarray) -> np.ndarray:
     """Compute the Fresnel term of a conductor.
 
-    The term has shape (angles, channels). It is normalised as in `peak_curve`.
+    The term has shape (angles, channels) and no unit. It is normalised as in `peak_curve`.
 
     Args:
         n: refractive index of each channel, no unit, (channels,).

@@ -1,9 +1,9 @@
 """Standard deviation of the image gain, from the scatter of the Fresnel term between slices that exceeds the noise.
 
-A smooth F is removed by its projection onto polynomials in cos theta_d. The remainders are assumed to be normally distributed.
-The covariance of the remainders is the sum of the covariances of the noise and of independent gains. The variance of the gains
-is averaged over its posterior, because ten slices determine this variance only to a factor of two. The most probable variance
-alone would result in standard deviations that are too small.
+A smooth Fresnel term F is removed: ln F is projected onto polynomials in cos theta_d. The remainders are assumed to be
+normally distributed. The covariance of the remainders is the sum of the covariances of the noise and of independent gains. The
+variance of the gains is averaged over its posterior, because ten slices determine this variance only to a factor of two. The
+most probable variance alone would result in standard deviations that are too small.
 """
 
 from __future__ import annotations
@@ -59,11 +59,11 @@ def picture_gain(theta_d: np.ndarray, curves: np.ndarray, covariances: np.ndarra
 def strengths_gain(
     theta_d: np.ndarray, strengths: np.ndarray, noise_covariance: np.ndarray, rig_covariance: np.ndarray
 ) -> float:
-    """Estimate the standard deviation of the image gain from a fit.
+    """Estimate the relative standard deviation of the image gain from the strengths of a fit.
 
     Args:
         theta_d: difference angles of the slices, rad, (slices,).
-        strengths: strengths of the fit, (channels, slices).
+        strengths: strengths of the fit, no unit, (channels, slices); NaN for slices without values.
         noise_covariance: covariance of the strengths due to pixel noise, (channels, slices, slices).
         rig_covariance: covariance of the strengths due to the rig, (channels, slices, slices).
     """

@@ -74,37 +74,39 @@ def limits(
 ) -> xr.Dataset:
     """Compute Cramer-Rao bounds of roughness and Fresnel term for a rig.
 
-    The result also contains the effect of other blurs, which may resemble that of the lens, and of changes of the rig. F
-    is free in every slice, and constant within a slice. Masking is Smith's, because there are no data to choose another
-    model.
+    The result also contains the effects of other blurs, which may resemble the blur of the lens, and of changes of the rig.
+    The Fresnel term F is free in every slice, and constant within a slice. Masking is Smith's, because there are no data to
+    choose another model.
 
     Args:
         rig: camera with a Gaussian lens, a sphere or cylinder, and a lamp; camera and lamp are distant or near.
-        ndf: family of the lobe, with roughness as its only parameter. Default: "ggx". "auto" is not available.
+        ndf: family of the lobe, with roughness as its only parameter: "gaussian", "ggx" or "beckmann". Default: "ggx".
         roughness: roughnesses, (n,), no unit, or rad for a Gaussian lobe. The quadrature resolves roughnesses from 2.5e-4,
             and smaller ones on large samples. Default: ten values from 0.0003 to 0.2.
         noise: noise of a pixel and of the image gain. Default: None, 1 % of the value, 1e-4 of the peak and 1 % of gain.
-        slice_step: spacing of the slices of theta_d (no unit). Default: 10, unlike `fit`, because few slices suffice to
-            compare rigs. Bounds decrease with more slices.
-        workspace: store of results that depend only on the rig. Default: None, that of the process.
+        slice_step: spacing of the slices of theta_d (no unit), from 1 to 30. Default: 10, unlike `fit`, because few slices
+            suffice to compare rigs. Bounds decrease with more slices.
+        workspace: store of results that depend only on the rig. Default: None, the store of the process.
 
     Returns:
         Dataset over roughness, theta_d (rad), blur and change:
 
-        - `width_std`: bound of the standard deviation of ln roughness if the lens is exact. `width_std_stated`: the same
-            with the uncertainty of the lens in its profile; NaN if the profile has none. `width_std_free`: the same if the
-            lens is free.
-        - `lens_std_free`: bound of the standard deviation of ln sigma_mtf if the lens is free.
-        - `fresnel_std`: bound of the relative standard deviation of F at each theta_d, without the image gain. The lens
-            has the uncertainty in its profile, or is exact if there is none.
-        - `correlation`, (roughness, blur): correlation of the effect of a blur with that of a wider lens, after roughness and
+        - `width_std`: bound of the standard deviation of ln roughness if the lens is exact.
+        - `width_std_stated`: the same bound for the uncertainty of the lens that the camera specifies; NaN if there is none.
+        - `width_std_free`: the same bound if the width of the lens is free.
+        - `lens_std_free`: bound of the standard deviation of the logarithm of the lens width if this width is free.
+        - `fresnel_std`: bound of the relative standard deviation of F at each theta_d, without the image gain. The lens has the
+            uncertainty that the camera specifies, or is exact without an uncertainty.
+        - `correlation`, (roughness, blur): correlation between the effects of a blur and of a wider lens, after roughness and
             F are fitted. If it is 1, the effects cannot be distinguished.
-        - `smallest`, (roughness, blur): size at which the blur is detected at 3 standard deviations if the lens is free.
-        - `width_bias`, (roughness, blur): change of ln roughness if a blur of the size in `size` exists and is ignored.
+        - `smallest`, (roughness, blur): size, in the unit in the name of the blur, at which the blur is detected at 3 standard
+            deviations if the lens is free.
+        - `width_bias`, (roughness, blur): change of ln roughness if a blur of the size in `size` exists and is ignored, for an
+            exact lens.
         - `width_std_changed`, (roughness, change, lens): `width_std` and `width_std_free` after a change of the rig.
 
     Raises:
-        ArgumentError: a fit does not support the rig, the lens is not Gaussian, or a roughness is out of range.
+        ArgumentError: a fit does not support the rig, the lens is not Gaussian, or an argument is out of its range.
 
     Source:
         docs/model.md section 8.
@@ -211,7 +213,7 @@ class _View(NamedTuple):
 
 
 class _Information:
-    """Fisher information of ln roughness and ln sigma_mtf in the chosen cells, with F free in every slice."""
+    """Fisher information of the logarithms of roughness and lens width in the chosen cells, with F free in every slice."""
 
     def __init__(self, view: _View, roughness: float):
         self.view, self.roughness = view, roughness
@@ -251,18 +253,18 @@ class _Information:
         return scaled_inverse(information)
 
     def std(self, prior: float) -> np.ndarray:
-        """Compute bounds of the standard deviations of ln roughness and ln sigma_mtf, (2,).
+        """Compute bounds of the standard deviations of the logarithms of roughness and lens width, (2,).
 
-        prior: standard deviation of ln sigma_mtf; infinite for a free lens.
+        prior: prior standard deviation of the logarithm of the lens width; infinite for a free lens.
         """
         return np.sqrt(np.diag(self._matrix(prior)))
 
     def fresnel_std(self, prior: float) -> np.ndarray:
         """Compute bounds of the relative standard deviation of F, (slices,).
 
-        Pixel noise, roughness and lens contribute.
+        Pixel noise, roughness and lens contribute. The bound is infinite for slices without used cells.
 
-        prior: standard deviation of ln sigma_mtf; infinite for a free lens.
+        prior: prior standard deviation of the logarithm of the lens width; infinite for a free lens.
         """
         by_lobe = ((self.slopes * self.root) * self.direction).sum(-1) / np.where(self.length > 0, self.length, np.inf)
         shared = np.einsum("ps,pq,qs->s", by_lobe, self._matrix(prior), by_lobe)
@@ -276,7 +278,8 @@ def _exact_and_free(information: _Information) -> tuple[float, float]:
 def _signature(own: _Information, field: str, size: float) -> tuple[float, float, float]:
     """Compute correlation, smallest size and bias of one blur, as in `limits`.
 
-    `field` is the field of `Rig` that causes the blur, and `size` is its value.
+    `field` is the field of `Rig` that causes the blur, and `size` is its value in the unit of the field. The smallest size of a
+    lamp is in degrees.
     """
     blurred = rig_with(own.view.rig, {field: size})
     other = _Information(own.view._replace(rig=blurred), own.roughness)

@@ -1,4 +1,4 @@
-"""Comparison of two explanations of a table: its camera, or free shadowing.
+"""Comparison of two explanations of a table: by its camera, or by free shadowing.
 
 Both are explanations as in `correct` (`inverse/correction/explanation.py`), with F free in every slice. The first is the
 most probable lobe through the camera. The second is a lobe of any smooth shape for each channel, without a camera and with
@@ -79,7 +79,7 @@ class Rivals(NamedTuple):
 
     @property
     def verdict(self) -> str:
-        """Statement of the better explanation, and of the pixel noise for each explanation."""
+        """Text with the better explanation and the pixel noise of both."""
         noise = (
             f"the noise of a pixel would be {self.camera.fit.noise.relative:.2%} with the camera and "
             f"{self.shadowing.fit.noise.relative:.2%} with free shadowing"
@@ -107,9 +107,10 @@ class Rivals(NamedTuple):
 def rivals(
     brdf: xr.DataArray, rig: Rig, ndf: str = AUTO, *, slice_step: int = SEARCH_STEP, workspace: Workspace | None = None
 ) -> Rivals:
-    """Compare the explanation of a table by its camera with free shadowing.
+    """Compare the explanations of a table by its camera and by free shadowing.
 
-    Masking is Smith's with the camera, and free without a camera.
+    The first is the most probable lobe through the camera, with Smith's masking. The second is a spline-modified lobe without
+    a camera, with free masking.
 
     Args:
         brdf: table, 1/sr, for example from `read_merl`.
@@ -117,14 +118,15 @@ def rivals(
         ndf: family of the lobe. Default: "auto", the same explanations as in `correct`.
         slice_step: spacing of the slices of theta_d that are used (no unit). Default: 6, unlike `fit`, because few slices
             suffice.
-        workspace: store of results that depend only on the rig. Default: None, that of the process.
+        workspace: store of results that depend only on the rig. Default: None, the store of the process.
 
     Returns:
         Both fits, with the evidence of each.
 
     Raises:
         ArgumentError: an argument is wrong, or a fit does not support the rig.
-        FitError: the table has no values to fit.
+        FitError: the table does not have enough values to fit, the cells contradict the rig, or a fit produced non-finite
+            parameters.
 
     Source:
         Bagher, Snyder & Nowrouzezahrai (2016), free shadowing; MacKay (2003), chapter 28; docs/model.md section 8.

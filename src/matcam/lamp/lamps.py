@@ -1,8 +1,8 @@
 """Lamps: distance and size of the source disc (docs/model.md 10).
 
-The position of the lamp in an image is the angle between lamp and optical axis, and the azimuth about that axis. A lamp
-is isotropic. Its irradiance is 1 at the sample's centre, on a surface that faces the lamp. Lengths are in radii of the
-sample.
+The position of the lamp in an image is given by the angle between lamp and optical axis, and by the azimuth about that
+axis. A lamp is isotropic. Its irradiance is 1 at the sample's centre, on a surface that faces the lamp. Lengths are in
+radii of the sample.
 
 The light of a disc is the mean of the light of its points. Each point is a lamp (`lamp_points`).
 """
@@ -56,7 +56,7 @@ class Lamp(Module):
 
 
 class DistantLamp(Lamp):
-    """Distant lamp, whose light is parallel.
+    """Lamp at an infinite distance: a point, or a source disc.
 
     Args:
         radius: angular radius of the source disc seen from the sample, rad, [0, pi/8]. Default: 0, a point.
@@ -79,7 +79,7 @@ class DistantLamp(Lamp):
 
     @property
     def nearness(self) -> None:
-        """None, because the light is parallel."""
+        """None, because the distance is infinite."""
         return
 
     @property
@@ -177,7 +177,7 @@ def lamp_points(lamp: Lamp, lamp_angle: np.ndarray, azimuth: np.ndarray | float,
     """Generate the points of a quadrature rule over the source disc.
 
     The rule is the product of Gauss-Legendre quadrature in the squared radius and equal steps around the disc. For the
-    blur that `fineness` specifies, its error is below 5e-5 of any value above a thousandth of the peak (tests).
+    blur that `fineness` specifies, the error of the rule is below 5e-5 of any value above a thousandth of the peak.
 
     Args:
         lamp: the lamp.
@@ -263,7 +263,7 @@ def checked_lamp_angles(lamp_angle: ArrayLike, lamp: Lamp, camera_distance: Arra
         apart = xp.hypot(1 / nearness * xp.sin(angle), 1 / nearness * xp.cos(angle) - camera_distance)
         if is_concrete(apart) and bool(xp.any(apart < _AT_CAMERA * camera_distance)):
             raise ArgumentError(
-                f"the lamp is inside the camera, {camera_distance:g} radii from the sample on the optical axis: "
+                f"the lamp is inside the camera, {camera_distance:g} radii from the sample's centre on the optical axis: "
                 "give another lamp_angle or lamp_distance"
             )
     return angle

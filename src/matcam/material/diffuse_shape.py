@@ -18,20 +18,20 @@ TERMS = 6
 def departure(coefficients: ArrayLike, cos_i: ArrayLike, cos_o: ArrayLike, theta_d: ArrayLike) -> jax.Array:
     """Compute the ratio of diffuse to Lambertian reflection, no unit.
 
-    Both have the same value at normal incidence and view. The ratio is at least 0.
+    The ratio is 1 at normal incidence and view, and at least 0 everywhere.
 
     Args:
-        coefficients: coefficients of the terms, no unit, (TERMS,), or (0,) for a Lambertian part.
+        coefficients: factors of the terms in the order of `terms`, no unit, (TERMS,), or (0,) for a Lambertian part.
         cos_i: cosine of the angle of incidence, no unit.
         cos_o: cosine of the viewing angle, no unit.
         theta_d: half the angle between light and view, rad.
 
     Returns:
-        The ratio, of the common shape of the angles.
+        The ratio, in the shape to which the arguments broadcast; shape () for a Lambertian part.
 
     Source:
-        Koenderink and van Doorn, "Phenomenological description of bidirectional surface reflection", JOSA A 15 (1998),
-        where rho^2 is 1 - cos; Burley, SIGGRAPH course 2012.
+        Koenderink and van Doorn, "Phenomenological description of bidirectional surface reflection", JOSA A 15 (1998);
+        rho^2 of this paper is 1 - cos theta. Burley, SIGGRAPH course 2012.
 
     Example:
         >>> float(departure([0.0, 0.0, 0.0, 0.0, -0.5, 0.0], 1.0, 0.0, 0.4))
@@ -44,7 +44,7 @@ def departure(coefficients: ArrayLike, cos_i: ArrayLike, cos_o: ArrayLike, theta
 
 
 def terms(cos_i: jax.Array, cos_o: jax.Array, theta_d: ArrayLike) -> tuple[jax.Array, ...]:
-    """Compute the terms of `departure`. The arguments are those of `departure`."""
+    """Compute the terms that `departure` multiplies by the coefficients. The arguments are those of `departure`."""
     low_i, low_o = 1 - jnp.clip(cos_i, 0.0, 1.0), 1 - jnp.clip(cos_o, 0.0, 1.0)
     # sin_i sin_o cos(azimuth difference), divided by the factor that converts sin_i sin_o to rho_i rho_o
     towards = (jnp.cos(2 * jnp.asarray(theta_d)) - cos_i * cos_o) / jnp.sqrt((2 - low_i) * (2 - low_o))

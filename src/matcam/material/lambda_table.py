@@ -3,8 +3,8 @@
 The directions of the table are the same for all lobes. The position of a direction depends neither on the lobe nor on
 the number of entries. A fit evaluates successive lobes in the same directions, so it computes each position once. An
 entry is ln(cot theta (1 + Lambda)), which is finite at the horizon. The entries are equally spaced in asinh(cot theta /
-1e-5). 1 / (1 + Lambda) is accurate to 3e-6 with 187 entries and to 1e-9 with 2400, for roughnesses from 1e-4 to 1. For
-lobes as steep as an EPD with a power of 1.8, 187 entries are accurate to 1e-5.
+1e-5). For roughnesses from 1e-4 to 1, the error of 1 / (1 + Lambda) is at most 3e-6 with 187 entries, and 1e-9 with 2400
+entries. For lobes as steep as an EPD with a power of 1.8, it is at most 1e-5 with 187 entries.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class TabulatedDirections(NamedTuple):
 
     Attributes:
         first: index of the first of the four entries about each direction, (cells, ...).
-        offset: distance from the second of these entries, in entries, (cells, ...).
+        offset: distance of the direction from the second of the four entries, in entries, (cells, ...).
         log_cot: ln cot theta, (cells, ...).
     """
 
@@ -110,12 +110,12 @@ def _cubics(table: np.ndarray) -> np.ndarray:
 def integrated_lambda(slope_density: SlopeDensity, scale: jax.Array, cos: jax.Array) -> jax.Array:
     """Compute Smith's Lambda of an isotropic slope density by quadrature.
 
-    If there are more directions than entries of a table, Lambda is interpolated in the table, with an error of 1e-9 of
-    1 / (1 + Lambda).
+    For more than 2400 directions, Lambda is interpolated in a table of 2400 entries. The error of 1 / (1 + Lambda) is then
+    1e-9.
 
     Args:
         slope_density: P22 as a function of the squared slope.
-        scale: scale of the slope on which P22 decreases, shape ().
+        scale: scale of the slopes on which P22 decreases, shape ().
         cos: cosines of the angles of the directions to the normal, > 0.
     """
     cot = cot_of(cos)

@@ -48,11 +48,11 @@ def smith_lambda(slope_density: SlopeDensity, scale: jax.Array, cot: jax.Array) 
 def smith_rule(scale: jax.Array, cot: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Compute squared slopes and weights of a quadrature of Lambda.
 
-    Lambda is the sum of weight P22(squared slope) over a trailing axis.
+    Lambda is the sum of weight * P22(squared slope) over the last axis.
 
-    Lambda = (2 / mu) integral over r > mu of r P22(r) [sqrt(r^2 - mu^2) - mu acos(mu / r)], mu = cot theta. The variable
-    of integration is y = sqrt(r^2 - mu^2), on an exp-sinh grid (double exponential rule) about the scale on which P22
-    decreases. The relative error is below 1e-10 (tests).
+    Lambda = (2 / mu) integral over r > mu of r P22(r) [sqrt(r^2 - mu^2) - mu acos(mu / r)], where r is the slope and mu is
+    cot theta. The variable of integration is y = sqrt(r^2 - mu^2), on an exp-sinh grid (double exponential rule) about the
+    scale on which P22 decreases. The relative error is below 1e-10.
 
     Args:
         scale: scale of the slope on which P22 decreases, shape ().
@@ -76,7 +76,7 @@ def smith_rule(scale: jax.Array, cot: jax.Array) -> tuple[jax.Array, jax.Array]:
 def cot_of(cos: jax.Array) -> jax.Array:
     """Compute cot theta from cos theta in (0, 1].
 
-    Along the normal it is large but finite.
+    Along the normal the result is large but finite.
     """
     cos = xp.maximum(cos, NEAREST)
     return cos / xp.sqrt(xp.maximum((1 - cos) * (1 + cos), _FARTHEST**-2))
@@ -86,7 +86,7 @@ def g2(masking: Masking, lambda_i: Any, lambda_o: Any, azimuth: Any) -> Any:
     """Compute the joint masking of light and view from their Lambdas.
 
     Args:
-        masking: name of the model; None: 1, no masking.
+        masking: name of the model; None: no masking, the result is 1.
         lambda_i: Lambda of the light.
         lambda_o: Lambda of the view.
         azimuth: angle between light and view about the normal, rad, [0, pi].
@@ -97,23 +97,26 @@ def g2(masking: Masking, lambda_i: Any, lambda_o: Any, azimuth: Any) -> Any:
 
 
 def height_correlated(lambda_i: jax.Array, lambda_o: jax.Array, azimuth: jax.Array) -> jax.Array:
-    """Compute the height-correlated masking, 1 / (1 + L_i + L_o).
+    """Compute the height-correlated masking, 1 / (1 + lambda_i + lambda_o).
 
-    The masking of both directions depends on the height of a facet (Ross et al. 2005; Heitz 2014, (99)).
+    The masking of both directions depends on the height of a facet (Ross et al. 2005; Heitz 2014, equation 99).
     """
     return 1 / (1 + lambda_i + lambda_o)
 
 
 def separable(lambda_i: jax.Array, lambda_o: jax.Array, azimuth: jax.Array) -> jax.Array:
-    """Compute the separable masking G1(i) G1(o), for independent directions."""
+    """Compute the separable masking, 1 / ((1 + lambda_i) (1 + lambda_o)).
+
+    The masking of the light is assumed to be independent of the masking of the view.
+    """
     return 1 / ((1 + lambda_i) * (1 + lambda_o))
 
 
 def azimuth_correlated(lambda_i: jax.Array, lambda_o: jax.Array, azimuth: jax.Array) -> jax.Array:
     """Compute the azimuth-correlated masking (van Ginneken et al. 1998; Heitz 2014).
 
-    It is 1 / (1 + max + c min) with c = 4.41 azimuth / (4.41 azimuth + 1). If light and view have the same azimuth, c is
-    0, and only the stronger masking applies.
+    It is 1 / (1 + max + c min), where max and min are the larger and the smaller Lambda, and c is 4.41 azimuth / (4.41
+    azimuth + 1). If light and view have the same azimuth, c is 0, and only the stronger masking applies.
     """
     correlation = 4.41 * azimuth / (4.41 * azimuth + 1)
     return 1 / (1 + xp.maximum(lambda_i, lambda_o) + correlation * xp.minimum(lambda_i, lambda_o))

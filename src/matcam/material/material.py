@@ -29,7 +29,7 @@ class Material(Module):
     def reflected(self, shading: Shading) -> jax.Array:
         """Compute the BRDF times both cosines, 1/sr.
 
-        It is finite up to the horizon, 0 if light or view are below the horizon, and NaN for missing data.
+        The result is finite up to the horizon, 0 if light or view is below the horizon, and NaN for missing data.
 
         Args:
             shading: directions of light and view; its arrays broadcast.
@@ -43,7 +43,7 @@ class Material(Module):
     def finest(self) -> jax.Array:
         """Narrowest angular scale of the lobe, rad, shape ().
 
-        It determines the grading of quadratures.
+        This scale determines the grading of quadratures.
         """
 
     @property
@@ -62,7 +62,8 @@ class Material(Module):
                 depend on it. Default: 0.
 
         Returns:
-            Shape of the angles, followed by (channels,) if the material has channels; NaN below the horizon.
+            Shape of the angles, followed by (channels,) if the material has channels; NaN below the horizon and for
+            missing data.
 
         Raises:
             ArgumentError: an angle is not finite, or the shapes do not broadcast.
@@ -126,20 +127,21 @@ def theta_h_of(shading: Shading) -> jax.Array:
 def albedo(material: Material, theta: ArrayLike) -> np.ndarray:
     """Compute the directional albedo of a material, no unit.
 
-    The directional-hemispherical reflectance is the integral of BRDF cos theta_i over the directions of the light. The
-    midpoint rule uses half vectors that are evenly spaced in sqrt(theta_h), with d omega_i = 4 cos theta_d d omega_h.
-    It resolves lobes down to 1e-4 rad.
+    The directional albedo, or directional-hemispherical reflectance, is the integral of BRDF cos theta_i over the directions
+    of the light. A midpoint rule is used for half vectors that are evenly spaced in sqrt(theta_h). The solid angle of the
+    light is 4 cos theta_d times that of the half vector, where theta_d is the angle between the two. The rule resolves lobes
+    down to a width of 1e-4 rad.
 
     Args:
         material: any material. Directions of light with missing values (NaN) are omitted, so the albedo is then a lower bound.
-            `matcam inspect` shows their share.
+            `matcam inspect` shows the share of these directions.
         theta: viewing angle to the normal, at azimuth 0, rad, [0, pi/2), shape (n,).
 
     Returns:
         Albedo, no unit, shape (n, channels); one channel for a material without channels. NaN if all values are missing.
 
     Raises:
-        ArgumentError: an angle lies outside its range.
+        ArgumentError: an angle lies outside its range, theta has a wrong shape, or `material` is not a material.
 
     Source:
         Nicodemus et al. (1977), directional-hemispherical reflectance.
@@ -155,11 +157,11 @@ def albedo(material: Material, theta: ArrayLike) -> np.ndarray:
 def albedo_and_missing(material: Material, theta: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
     """Compute the directional albedo, and the share of the light whose values are missing.
 
-    The arguments are those of `albedo`. The share refers to diffuse light, no unit, (n, channels).
+    The arguments are those of `albedo`. The share is that of uniform diffuse light, no unit, (n, channels).
     """
     angles = np.atleast_1d(np.asarray(checks.viewing_angle("theta", theta)))
     if angles.ndim != 1 or not angles.size:
-        raise ArgumentError(f"theta must have shape (n,), got {angles.shape}")
+        raise ArgumentError(f"theta must have shape (n,) with at least one angle, got shape {angles.shape}")
     checks.instance("material", material, Material)  # type: ignore[type-abstract]
     u = ((np.arange(_NODES) + 0.5) / _NODES)[:, None]
     phi = ((np.arange(_AZIMUTHS) + 0.5) / _AZIMUTHS * 2 * np.pi)[None, :]

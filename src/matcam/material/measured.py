@@ -3,18 +3,20 @@
 A table is interpolated linearly, and missing values stay missing. The adaptive parameterisation is that of Dupuy &
 Jakob (2018); files/rgl.py describes its fields.
 
-The half vector m is a point u_m = (u, v) of the unit square: theta = u^2 pi / 2, phi = (2 v - 1) pi. For an isotropic
-material the azimuth is relative to the azimuth of the light. A map that flattens the density `vndf` maps the point u_m
-to the point s at which `rgb` is tabulated:
+A direction is a point (u, v) of the unit square: theta = u^2 pi / 2, phi = (2 v - 1) pi. The half vector is the point u_m, and
+the light is the point u_i. For an isotropic material the azimuth of the half vector is relative to the azimuth of the light. A
+map that flattens the field `vndf`, the density of visible normals, maps the point u_m to the point s at which the field `rgb`
+is tabulated:
 
     BRDF cos theta_o = rgb(s) ndf(u_m) / (4 sigma(u_i))           with `jacobian`; otherwise rgb(s) alone.
 
-"i" is the light, "o" the view. A measured file need not be reciprocal, and its tables contain some negative values.
+theta_o is the angle of the view to the normal. A measured file need not be reciprocal, and its tables contain some negative
+values.
 
 Densities are tabulated for some directions of light, and are bilinear between the nodes of a grid. The map consists of
-two cumulative distributions (section 4): the marginal distribution of the rows maps y, and the conditional distribution
-within a row maps x. Between the directions of light, densities and their integrals are interpolated linearly, as in
-Mitsuba's `Marginal2D`. Positions on the flattened square therefore agree with Mitsuba.
+two cumulative distributions (section 4 of the paper): the marginal distribution of the rows maps y, and the conditional
+distribution within a row maps x. Between the directions of light, densities and their integrals are interpolated linearly,
+as in Mitsuba's `Marginal2D`. Positions on the flattened square therefore agree with Mitsuba.
 """
 
 from __future__ import annotations
@@ -62,7 +64,7 @@ class Tabulated(Material):
         shift: position of a value in its cell, in cells: 0.5 for "centre", 0 for "edge".
 
     Raises:
-        ArgumentError: the table has wrong dimensions or a wrong shape.
+        ArgumentError: the table has wrong dimensions, a wrong shape or wrong attributes.
 
     Source:
         Matusik et al. (2003), "A Data-Driven Reflectance Model" (the grid).
@@ -149,7 +151,7 @@ class Blend(NamedTuple):
     weight: jax.Array
 
     def of(self, grids: jax.Array, *at: jax.Array) -> jax.Array:
-        """Compute the sum of weight * grids[slices, ..., *at], (points, ...)."""
+        """Compute the sum of weight * grids[slices, *at] over the slices, (points, ...)."""
         values = entries(grids, self.slices, *(a[:, None] for a in at))
         return xp.sum(self.weight.reshape(*self.weight.shape, *(1,) * (values.ndim - 2)) * values, axis=1)
 
@@ -157,8 +159,8 @@ class Blend(NamedTuple):
 def blend(axes: tuple[jax.Array, jax.Array], azimuth: jax.Array, theta: jax.Array) -> Blend:
     """Build the linear interpolation between tabulated directions of light.
 
-    axes: azimuths (P,) and angles (T,) of the directions, rad, P T slices. azimuth, theta: direction of the light of
-    each point, rad, (points,); beyond the ends of the axes, the value at the end is used.
+    axes: azimuths (P,) and angles (T,) of the tabulated directions, rad. There are P T slices. azimuth, theta: direction of
+    the light of each point, rad, (points,). Beyond the ends of the axes, the value at the end is used.
     """
     (i_p, w_p), (i_t, w_t) = (_between(axis, value) for axis, value in zip(axes, (azimuth, theta), strict=True))
     index = i_p[:, :, None] * axes[1].size + i_t[:, None, :]
@@ -197,12 +199,12 @@ def _cell(position: jax.Array, nodes: int) -> tuple[jax.Array, jax.Array]:
 
 
 class Warp(Module):
-    """Map of the unit square that makes densities on it uniform.
+    """Map of the unit square to itself that makes tabulated densities uniform.
 
     Attributes:
-        density: density of each slice, normalised so that trapezoid sums over whole grid steps are 1; (slices, rows,
-            columns).
-        conditional: integral of the density along each row up to each node, same shape.
+        density: density of each slice, (slices, rows, columns). Its trapezoidal integral is 1, where a step of the grid has
+            length 1.
+        conditional: integral of the density along each row up to each node, (slices, rows, columns).
         marginal: integral of the density over all rows up to each row, (slices, rows).
     """
 
@@ -220,9 +222,9 @@ class Warp(Module):
         self.marginal = down / total[:, None]
 
     def flatten(self, chosen: Blend, x: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Map (x, y), shape (points,) each, to the flattened square.
+        """Map positions x and y, (points,) each, to the flattened square.
 
-        A point in a region of zero density is mapped to the start of its cell.
+        If the density of a row is 0, x is mapped to 0.
         """
         i_x, t_x = _cell(x, self.density.shape[2])
         i_y, t_y = _cell(y, self.density.shape[1])
@@ -236,12 +238,12 @@ class Warp(Module):
         return xp.where(row > 0, part / xp.where(row > 0, row, 1.0), 0.0), above
 
     def inverse(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Map a grid of the flattened square back, for every slice.
+        """Map a grid on the flattened square back to the original square, for every slice.
 
         x: columns of the grid, (nx,). y: rows of the grid, (ny,). Every row of the density must have a positive value.
 
         Returns:
-            x and y on the square of the density, and the density there, shape (slices, ny, nx) each.
+            x and y on the original square, and the density at these positions, shape (slices, ny, nx) each.
         """
         density, conditional, marginal = (np.asarray(a) for a in (self.density, self.conditional, self.marginal))
         slices, rows, columns = density.shape
@@ -287,16 +289,18 @@ class Adaptive(Material):
     Attributes:
         azimuths: azimuths of the light, rad, (P,).
         angles: angles of the light to the normal, rad, (T,).
-        ndf: density of facet normals on the unit square, (rows, columns).
-        sigma: projected area of the facets towards each direction, (rows, columns).
+        ndf: density of facet normals on the unit square, 1/sr, (rows, columns).
+        sigma: projected area of the facets towards each direction, no unit, (rows, columns).
         warp: map that flattens the density of visible normals.
-        values: tabulated BRDF on the flattened square, (P T, N, N, channels).
-        jacobian: True if `values` lack the factor ndf / (4 sigma).
-        mirrored: ratio of a full turn to the range of the azimuths of the light, 1, 2 or 4; the other azimuths follow
-            by symmetry. 0 for an isotropic material.
+        values: BRDF times cosine of the viewing angle on the flattened square, 1/sr, (P T, N, N, channels). If `jacobian` is
+            True, they are divided by ndf / (4 sigma) and have no unit.
+        jacobian: True if `values` lacks the factor ndf / (4 sigma).
+        mirrored: ratio of a full turn to the range of the azimuths of the light, 1, 2 or 4. The material has the same values
+            at the other azimuths by symmetry. 0 for an isotropic material.
 
     Raises:
-        ArgumentError: `fields` is not such a Dataset, or its azimuths do not span a full, a half or a quarter turn.
+        ArgumentError: `fields` is not such a Dataset, or its azimuths of the light do not span a full, a half or a quarter
+            turn.
 
     Source:
         Dupuy & Jakob (2018), "An Adaptive Parameterization for Efficient Material Acquisition and Rendering".
@@ -319,7 +323,8 @@ class Adaptive(Material):
 
     def __init__(self, fields: xr.Dataset):
         if not isinstance(fields, xr.Dataset) or "vndf" not in fields:
-            raise ArgumentError(f"fields must be a Dataset from read_rgl or adaptive_grid, got {type(fields).__name__}")
+            got = "one without the field vndf" if isinstance(fields, xr.Dataset) else type(fields).__name__
+            raise ArgumentError(f"fields must be a Dataset from read_rgl or adaptive_grid, got {got}")
 
         def array(name: str) -> np.ndarray:
             return fields[name].values.astype(np.float64)
@@ -334,7 +339,7 @@ class Adaptive(Material):
         self.mirrored = 0 if self.azimuths.size <= 2 else round(2 * np.pi / span)
         if self.mirrored not in (0, 1, 2, 4):
             raise ArgumentError(
-                f"field phi_i must span a full, half or quarter turn (the others follow by symmetry), got {span:.4g} rad"
+                f"field phi_i must span a full, half or quarter turn of the azimuth of the light, got {span:.4g} rad"
             )
 
     @compiled_by_jax
@@ -379,7 +384,7 @@ class Adaptive(Material):
 
     @property
     def finest(self) -> jax.Array:
-        """Half width of the mean lobe, rad, at least one grid step."""
+        """Half width of the lobe averaged over azimuths, rad, at least one grid step."""
         profile = xp.mean(self.ndf, axis=0)
         below = xp.argmax(xp.append(profile, 0.0) < profile.max() / 2)
         return xp.maximum(below / (profile.size - 1), 1 / (profile.size - 1)) ** 2 * _HALF_PI

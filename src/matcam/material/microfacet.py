@@ -23,19 +23,19 @@ class Microfacet(Material):
     BRDF = F D G / (4 cos_i cos_o) + diffuse / pi.
 
     Args:
-        ndf: distribution D of the facets, such as `GGX(0.1)`.
-        fresnel: reflectance F of a facet: `Conductor`, `Schlick`, `Dielectric`, `Sampled`; or a constant in [0, 1], a
-            single value or one per channel.
+        ndf: distribution D of the facet normals, such as `GGX(0.1)`.
+        fresnel: reflectance F of a facet: `Conductor`, `Schlick`, `Dielectric` or `Sampled`, or constants in [0, 1]: a single
+            value or one per channel.
         diffuse: albedo of the Lambertian part, no unit, [0, 1], a single value or one per channel. Default: 0.
-        masking: name of the model of G: "smith" (height-correlated), "smith-separable", "van-ginneken"; None: no
-            masking, G = 1. Default: "smith". Renderers use different models; for a comparison, choose the model of the
+        masking: name of the model of the masking G: "smith" (height-correlated), "smith-separable" or "van-ginneken"; None:
+            no masking, G = 1. Default: "smith". Renderers use different models; for a comparison, choose the model of the
             renderer.
 
     Raises:
         ArgumentError: a parameter is of the wrong kind, out of range, or neither a single value nor one per channel.
 
     Source:
-        Cook & Torrance (1982), with 4 instead of pi; Walter et al. (2007), (20); docs/model.md 6.
+        Cook & Torrance (1982), with 4 instead of pi; Walter et al. (2007), equation (20); docs/model.md 6.
 
     Example:
         >>> chrome = matcam.Microfacet(matcam.GGX(0.1), matcam.Conductor(3.1, 3.3))
@@ -66,7 +66,7 @@ class Microfacet(Material):
     def reflected(self, shading: Shading) -> jax.Array:
         """Compute the BRDF times both cosines, 1/sr.
 
-        It is F D G / 4 + diffuse cos_i cos_o / pi.
+        The result is F D G / 4 + diffuse cos_i cos_o / pi.
         """
         shading, above = above_horizon(shading)
         lambert = jnp.where(above, shading.cos_i * shading.cos_o / jnp.pi, 0.0)

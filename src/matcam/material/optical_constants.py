@@ -18,7 +18,7 @@ class MetalIndex(NamedTuple):
 
     Attributes:
         n: real part, no unit, shape of the wavelengths.
-        k: extinction coefficient, no unit, same shape.
+        k: extinction coefficient, no unit, shape of the wavelengths.
         source: citation of the table.
     """
 
@@ -30,16 +30,17 @@ class MetalIndex(NamedTuple):
 def metals(name: str | None = None) -> dict[str, tuple[str, ...]]:
     """List the tabulated metals with their tables.
 
-    Results depend on the source: chromium's reflectance at 550 nm is 0.555, 0.650 or 0.681.
+    Published tables of one metal differ. The reflectance of chromium at 550 nm is 0.555, 0.650 or 0.681, depending on the
+    table.
 
     Args:
-        name: name of one metal, such as "Cr" or "brass". None: all metals.
+        name: name of one metal, such as "Cr" or "brass". Default: None, all metals.
 
     Returns:
-        Names of the tables by the name of the metal; `metal` accepts both.
+        Names of the tables of each metal, by the name of the metal. `metal` accepts these names as `source` and `name`.
 
     Raises:
-        ArgumentError: the metal is unknown; the message suggests the nearest name.
+        ArgumentError: the metal is unknown. The message contains the nearest name, or all names.
 
     Source:
         refractiveindex.info database (Polyanskiy 2024), CC0; each table cites its measurement.
@@ -64,17 +65,16 @@ def metal(name: str, wavelength: ArrayLike, source: str | None = None) -> MetalI
     The interpolation in a published table is linear.
 
     Args:
-        name: name of the metal, one of `metals()`, such as "Cr" or "brass".
+        name: name of the metal, one of `material.metals()`, such as "Cr" or "brass".
         wavelength: wavelength in vacuum, m, any shape.
-        source: name of the table, one of those that `metals` lists. None: the first table. Compare several tables,
-            because published values of one metal differ.
+        source: name of the table, one of `material.metals(name)`. Default: None, the first table. Compare several
+            tables, because published values of one metal differ.
 
     Returns:
         `MetalIndex` with n and k, no unit, shape of `wavelength`, and the citation.
 
     Raises:
-        ArgumentError: the metal or the source is unknown (the message suggests the nearest name), or a wavelength lies
-            outside the table.
+        ArgumentError: the metal or the source is unknown, or a wavelength is not a number or lies outside the table.
 
     Source:
         refractiveindex.info database (Polyanskiy 2024), CC0.
@@ -97,7 +97,7 @@ def metal(name: str, wavelength: ArrayLike, source: str | None = None) -> MetalI
     if outside.any():
         raise ArgumentError(
             f"{name} ({source}) is tabulated from {low * 1e9:.0f} to {high * 1e9:.0f} nm, but is required at "
-            f"{wavelength[outside].flat[0] * 1e9:g} nm (wavelengths are in m: 550 nm is 550e-9)"
+            f"{wavelength[outside].flat[0] * 1e9:g} nm: give wavelengths of this range, in m, such as 550e-9 for 550 nm"
         )
     return MetalIndex(
         np.interp(wavelength, tabulated, table.n), np.interp(wavelength, tabulated, table.k), table.source

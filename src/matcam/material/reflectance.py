@@ -27,8 +27,8 @@ def fresnel_conductor(theta: ArrayLike, n: ArrayLike, k: ArrayLike) -> jax.Array
 
     Args:
         theta: angle of incidence, rad, [0, pi/2].
-        n: real part of the complex index n + i k, no unit, positive.
-        k: extinction coefficient, no unit, >= 0; 0 for a dielectric.
+        n: real part of the complex index n + i k, no unit, (0, 1e6].
+        k: extinction coefficient, no unit, [0, 1e6]; 0 for a dielectric.
 
     Returns:
         Reflectance in [0, 1], shape of the broadcast arguments.
@@ -68,7 +68,7 @@ def _modulus2(z: jax.Array) -> jax.Array:
 class Reflectance(eqx.Module):
     """Reflectance of a microfacet.
 
-    Each parameter has a single value or one per channel.
+    The reflectance is the same in all channels, or has one value per channel.
     """
 
     def __repr__(self) -> str:
@@ -82,19 +82,19 @@ class Reflectance(eqx.Module):
             theta: angle between the light and the normal of the facet (theta_d), rad, [0, pi/2].
 
         Returns:
-            Reflectance, no unit, shape of `theta`, followed by (channels,) if the parameters are per channel.
+            Reflectance, no unit; shape of `theta`, followed by (channels,) if it has one value per channel.
         """
 
 
 class Conductor(Reflectance):
-    """Metal with a complex refractive index n + i k.
+    """Reflectance of a metal with complex refractive index n + i k.
 
     Args:
-        n: real part of the index, no unit, positive; shape () or (channels,).
-        k: extinction coefficient, no unit, >= 0; shape () or (channels,).
+        n: real part of the index, no unit, (0, 1e6]; shape () or (channels,).
+        k: extinction coefficient, no unit, [0, 1e6]; shape () or (channels,).
 
     Raises:
-        ArgumentError: a parameter is out of range, or neither a single value nor one per channel.
+        ArgumentError: a parameter is out of range or has several axes, or the shapes of n and k do not match.
 
     Source:
         Born & Wolf, 14.2; `from_metal` uses published values.
@@ -111,7 +111,9 @@ class Conductor(Reflectance):
     def __init__(self, n: ArrayLike, k: ArrayLike):
         n, k = checks.within("n", n, 0, _LARGEST_INDEX, open_low=True), checks.within("k", k, 0, _LARGEST_INDEX)
         if n.ndim and k.ndim and n.shape != k.shape and 1 not in (n.size, k.size):
-            raise ArgumentError(f"n and k must have the same shape, got {n.shape} and {k.shape}")
+            raise ArgumentError(
+                f"n and k must have the same shape, or one of them must be a number, got shapes {n.shape} and {k.shape}"
+            )
         self.n, self.k = jnp.broadcast_arrays(per_channel("n", n), per_channel("k", k))
 
     @classmethod
@@ -122,11 +124,13 @@ class Conductor(Reflectance):
 
         Args:
             name: name of the metal, one of `matcam.material.metals()`, such as "Cr" or "brass".
-            wavelengths: wavelength in vacuum of each channel, m, shape (channels,) or (). Default: those of R, G and B.
+            wavelengths: wavelength in vacuum of each channel, m, shape (channels,) or (). Default: 610e-9, 550e-9 and
+                465e-9, for R, G and B.
             source: name of the table, as in `metal`. Default: None, the first table.
 
         Raises:
-            ArgumentError: the metal or the source is unknown, or a wavelength lies outside the table.
+            ArgumentError: the metal or the source is unknown, a wavelength is not a number or lies outside the table, or
+                the wavelengths have several axes.
 
         Source:
             refractiveindex.info database (Polyanskiy 2024), CC0; `metal` returns the citation of each table.
@@ -145,14 +149,14 @@ class Conductor(Reflectance):
 
 
 class Dielectric(Reflectance):
-    """Transparent medium, seen from outside.
+    """Reflectance of a transparent medium for light from outside.
 
     Args:
-        eta: refractive index divided by the index of the surrounding medium, no unit, above 1; shape () or (channels,).
-            It is about 1.5 for glass.
+        eta: refractive index divided by the index of the surrounding medium, no unit, (1, 1e6]; shape () or (channels,).
+            It is about 1.5 for glass in air.
 
     Raises:
-        ArgumentError: eta is out of range, or neither a single value nor one per channel.
+        ArgumentError: eta is out of range, or has several axes.
 
     Source:
         Fresnel's equations, unpolarised (Born & Wolf, 1.5.2).
@@ -175,13 +179,13 @@ class Dielectric(Reflectance):
 class Schlick(Reflectance):
     """Schlick's approximation of a Fresnel term.
 
-    It is f0 + (1 - f0) (1 - cos theta)^5.
+    The reflectance is f0 + (1 - f0) (1 - cos theta)^5 at the angle of incidence theta.
 
     Args:
         f0: reflectance at normal incidence, no unit, [0, 1]; shape () or (channels,).
 
     Raises:
-        ArgumentError: f0 is out of range, or neither a single value nor one per channel.
+        ArgumentError: f0 is out of range, or has several axes.
 
     Source:
         Schlick (1994), (15).
@@ -208,7 +212,7 @@ class Constant(Reflectance):
         value: reflectance, no unit, [0, 1]; shape () or (channels,).
 
     Raises:
-        ArgumentError: `value` is out of range, or neither a single value nor one per channel.
+        ArgumentError: `value` is out of range, or has several axes.
 
     Example:
         >>> float(matcam.material.Constant(0.5).at(1.0))
@@ -221,22 +225,22 @@ class Constant(Reflectance):
         self.value = per_channel("reflectance", checks.within("reflectance", value, 0, 1))
 
     def at(self, theta: jax.Array) -> jax.Array:
-        """Return the constant reflectance, in the shape of theta."""
+        """Return the constant reflectance at each theta."""
         return self.value + 0 * _beside_channels(theta, self.value)
 
 
 class Sampled(Reflectance):
     """Fresnel term that is tabulated at some angles.
 
-    It is linear between these angles and constant beyond them.
+    The reflectance is linear between these angles and constant beyond them.
 
     Args:
-        theta: angles of incidence, rad, [0, pi/2], increasing, shape (angles,).
+        theta: angles of incidence, rad, [0, pi/2], strictly increasing, shape (angles,).
         values: reflectance at these angles, no unit, >= 0; shape (angles,) or (angles, channels). Fitted values may
             exceed 1, because they have the scale of the data.
 
     Raises:
-        ArgumentError: shapes do not match, an entry is out of range, or theta does not increase.
+        ArgumentError: the shapes do not match, an entry is out of range, or theta does not increase strictly.
 
     Example:
         >>> float(matcam.material.Sampled([0.0, 1.0], [0.5, 1.0]).at(0.5))
@@ -252,11 +256,11 @@ class Sampled(Reflectance):
         fits = self.theta.ndim == 1 and self.theta.size and self.values.shape[:1] == self.theta.shape
         if not fits or self.values.ndim > 2:
             raise ArgumentError(
-                f"values must have shape (angles,) or (angles, channels), got {self.values.shape} for theta "
-                f"of shape {self.theta.shape}"
+                "theta must have shape (angles,) with at least one angle, and values (angles,) or (angles, channels), "
+                f"got shapes {self.theta.shape} and {self.values.shape}"
             )
         if is_concrete(self.theta) and bool(np.any(np.diff(self.theta) <= 0)):
-            raise ArgumentError("theta must increase strictly")
+            raise ArgumentError("theta must increase strictly: sort the angles, and give each angle once")
 
     def at(self, theta: jax.Array) -> jax.Array:
         """Interpolate linearly at theta."""

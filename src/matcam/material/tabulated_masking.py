@@ -1,7 +1,7 @@
-"""Lobes and materials whose Lambda is interpolated in a table, for evaluation in many directions.
+"""Lobes and materials whose Smith Lambda is interpolated in a table, for evaluation in many directions.
 
-The quadrature of Lambda takes 200 evaluations of the lobe in each direction. The table is accurate to 3e-6 of 1 / (1 + Lambda)
-(`lambda_table.py`).
+The quadrature of Lambda evaluates the lobe at 201 slopes for each direction. With the table, 1 / (1 + Lambda) has an
+error of 3e-6 (`lambda_table.py`).
 """
 
 from __future__ import annotations
@@ -37,26 +37,26 @@ compiled_table = kept_program(lobe_table)
 
 
 def quick_table(ndf: NDF) -> jax.Array | None:
-    """Compute the table of Lambda of a lobe; None if Lambda has a closed form."""
+    """Compute the table of Smith's Lambda of a lobe; None if Lambda has a closed form."""
     return None if has_closed_lambda(ndf) else lobe_table(ndf)
 
 
 def quick_lambda(ndf: NDF, cos: jax.Array, table: jax.Array | None = None) -> jax.Array:
     """Compute Smith's Lambda in closed form or from a table.
 
-    cos: cosines of the angles of the directions to the normal, > 0. table: result of `quick_table`. Default: None, it
-    is computed.
+    cos: cosines of the angles of the directions to the normal, > 0. table: result of `quick_table`. Default: None,
+    `quick_table` is called.
     """
     table = quick_table(ndf) if table is None else table
     return ndf.smith_lambda(cos) if table is None else lambda_at(table, position_of(cos))
 
 
 class TabulatedMasking(SlopeDistribution):
-    """Distribution of slopes whose Lambda is interpolated in a table.
+    """Distribution of slopes whose Smith Lambda is interpolated in a table.
 
     Attributes:
-        ndf: the distribution.
-        table: result of `quick_table`.
+        ndf: distribution without a closed form of Lambda.
+        table: table of Lambda, as returned by `lobe_table`.
     """
 
     ndf: NDF
@@ -75,7 +75,10 @@ class TabulatedMasking(SlopeDistribution):
 
 
 def with_tabulated_masking(material: Material) -> Material:
-    """Replace the quadrature of Lambda in a material by a table, for evaluation in many directions."""
+    """Replace the quadrature of Smith's Lambda in a material by a table, for evaluation in many directions.
+
+    A material that requires no quadrature is returned unchanged.
+    """
     if not isinstance(material, Microfacet) or material.masking is None:
         return material
     if not isinstance(material.ndf, NDF) or has_closed_lambda(material.ndf):

@@ -11,8 +11,8 @@ _FLOOR = 1e-10  # share of the mean eigenvalue below which steps are linearly de
 class AndersonMixing:
     """Anderson mixing of the last steps of an iteration.
 
-    Gauss-Newton iterations neglect the second derivatives of a model. For large residuals, each step is then too long or
-    too short by a factor. The factor is estimated from the differences of steps.
+    Gauss-Newton iterations neglect the second derivatives of a model. For large residuals, each step is therefore too
+    long or too short. Anderson mixing corrects the step by means of the differences between the last steps.
 
     Source:
         Anderson, J. ACM 12 (1965); Walker and Ni, SIAM J. Numer. Anal. 49 (2011), type II.
@@ -30,11 +30,11 @@ class AndersonMixing:
         self._steps: list[np.ndarray] = []
 
     def step(self, position: np.ndarray, step: np.ndarray, metric: np.ndarray) -> np.ndarray:
-        """Compute the accelerated step.
+        """Compute the accelerated step, (n,). The first step is returned unchanged.
 
         Args:
             position: current position of the iteration, (n,).
-            step: step of the iteration at this position, (n,).
+            step: step of the iteration at this position without acceleration, (n,).
             metric: matrix of the scalar product of steps, (n, n).
         """
         self._positions, self._steps = [*self._positions[-_DEPTH:], position], [*self._steps[-_DEPTH:], step]

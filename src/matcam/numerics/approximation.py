@@ -21,8 +21,7 @@ AnyValues = TypeVar("AnyValues", bound=Any)
 def nodes_between(low: AnyValues, high: AnyValues, order: int) -> tuple[AnyValues, AnyValues]:
     """Compute Gauss-Legendre nodes and weights on [low, high].
 
-    The last axis of the results contains the nodes or weights. The results are NumPy arrays if the limits are NumPy
-    arrays.
+    The results have the shape of the limits, followed by (order,). They are NumPy arrays if the limits are NumPy arrays.
     """
     unit, weight = np.polynomial.legendre.leggauss(order)
     half = (high - low)[..., None] / 2
@@ -32,8 +31,8 @@ def nodes_between(low: AnyValues, high: AnyValues, order: int) -> tuple[AnyValue
 def nodes_in_panels(cuts: AnyValues, order: int) -> tuple[AnyValues, AnyValues]:
     """Compute Gauss-Legendre nodes and weights on panels between neighbouring cuts.
 
-    The last axis of `cuts` contains the limits of the panels. The last axis of the results contains the nodes of all
-    panels.
+    The last axis of `cuts` contains the limits of the panels in ascending order. The last axis of the results contains
+    the nodes or weights of all panels, `order` for each panel.
     """
     nodes, weights = nodes_between(cuts[..., :-1], cuts[..., 1:], order)
     return nodes.reshape(*nodes.shape[:-2], -1), weights.reshape(*nodes.shape[:-2], -1)
@@ -49,7 +48,7 @@ def between_entries(table: jax.Array, position: jax.Array) -> jax.Array:
 
 
 def four_about(position: Any, entries: int) -> tuple[Any, list[Any]]:
-    """Compute the first index and the Lagrange weights of the four entries about each position."""
+    """Compute the index of the first of the four entries about each position, and the Lagrange weights of the four."""
     left = constant(xp.clip(xp.floor(position), 1, entries - 3))
     return left.astype(int) - 1, lagrange_basis(np.arange(-1.0, 3.0), position - left)
 
@@ -71,7 +70,7 @@ def lagrange_basis(points: Any, at: Any) -> list[Any]:
 
 
 def lagrange_slopes(points: np.ndarray, at: float) -> np.ndarray:
-    """Compute the derivatives of the polynomials of `lagrange_basis` at a position, (n,)."""
+    """Compute the derivatives, (n,), of the polynomials of `lagrange_basis` at one position."""
     n = points.size
     own = np.eye(n, dtype=bool)
     others = ~own[:, None] & ~own  # the product rule: term m of polynomial k lacks the factors k and m
@@ -80,10 +79,10 @@ def lagrange_slopes(points: np.ndarray, at: float) -> np.ndarray:
 
 
 def cubic_basis(position: jax.Array, count: int) -> jax.Array:
-    """Evaluate cubic B-splines, (count, ...).
+    """Evaluate `count` cubic B-splines at positions. The result has the shape (count, ...).
 
-    position: positions in [0, count - 1]. The splines are local, smooth to the second derivative, and add up to 1. They
-    are mirrored at 0 and constant at the end.
+    position: positions in [0, count - 1], shape (...). The splines are local, smooth to the second derivative, and add up
+    to 1. They are mirrored at 0 and constant at the end.
     """
     # one operation for all splines: a program with separate operations takes three times as long to compile and to load
     knots = np.arange(-1.0, count + 1).reshape(-1, *[1] * position.ndim)
@@ -93,7 +92,7 @@ def cubic_basis(position: jax.Array, count: int) -> jax.Array:
 def _mirrored(splines: jax.Array) -> jax.Array:
     """Apply the boundary conditions: mirrored at 0, constant at the end.
 
-    The splines range from one before the first knot to one after the last knot.
+    The input contains one spline before the first knot, and one after the last knot.
     """
     return xp.concatenate(
         [splines[1:2], splines[2:3] + splines[:1], splines[3:-2], splines[-2:-1] + splines[-1:]], axis=0
@@ -115,9 +114,9 @@ def cubic_spline(coefficients: jax.Array, position: jax.Array) -> jax.Array:
 
 
 def cubic_sums(position: jax.Array, weights: jax.Array, count: int, axes: int = 1) -> jax.Array:
-    """Sum weights times B_k over positions, (count, ...).
+    """Sum weights times the values of B_k over positions. The result has the shape (count, ...).
 
-    B_k are the splines of `cubic_basis`. The sum is over the last `axes` axes of the positions.
+    B_k are the splines of `cubic_basis`. The sum is over the last `axes` axes of the positions and weights.
     """
     over = tuple(range(-axes, 0))
     # one sum after the other, because all splines at all positions would not fit into the cache
@@ -136,8 +135,8 @@ def smoothness(count: int) -> np.ndarray:
     """Build the smoothness penalty of a spline, (rows, count).
 
     The products of the rows with the coefficients of the spline are penalised. The rows are second differences, first
-    differences times 1/3, and the mean times 0.1. The penalty of the mean is small, because another parameter absorbs
-    the mean.
+    differences times 1/3, and the mean times 0.1. The penalty of the mean is small, because another parameter of the fit
+    absorbs the mean.
     """
     unit = np.eye(count)
     return np.concatenate([np.diff(unit, 2, axis=0), np.diff(unit, axis=0) / 3, np.full((1, count), 0.1 / count)])

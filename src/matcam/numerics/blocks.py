@@ -20,7 +20,7 @@ _SHORTEST, _SHORT, _MEDIUM = 16, 1024, 8192  # lengths at which the spacing of `
 def in_blocks(function: Callable[..., Any], used: Any, rows: Any) -> Any:
     """Map a function over blocks of rows, and skip unused blocks.
 
-    The results of unused blocks are 0.
+    The entries of unused blocks in the result are 0.
 
     Args:
         function: function of the rows of one block.
@@ -42,7 +42,7 @@ def in_blocks(function: Callable[..., Any], used: Any, rows: Any) -> Any:
 
 
 def repeated_sum(function: Callable[..., Any], count: Any, terms: Any, nothing: Any) -> Any:
-    """Sum a function over terms, the first axis of arrays.
+    """Sum a function over terms, which are the entries of arrays along the first axis.
 
     Args:
         function: function of one term.
@@ -61,12 +61,12 @@ def shaped(rows: Any, blocks: int = BLOCKS, block: int = BLOCK) -> tuple[np.ndar
     """Repeat rows to fill arrays of shape (blocks, block).
 
     Args:
-        rows: arrays of equal length, at most blocks * block, not empty.
-        blocks: number of blocks.
-        block: number of rows of a block.
+        rows: arrays, (n,), with 1 <= n <= blocks * block.
+        blocks: number of blocks. Default: `BLOCKS`.
+        block: number of rows of a block. Default: `BLOCK`.
 
     Returns:
-        Number of blocks that contain rows before the repetition, and the arrays.
+        Number of blocks that the rows fill without repetition, rounded up, and the filled arrays.
     """
     count = jax.tree.leaves(rows)[0].shape[0]
     repeated = jax.tree.map(lambda a: np.resize(a, blocks * block).reshape(blocks, block), rows)
@@ -77,13 +77,13 @@ def in_calls(program: Callable[..., tuple[Any, ...]], rows: tuple[np.ndarray, ..
     """Call a program for any number of rows.
 
     Args:
-        program: function of the number of used blocks, the rows, (BLOCKS, BLOCK), and other arguments. It returns a tuple
-            of arrays, (BLOCKS, BLOCK, ...).
-        rows: arrays of equal length, not empty.
+        program: function of the number of used blocks, of arrays of rows, (BLOCKS, BLOCK), and of `others`. It returns a
+            tuple of arrays, (BLOCKS, BLOCK, ...).
+        rows: arrays of equal length, (n,), not empty.
         others: further arguments of the program.
 
     Returns:
-        NumPy arrays over the rows.
+        NumPy arrays, (n, ...).
     """
     size, found = BLOCKS * BLOCK, []
     for begin in range(0, rows[0].shape[0], size):
@@ -102,8 +102,8 @@ def few_lengths(size: int) -> int:
     """Round a length up to one of few lengths.
 
     Each length requires a compilation and a program of 10 to 20 MB. A compilation takes longer than the computation of
-    a thousand positions, so up to 1024 each length is four times the previous length. Above, there are two lengths per
-    power of two, and eight above 8192.
+    a thousand positions, so up to 1024 each length is four times the previous length. From 1024 to 8192, there are two
+    lengths per power of two. Above 8192, there are eight.
     """
     length = _SHORTEST
     while length < min(size, _SHORT):

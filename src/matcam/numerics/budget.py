@@ -1,8 +1,9 @@
 """Uncertainty budget (*Guide to the expression of uncertainty in measurement*, JCGM 100:2008, 5 and G.4).
 
-u_c^2 = sum_ij c_i c_j u_i u_j r_ij       c_i sensitivity, u_i standard uncertainty, r_ij correlation of the sources
-1 / nu = sum_i (c_i u_i)^4 / (nu_i u_c^4) effective degrees of freedom (Welch-Satterthwaite), independent sources
-U = k u_c                                 k = 2, or Student's t at 95.45 % for few degrees of freedom
+u_c^2 = sum_ij c_i c_j u_i u_j r_ij       combined standard uncertainty u_c, from sensitivities c_i, standard uncertainties
+                                          u_i and correlations r_ij of the sources
+1 / nu = sum_i (c_i u_i)^4 / (nu_i u_c^4) effective degrees of freedom nu (Welch-Satterthwaite, for independent sources)
+U = k u_c                                 expanded uncertainty U: k = 2, or Student's t at 95.45 % for finite nu
 """
 
 from __future__ import annotations
@@ -31,9 +32,9 @@ class UncertaintySource(NamedTuple):
 
     Attributes:
         name: name of the source, with its unit.
-        value: estimate, in its unit.
-        uncertainty: standard uncertainty, in the same unit.
-        sensitivity: change of the result divided by the change of the source.
+        value: estimate of the source, in its unit.
+        uncertainty: standard uncertainty of the source, in its unit.
+        sensitivity: derivative of the result with respect to the source, in the unit of the result per unit of the source.
         kind: "A": evaluated by statistics of repeated readings; "B": evaluated by other means (JCGM 100, 4.2 and 4.3).
         degrees: degrees of freedom of the uncertainty, no unit. Default: infinite.
 
@@ -51,7 +52,10 @@ class UncertaintySource(NamedTuple):
 
     @property
     def contribution(self) -> float:
-        """Standard uncertainty of the result due to this source alone."""
+        """Standard uncertainty of the result due to this source alone.
+
+        The unit is that of the result.
+        """
         return abs(self.sensitivity) * self.uncertainty
 
 
@@ -60,12 +64,13 @@ class UncertaintyBudget:
 
     Args:
         name: name of the result, with its unit.
-        value: estimate of the result.
+        value: estimate of the result, in its unit.
         sources: sources of uncertainty, at least one.
-        correlation: correlation of the sources, (n, n). Default: None, the sources are independent.
+        correlation: correlation matrix of the sources, no unit, (n, n). Default: None, the sources are independent.
 
     Raises:
-        ArgumentError: there is no source, an uncertainty is negative, or `correlation` is not a correlation matrix.
+        ArgumentError: an argument or a field of a source has the wrong type or is out of range, there is no source, or
+            `correlation` is not a correlation matrix.
 
     Example:
         >>> one = matcam.UncertaintySource("a", 1.0, 0.3, 1.0, "A", 9)
@@ -87,13 +92,13 @@ class UncertaintyBudget:
         self.sources = tuple(_checked(one) for one in checks.instances("sources", sources, UncertaintySource))
         n = len(self.sources)
         if not n:
-            raise ArgumentError(f"the budget of {name!r:.60} needs at least one source")
+            raise ArgumentError(f"the budget of {name!r:.60} needs at least one source: give an UncertaintySource")
         matrix = np.eye(n) if correlation is None else np.asarray(checks.number("correlation", correlation))
         if matrix.shape != (n, n):
-            raise ArgumentError(f"correlation of {n} sources must have shape ({n}, {n}), got {matrix.shape}")
+            raise ArgumentError(f"the correlation of {n} sources must have shape ({n}, {n}), got {matrix.shape}")
         wrong = np.abs(matrix - matrix.T).max() > 1e-9 or np.abs(np.diag(matrix) - 1).max() > 1e-9
         if wrong or np.linalg.eigvalsh(matrix)[0] < -1e-9:
-            raise ArgumentError("correlation must be symmetric and positive semidefinite, with 1 on its diagonal")
+            raise ArgumentError("correlation must be a symmetric, positive semidefinite matrix with 1 on its diagonal")
         self.correlation = matrix
 
     @classmethod
@@ -108,9 +113,9 @@ class UncertaintyBudget:
 
         Args:
             name: name of the result, with its unit.
-            function: result as a function of the values of the sources, in order.
-            sources: sources of uncertainty. Their sensitivities are replaced by numerical derivatives.
-            correlation: correlation of the sources, (n, n). Default: None, the sources are independent.
+            function: function that computes the result from the values of the sources, one argument for each source.
+            sources: sources of uncertainty. Numerical derivatives replace their sensitivities.
+            correlation: correlation matrix of the sources, no unit, (n, n). Default: None, the sources are independent.
         """
         given = checks.instances("sources", sources, UncertaintySource)
         values = [one.value for one in given]
@@ -129,13 +134,19 @@ class UncertaintyBudget:
 
     @property
     def degrees(self) -> float:
-        """Effective degrees of freedom, no unit."""
+        """Effective degrees of freedom, no unit.
+
+        The value is infinite if those of all sources are infinite.
+        """
         total = sum(one.contribution**4 / one.degrees for one in self.sources)
         return self.combined**4 / total if total > 0 else math.inf
 
     @property
     def coverage_factor(self) -> float:
-        """Factor k of the expanded uncertainty, for a probability of 95.45 %."""
+        """Coverage factor k of the expanded uncertainty, no unit.
+
+        The coverage probability is 95.45 %.
+        """
         if not math.isfinite(self.degrees):
             return 2.0
         return float(stdtrit(max(self.degrees, 1.0), (1 + _COVERAGE) / 2))
@@ -170,21 +181,21 @@ class UncertaintyBudget:
         )
 
     def columns(self) -> dict[str, list[Any]]:
-        """List the sources as columns.
+        """Convert the budget to the columns of a table.
 
-        The combined and the expanded uncertainty are the last two rows.
+        The rows of the table are those of `rows`.
 
         Returns:
-            Values by name of the column.
+            Values of each column, by the name of the column.
         """
         return dict(zip(_COLUMNS, map(list, zip(*self.rows(), strict=True)), strict=True))
 
     def rows(self) -> list[list[Any]]:
-        """List the rows of the table.
+        """Convert the budget to the rows of a table.
 
         Returns:
-            Name, type, value, standard uncertainty, sensitivity, contribution and degrees of freedom of each source,
-            and of the combined and the expanded uncertainty.
+            One row for each source, then the rows of the combined and the expanded uncertainty. A row contains name, type,
+            value, standard uncertainty, sensitivity, contribution and degrees of freedom; NaN where a number is undefined.
         """
         rows: list[list[Any]] = [
             [one.name, one.kind, one.value, one.uncertainty, one.sensitivity, one.contribution, one.degrees]
@@ -213,16 +224,16 @@ def _checked(source: UncertaintySource) -> UncertaintySource:
 
 
 def write_budgets(path: str | Path, budgets: Sequence[UncertaintyBudget], *, force: bool = False) -> None:
-    """Write the budgets of some results.
+    """Write uncertainty budgets to a JSON or CSV file.
 
     Args:
-        path: file to write, .json or .csv.
-        budgets: budgets, one per result; may be empty.
+        path: file to write; the suffix .json or .csv selects the format.
+        budgets: budgets, one per result; the sequence may be empty.
         force: True to replace an existing file. Default: False.
 
     Raises:
-        ArgumentError: the suffix is neither .json nor .csv.
-        OutputError: the file cannot be written, or exists and `force` is False.
+        ArgumentError: the suffix is neither .json nor .csv, or an argument has the wrong type.
+        OutputError: the file cannot be written, or it exists and `force` is False.
 
     Example:
         >>> import tempfile, pathlib
@@ -245,8 +256,8 @@ def write_budgets(path: str | Path, budgets: Sequence[UncertaintyBudget], *, for
 def check_budget(path: str | Path, *, force: bool, inputs: Sequence[str | Path] = ()) -> None:
     """Check in advance that `write_budgets` can write a file.
 
-    inputs: input files, which must not be replaced. An ArgumentError is raised if the name does not end in .json or
-    .csv, and an OutputError if the file cannot be written.
+    An ArgumentError is raised if the name does not end in .json or .csv. An OutputError is raised if the file cannot be
+    written, exists without `force`, or is one of `inputs`.
     """
     _check_name(path)
     check_output(path, force=force, inputs=inputs)
@@ -260,24 +271,24 @@ def _check_name(path: str | Path) -> None:
 def fit_budget(name: str, value: float, std: float) -> UncertaintyBudget:
     """Build the budget of a fitted value.
 
-    Its only source is the fit (type A).
+    The only source of the budget is the fit (type A).
 
     Args:
         name: name of the value, with its unit.
-        value: estimate.
-        std: standard uncertainty, in the same unit.
+        value: fitted value, in its unit.
+        std: standard uncertainty of the value, in its unit.
     """
     source = UncertaintySource(f"{name}: noise and departures of the fit", float(value), float(std), 1.0, "A")
     return UncertaintyBudget(name, value, [source])
 
 
 def parameter_budgets(names: Sequence[str], values: Sequence[float], covariance: np.ndarray) -> list[UncertaintyBudget]:
-    """Build the budgets of fitted parameters.
+    """Build one budget for each fitted parameter.
 
     Args:
-        names: names of the parameters, with units.
-        values: estimates, (n,).
-        covariance: covariance of the estimates, (n, n).
+        names: names of the parameters, with their units.
+        values: fitted values, in these units, (n,).
+        covariance: covariance of the values, (n, n).
     """
     stds = np.sqrt(np.maximum(np.diag(covariance), 0))
     return [fit_budget(*one) for one in zip(names, values, stds, strict=True)]

@@ -11,12 +11,12 @@ def first_fall(x: FloatArray, curve: FloatArray, level: float = 0.5) -> FloatArr
     """Find the lowest x at which a curve falls to a level, by linear interpolation.
 
     Args:
-        x: positions of the samples (n,), ascending.
-        curve: samples (..., n).
+        x: positions of the samples, ascending, (n,).
+        curve: samples of one or several curves, (..., n).
         level: level to find, in the unit of the curve. Default: 0.5.
 
     Returns:
-        Positions (...); NaN where a curve begins below the level, or stays above it.
+        Positions, in the unit of x, (...); NaN where a curve begins below the level, or never falls below it.
     """
     curve = np.asarray(curve)
     below = curve < level

@@ -1,8 +1,9 @@
 """Uniform disc as chords: positions, lengths, and shares of the light.
 
-The distance of a chord from the centre of the disc is sin t, with Gauss-Legendre nodes in t. The integrand is smooth in
-t for chords that are longer or shorter than the blur. The few chords of a small disc are Gauss nodes of the disc
-(Chebyshev polynomials of the second kind). They preserve the total light and its variance.
+The distance of a chord from the centre of the unit disc is sin t, with Gauss-Legendre nodes in t, rad. A blurred disc is an
+integral over t, whose integrand is smooth whether the chords are longer or shorter than the blur. The few chords of a
+small disc are at the nodes of a Gauss rule (Chebyshev polynomials of the second kind). They preserve the total light of
+the disc and its variance.
 """
 
 from __future__ import annotations
@@ -23,12 +24,12 @@ CHORD_RULE = (COUNTS, _SMALL, _LEAST, _ACROSS, _ALONG)
 
 
 class Chords(NamedTuple):
-    """Chords of the unit disc, as arrays of equal shape.
+    """Chords of the unit disc, as arrays of shape (chords,).
 
     Attributes:
-        at: distances of the chords from the centre.
-        half: half lengths of the chords.
-        share: shares of the light, whose sum is 1.
+        at: distances of the chords from the centre, in radii of the disc; negative on one side of the centre.
+        half: half lengths of the chords, in radii of the disc.
+        share: shares of the light in the chords, no unit; the shares of all chords add up to 1.
     """
 
     at: np.ndarray
@@ -52,7 +53,7 @@ def chords_of(count: int) -> Chords:
 def half_of(chords: Chords) -> Chords:
     """Select the chords on one side of the centre.
 
-    Each chord represents itself and its mirror image.
+    The shares add up to 1/2. A chord through the centre has half its share.
     """
     side = chords.at > -1e-12
     at, half, share = (a[side] for a in chords)
@@ -60,7 +61,7 @@ def half_of(chords: Chords) -> Chords:
 
 
 def chord_rule(across: np.ndarray, along: np.ndarray) -> np.ndarray:
-    """Choose the number of chords, as an index into `COUNTS`.
+    """Choose the number of chords of each disc. The result is the index of the number in `COUNTS`.
 
     across, along: half widths of discs divided by the standard deviation of the blur, across and along the chords.
     """

@@ -1,8 +1,8 @@
-"""Elementary functions of arrays: sine, arcsine and error function, and the length of a vector with a derivative at zero.
+"""Elementary functions of arrays: sine, arcsine, complementary error function, and length of a vector.
 
-For a sine of doubles, XLA calls a scalar library function. It takes 15 to 30 times as long as a polynomial, and would
-take a third of the time of an integral. For an error function, XLA evaluates three rational functions and uses one of
-the results.
+For a sine of doubles, XLA calls a scalar library function. This function takes 15 to 30 times as long as a polynomial, and
+would take a third of the time of an integral. For an error function, XLA evaluates three rational functions and uses only
+one of the three results.
 """
 
 from __future__ import annotations
@@ -52,7 +52,8 @@ def sine(angle: jax.Array) -> jax.Array:
 def arcsine(x: jax.Array) -> jax.Array:
     """Compute the arcsine of x in [-1, 1], rad.
 
-    The result is accurate to all digits except the last. Beyond 1/2 it is computed from sqrt((1 - |x|) / 2).
+    The result is accurate to all digits except the last. For |x| > 1/2 it is computed from the arcsine of
+    sqrt((1 - |x|) / 2).
     """
     size = xp.abs(x)
     steep = size > 0.5
@@ -87,10 +88,10 @@ def _compiled_erfc() -> Callable[[jax.Array], jax.Array]:
 
 
 def plane_length(x: jax.Array, y: jax.Array) -> jax.Array:
-    """Compute sqrt(x^2 + y^2), with derivative zero at zero.
+    """Compute sqrt(x^2 + y^2) with a derivative of zero at x = y = 0.
 
-    `xp.hypot` of JAX 0.12 and later has no derivative at zero, so a smooth function of the squared length would have
-    none.
+    `hypot` of JAX 0.12 and later has no derivative there. A smooth function of the squared length would then have no
+    derivative either.
     """
     square = x * x + y * y
     nowhere = square == 0
@@ -102,7 +103,7 @@ def _odd(coefficients: tuple[float, ...], x: jax.Array, square: jax.Array) -> ja
 
 
 def _polynomial(coefficients: tuple[float, ...], x: jax.Array) -> jax.Array:
-    """Evaluate a polynomial, whose coefficients begin with the lowest power."""
+    """Evaluate a polynomial. Its coefficients are in the order of ascending powers."""
     total = xp.full_like(x, coefficients[-1])
     for coefficient in coefficients[-2::-1]:
         total = total * x + coefficient

@@ -1,9 +1,9 @@
 """Uncertainty budgets of fitted results, computed from the covariance of the fit (JCGM 100:2008, 5).
 
-A least-squares fit with priors is linear at its solution: p = C (J' W y + L m). Here C is the covariance of the
-parameters, W the weights of the readings y, and m the specified values with information L. The readings and the
-specified values are independent sources, and their variances C J' W J C and C L C add up to C. A budget therefore
-follows from the covariance of a fit.
+A least-squares fit with priors is linear at its solution: the parameters are p = C (J' W y + L m). Here C is the covariance
+of the parameters, J the derivative of the readings y with respect to the parameters, and W the weights of the readings.
+The specified values m have the information matrix L. The readings and the specified values are independent sources, and
+their variances C J' W J C and C L C add up to C. A budget therefore follows from the covariance of a fit.
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ class StatedParameter(NamedTuple):
     """Specified value of one parameter of a fit.
 
     Attributes:
-        position: index of the parameter.
+        position: index of the parameter among the coordinates of the fit.
         name: name of the parameter, with its unit.
-        value: specified value, in its unit.
-        slope: derivative of the value with respect to the coordinate of the fit, in its unit.
+        value: specified value, in this unit.
+        slope: derivative of the value with respect to the coordinate of the fit, in the unit of the value.
     """
 
     position: int
@@ -50,9 +50,9 @@ class Statement(NamedTuple):
 
     Attributes:
         name: name of the source.
-        information: information matrix of the coordinates of the fit, (n, n).
-        stated: specified parameters. Each becomes a source, correlated with the others. Default: (), the prior knowledge
-            is one source, in the unit of the result.
+        information: information matrix of this knowledge about the coordinates of the fit, (n, n).
+        stated: specified parameters. Each of them is a source, and these sources may be correlated. Default: (), the
+            prior knowledge is one source in the unit of the result.
     """
 
     name: str
@@ -60,16 +60,20 @@ class Statement(NamedTuple):
     stated: tuple[StatedParameter, ...] = ()
 
     def variance(self, slopes: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-        """Compute the variance of results due to this source.
+        """Compute the variances of results, (...), due to this prior knowledge.
 
-        slopes: derivatives of the results with respect to the coordinates, (..., n). covariance: covariance of the
-        coordinates, (n, n).
+        slopes: derivatives of the results with respect to the coordinates of the fit, (..., n). covariance: covariance of
+        the coordinates, (n, n).
         """
         moved = slopes @ covariance
         return np.einsum("...p,pq,...q->...", moved, self.information, moved)
 
     def sources(self, slope: np.ndarray, covariance: np.ndarray) -> tuple[list[UncertaintySource], np.ndarray]:
-        """List the sources of one result, and their correlation. The arguments are those of `variance`."""
+        """List the sources of one result, and compute their correlation matrix.
+
+        slope: derivatives of the result with respect to the coordinates of the fit, (n,). covariance: covariance of the
+        coordinates, (n, n).
+        """
         if not self.stated:
             whole = math.sqrt(max(float(self.variance(slope, covariance)), 0.0))
             return [UncertaintySource(self.name, 0.0, whole, 1.0, "B")], np.eye(1)
@@ -107,10 +111,10 @@ class VariancePart(NamedTuple):
     Attributes:
         name: name of the source.
         kind: type of the source, "A" or "B".
-        variance: variance of the results, in their unit squared.
-        value: value of the source, in its unit. Default: 0, a correction whose estimate is 0.
+        variance: variances of the results due to this source, in the squared unit of the results.
+        value: estimate of the source, in its unit. Default: 0, for a correction.
         uncertainty: standard uncertainty of the source, in its unit. Default: None, the source has the unit of the
-            result.
+            result and the sensitivity 1.
         degrees: degrees of freedom, no unit. Default: infinite.
     """
 
@@ -125,7 +129,7 @@ class VariancePart(NamedTuple):
         return self._replace(variance=self.variance * factor)
 
     def source(self, at: Any) -> UncertaintySource:
-        """Convert the part to a source of the result at index `at`."""
+        """Convert the part to a source of uncertainty of the result at index `at`."""
         std = math.sqrt(max(float(self.variance[at]), 0.0))
         if not self.uncertainty:
             return UncertaintySource(self.name, self.value, std, 1.0, self.kind, self.degrees)
@@ -152,7 +156,10 @@ def statement_parts(
         slopes: derivatives of the results with respect to the coordinates of the fit, (..., n).
         covariance: covariance of the coordinates, (n, n).
         variance: variances of the results, (...).
-        readings: the source with the remaining variance.
+        readings: source to which the remaining variance is attributed.
+
+    Returns:
+        Part of the readings, then one part for each of `statements`.
     """
     parts = []
     for one in statements:
@@ -170,7 +177,7 @@ def statement_parts(
 def parts_budget(name: str, value: float, parts: Sequence[VariancePart], at: Any = ()) -> UncertaintyBudget:
     """Build the budget of one of several results.
 
-    Sources without effect are omitted. at: index of the result.
+    Sources with a negligible contribution are omitted. at: index of the result. Default: (), there is only one result.
     """
     sources = [part.source(at) for part in parts]
     least = _EFFECT * math.sqrt(sum(one.contribution**2 for one in sources))
@@ -192,12 +199,12 @@ def posterior_budget(
 
     Args:
         name: name of the result, with its unit.
-        value: estimate.
+        value: estimate of the result, in its unit.
         slope: derivatives of the result with respect to the coordinates of the fit, (n,).
         covariance: covariance of the coordinates, (n, n).
         statements: prior knowledge of the parameters.
-        readings: the source with the remaining variance.
-        more: other sources of uncertainty. Default: (), the fit is the only source.
+        readings: source to which the remaining variance of the fit is attributed.
+        more: independent sources other than the fit. Default: (), none.
     """
     sources, blocks, stated = [], [np.eye(1)], 0.0
     for one in statements:
@@ -218,10 +225,10 @@ def stated_parameters(
     """Build one `Statement` for each group of correlated parameters.
 
     Args:
-        name: name of a group of several parameters.
-        information: information matrix of the coordinates of the fit, (n, n).
-        stated: the parameters. Parameters without prior knowledge are omitted.
-        least: information below which a parameter is unknown. Default: 0.
+        name: name of each group of several parameters. A single parameter keeps its own name.
+        information: information matrix of the priors, in the coordinates of the fit, (n, n).
+        stated: specified parameters. Parameters without prior knowledge are omitted.
+        least: information up to which a parameter has no prior knowledge. Default: 0.
     """
     known = [one for one in stated if information[one.position, one.position] > least]
     if not known:

@@ -1,6 +1,6 @@
-"""Variances of frames in time and over the pixels, and departures from a straight line (EMVA Standard 1288, release 4).
+"""Temporal and spatial variances of frames, and departures from a straight line (EMVA Standard 1288, release 4).
 
-`matcam sensor` uses these estimators. `reconstruct` uses them for dark frames and for its check of linearity.
+`matcam sensor` uses these estimators. `reconstruct` uses them for dark frames and for the check of linearity.
 """
 
 from __future__ import annotations
@@ -25,7 +25,8 @@ def clipped_variance(values: np.ndarray) -> float:
     """Compute the variance of values about their mean, without outliers.
 
     Args:
-        values: any shape, centred about 0, DN.
+        values: values with a mean of about 0, DN, any shape. Values with a magnitude above eight robust standard
+            deviations are outliers.
 
     Returns:
         Variance, DN^2; 0 for an empty array.
@@ -38,8 +39,8 @@ def clipped_variance(values: np.ndarray) -> float:
 def pair_variance(first: np.ndarray, second: np.ndarray) -> float:
     """Compute the temporal variance of a pixel from two equal exposures (EMVA 1288, 8.2.1).
 
-    The difference of the means of the frames is removed, because it is a change of the lamp. Unlike in the standard,
-    differences of more than eight robust standard deviations are left out.
+    The difference between the means of the frames is subtracted, because it is caused by a change of the lamp. Unlike in
+    the standard, differences of more than eight robust standard deviations are omitted.
 
     Args:
         first: frame, (height, width), DN.
@@ -53,25 +54,26 @@ def pair_variance(first: np.ndarray, second: np.ndarray) -> float:
 
 
 def pair_variance_error(frames: int, pixels: int) -> float:
-    """Compute the relative standard deviation of the mean `pair_variance` of consecutive frames.
+    """Compute the relative standard deviation, no unit, of the mean `pair_variance` of consecutive frames.
 
     Args:
         frames: number of frames, at least 2.
         pixels: number of pixels of a frame.
 
     Source:
-        von Neumann (1941), Annals of Mathematical Statistics 12, 367: the mean square successive difference.
+        von Neumann (1941), "Distribution of the ratio of the mean square successive difference to the variance", Annals
+        of Mathematical Statistics 12, 367.
     """
     return float(np.sqrt((3 * frames - 4) / (frames - 1) ** 2 / pixels))
 
 
 def fixed_pattern_variance(measured: float, temporal: float, frames: int) -> float:
-    """Compute the fixed pattern variance of the pixels from the variance of a mean of frames (EMVA 1288, 8.2.2).
+    """Compute the fixed pattern variance of the pixels from the mean of several frames (EMVA 1288, 8.2.2).
 
     Args:
         measured: variance of the mean of the frames over its pixels, DN^2.
         temporal: variance of one pixel from frame to frame, DN^2.
-        frames: number of frames of the mean.
+        frames: number of frames in the mean.
 
     Returns:
         Variance, DN^2. It may be negative by chance if the pixels do not differ.
@@ -85,7 +87,7 @@ def fixed_pattern_variance_error(pattern: float, temporal: float, frames: int, p
     Args:
         pattern: fixed pattern variance, DN^2.
         temporal: variance of one pixel from frame to frame, DN^2.
-        frames: number of frames of the mean, at least 2.
+        frames: number of frames in the mean, at least 2.
         pixels: number of pixels of a frame.
     """
     chance = temporal / frames
@@ -94,14 +96,14 @@ def fixed_pattern_variance_error(pattern: float, temporal: float, frames: int, p
 
 
 def line_of_least_relative_error(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
-    """Fit a line by least squares of relative departures (EMVA 1288, 8.2.7).
+    """Fit a line that minimises the squares of the relative departures (EMVA 1288, 8.2.7).
 
     Args:
         x: exposure, any unit, (n,).
-        y: signal above dark, positive, (n,).
+        y: signal above dark, positive, any unit, (n,).
 
     Returns:
-        Slope and offset.
+        Slope, in the unit of y per unit of x, and offset, in the unit of y.
     """
     slope, offset = np.polynomial.polynomial.polyfit(x, y, 1, w=1 / y)[::-1]
     return float(slope), float(offset)
@@ -113,9 +115,9 @@ def not_linear(departure: np.ndarray, std: np.ndarray, least: float) -> np.ndarr
     Args:
         departure: departure of the signal divided by the value of the line, no unit.
         std: standard deviation of the departure, same shape.
-        least: largest departure that is allowed, no unit.
+        least: largest allowed magnitude of a departure, no unit.
 
     Returns:
-        True where the signal is not linear.
+        True where the departure exceeds `least` and five standard deviations, same shape.
     """
     return (np.abs(departure) > least) & (np.abs(departure) > _SIGNIFICANT * std)

@@ -16,13 +16,13 @@ _SMALL = 1e-4  # argument below which 1 - v^2 / 8 is accurate to rounding
 
 
 def jinc(v: jax.Array, largest: float) -> jax.Array:
-    """Compute 2 J1(v) / v, which is 1 at v = 0.
+    """Compute 2 J1(v) / v, where J1 is the Bessel function of order 1. The value at v = 0 is 1.
 
-    JAX has no J1. For JAX arrays, the result is the mean of 2 cos^2 t cos(v sin t) over the chords of the disc. The mean is
-    exact if the number of nodes exceeds v.
+    JAX has no J1. For JAX arrays, the result is the mean of 2 cos^2 t cos(v sin t) over nodes t in [0, pi/2], which
+    correspond to chords of the disc. This mean is exact if the number of nodes exceeds v.
 
     Args:
-        v: argument, >= 0, any shape.
+        v: argument, no unit, >= 0, any shape.
         largest: upper limit of v.
     """
     if has_jax(v):

@@ -22,20 +22,20 @@ AnyMatrix = TypeVar("AnyMatrix", bound=Any)
 
 
 def scaled_inverse(information: AnyMatrix, undetermined: float = 0.0) -> AnyMatrix:
-    """Invert a symmetric, positive semidefinite matrix, scaled to a unit diagonal.
+    """Invert a symmetric, positive semidefinite matrix by means of a matrix with a unit diagonal.
 
-    The inverse of NumPy arrays follows from their eigenvalues, which are limited to at least `FLOOR`, so that matrices
-    may be indefinite by rounding. JAX arrays are inverted by Cholesky decomposition, which compiles to a smaller program,
-    after `FLOOR` is added to their diagonal. The relative difference of the two results is `FLOOR` divided by the
-    smallest eigenvalue.
+    The matrix is scaled to a unit diagonal, and the inverse is scaled back. NumPy arrays are inverted by eigenvalue
+    decomposition. Eigenvalues below `FLOOR` are replaced by `FLOOR`, so a matrix may be indefinite by rounding. JAX arrays
+    are inverted by Cholesky decomposition, which compiles to a smaller program, after `FLOOR` is added to the diagonal.
+    The relative difference of the two results is `FLOOR` divided by the smallest eigenvalue.
 
     Args:
         information: matrix, or a stack of matrices (NumPy only), shape (..., n, n), in inverse squares of the units of
             the parameters.
-        undetermined: variance of a parameter whose diagonal entry is 0. Default: 0.0, the parameter is fixed.
+        undetermined: variance of a parameter whose diagonal entry is not positive. Default: 0.0, the parameter is fixed.
 
     Returns:
-        The covariance, same shape and kind.
+        Inverse, the covariance of the parameters, an array of the same shape and kind.
     """
     if isinstance(information, np.ndarray):
         unit, inverse_std = _to_unit_diagonal(information)
@@ -59,9 +59,9 @@ def lifted_inverse(information: AnyMatrix, undetermined: float = 0.0) -> AnyMatr
 
 
 def least_eigenvalue(information: np.ndarray) -> float:
-    """Compute the smallest eigenvalue of a matrix, scaled to a unit diagonal.
+    """Compute the smallest eigenvalue of a matrix that is scaled to a unit diagonal.
 
-    Below `FLOOR`, the data do not determine a direction.
+    If the eigenvalue is below `FLOOR`, the data do not determine one direction of the parameters.
     """
     return float(np.linalg.eigvalsh(_to_unit_diagonal(information)[0])[0])
 
@@ -69,7 +69,7 @@ def least_eigenvalue(information: np.ndarray) -> float:
 def _to_unit_diagonal(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Scale a matrix to a unit diagonal.
 
-    Returns the scaled matrix, and the factor of each row, 0 where the diagonal is not positive.
+    The results are the scaled matrix and the factor of each row, which is 0 where the diagonal is not positive.
     """
     diagonal = np.diagonal(matrix, axis1=-2, axis2=-1)
     scale = np.where(diagonal > 0, 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0)), 0.0)

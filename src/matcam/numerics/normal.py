@@ -1,4 +1,4 @@
-"""Normal distribution: density, scatter of values with outliers, and linear least squares without outliers."""
+"""Normal distribution: density, standard deviation of values with outliers, and least squares without outliers."""
 
 from __future__ import annotations
 
@@ -37,8 +37,8 @@ class RobustFit(NamedTuple):
 
     Attributes:
         parameters: fitted parameters, (k,).
-        covariance: covariance of the parameters, from the standard deviations of the values, (k, k).
-        chi2: chi2 per degree of freedom. `covariance` times `chi2` is the covariance from the scatter of the values.
+        covariance: covariance of the parameters that follows from the given standard deviations of the values, (k, k).
+        chi2: chi squared per degree of freedom. `covariance` times `chi2` is the covariance that follows from the residuals.
         kept: True for values that are not outliers, (n,).
     """
 
@@ -68,9 +68,10 @@ def robust_fit(
 
     Args:
         design: derivatives of the values with respect to the parameters, (n, k).
-        values: values, (n,).
-        std: standard deviations of the values, (n,). Default: 1.0.
-        least: smallest scatter, in units of `std`. Default: 1e-12.
+        values: measured values, (n,).
+        std: standard deviations of the values, (n,), or one for all. Default: 1.0.
+        least: smallest robust standard deviation of the residuals, relative to `std`, with which outliers are found.
+            Default: 1e-12.
         resolved: smallest singular value of the design, relative to the largest. Smaller values are treated as 0.
             Default: 1e-12.
     """

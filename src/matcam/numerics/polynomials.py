@@ -13,12 +13,12 @@ def plane_orders(degree: int) -> list[tuple[int, int]]:
 
 
 def plane_powers(x: FloatArray, y: FloatArray, degree: int) -> FloatArray:
-    """Compute the terms of a polynomial of x and y on a last axis, in the order of `plane_orders`.
+    """Compute the terms x^i y^j of a polynomial, in the order of `plane_orders` along an additional last axis.
 
     Args:
         x: first coordinate, any shape.
         y: second coordinate, of the same shape.
-        degree: highest order.
+        degree: largest sum of the exponents i and j.
     """
     # products are faster than powers
     of_x, of_y = [np.ones_like(x)], [np.ones_like(y)]
@@ -34,8 +34,8 @@ def plane_fit(x: FloatArray, y: FloatArray, values: FloatArray, degree: int) -> 
     Args:
         x: first coordinate, (n,).
         y: second coordinate, (n,).
-        values: values, (n, ...).
-        degree: highest order.
+        values: values at the coordinates, (n, ...).
+        degree: largest sum of the exponents i and j.
 
     Returns:
         Coefficients of x^i y^j, (degree + 1, degree + 1, ...), as for `numpy.polynomial.polynomial.polyval2d`.

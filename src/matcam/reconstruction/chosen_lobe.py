@@ -1,7 +1,7 @@
 """Choice of the lobe that explains the images best.
 
-The candidates are lobes of two families, with a spline modification if it reduces the residual. A prior that contradicts
-the images is widened until it agrees with them. A remark reports that the specified value or the model is wrong.
+The candidates are lobes of two families. The chosen lobe is modified by a spline if this reduces the residual. A prior
+that contradicts the images is widened until it agrees with them, and a remark reports the contradiction.
 """
 
 from __future__ import annotations
@@ -48,13 +48,13 @@ _GUESSED = 0.25
 
 
 class ChosenFit(NamedTuple):
-    """Best fit, the alternatives that were tried, and remarks.
+    """Best fit, unexplained shares of all fitted lobes, and remarks.
 
     Attributes:
         fit: the best fit.
-        tried: unexplained share by name of the lobe.
-        remarks: remarks on widened priors and on the lobe.
-        widened: factor of the standard deviation of each widened source.
+        tried: unexplained share of the light, no unit, by the name of the lobe.
+        remarks: remarks on images, widened priors and the lobe.
+        widened: factor by which the standard deviation of a source of specified values was multiplied, by its name.
     """
 
     fit: SphereFit
@@ -77,11 +77,11 @@ def chosen_fit(
     """Fit lobes of the candidate families, and select the most probable fit.
 
     Args:
-        pictures: merged images.
+        pictures: merged images, one per lamp position.
         scene: prior knowledge of the rig.
-        lamps: directions to the lamps, derived from the highlights, (pictures, 3).
-        family: family of the lobe; "auto": the most probable candidate, spline-modified if that reduces the residual.
-            Default: "auto".
+        lamps: unit vectors to the lamps with which the search starts, (pictures, 3).
+        family: family of the lobe. Default: "auto", the most probable candidate, spline-modified if that reduces the
+            residual.
         masking: masking G of the lobe. Default: "smith".
         diffuse: True to include a Lambertian part. Default: True.
         progress: function that is called with a line about each step. Default: None.
@@ -290,7 +290,7 @@ def _described(name: str, more: Mapping[str, object], widened: Mapping[str, floa
 
 
 def _with_its_lens_open(fit: SphereFit) -> SphereFit:
-    """Increase the variance of a guessed lens to that of the prior if no lobe explains the images.
+    """Increase the variance of a guessed lens to its prior variance if no lobe explains the images.
 
     With a wrong lobe, the fit otherwise underestimates the standard deviation of the lens.
     """
@@ -324,9 +324,9 @@ def _diffuse_pixels(fit: SphereFit) -> float:
 
 
 def _likelier(one: SphereFit, other: SphereFit) -> bool:
-    """Check whether a fit has the larger likelihood.
+    """Check whether `one` has a larger likelihood than `other`.
 
-    Both likelihoods use the smaller of the two unexplained shares.
+    Both likelihoods are computed with the smaller of the two unexplained shares.
     """
     judge = Likelihood(max(min(one.solution.unexplained, other.solution.unexplained), 1e-3))
 
@@ -340,11 +340,11 @@ def _likelier(one: SphereFit, other: SphereFit) -> bool:
 
 
 def _preferred(one: SphereFit, other: SphereFit) -> bool:
-    """Check whether a fit is preferred to another.
+    """Check whether `one` is preferred to `other`.
 
-    The more probable fit is preferred. If exactly one fit has a lobe parameter at a bound, this fit must have a clearly
-    smaller unexplained share (`_CLEARLY`) to be preferred. The width of a lobe at a bound is meaningless, because its
-    family does not suit the material.
+    The more probable fit is preferred. If exactly one of the fits has a lobe parameter at a bound, this fit is preferred
+    only if its unexplained share is clearly smaller (`_CLEARLY`). At a bound, the family does not suit the material, and
+    the width of the lobe is meaningless.
     """
     if _at_bound(one) == _at_bound(other):
         return _likelier(one, other)

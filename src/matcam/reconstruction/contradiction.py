@@ -1,6 +1,7 @@
 """Detection of specified values that contradict the images.
 
-Each source is freed in turn, to find the source whose error explains the largest part of chi squared.
+A source is a group of specified values, such as the lens or the directions to the lamps. The prior of each source is
+widened in turn, to find the source whose error explains the largest part of chi squared.
 """
 
 from __future__ import annotations
@@ -51,14 +52,14 @@ _WIDENED = {
 
 
 class _Blame(NamedTuple):
-    """Effect of freeing a source: decrease of chi squared, and distance from the specified value.
+    """Effect of freeing a source, which means that its prior is made very wide.
 
     Attributes:
-        explains: decrease of chi squared to first order, less the expected decrease by chance.
+        explains: first-order decrease of chi squared, less the decrease that is expected by chance.
         source: name of the source.
-        pull: distance from the specified value, in standard deviations.
-        step: change of the parameters, (size,).
-        freed: problem without the prior of that source.
+        pull: distance of the freed values from the specified values, in specified standard deviations.
+        step: first-order change of the parameters, (size,).
+        freed: problem with the wide prior of the source.
     """
 
     explains: float
@@ -68,10 +69,10 @@ class _Blame(NamedTuple):
     freed: JointProblem
 
     def holds(self, fit: SphereFit) -> bool:
-        """Check the predicted decrease of chi squared along the step.
+        """Check that chi squared decreases by more than `_MUCH` along the step.
 
-        A source with one value per image is poorly determined once it is freed, so the first-order prediction is
-        inaccurate.
+        Only a source with one value per image is checked. The images hardly determine its values once it is freed, so the
+        first-order prediction is inaccurate.
         """
         if self.source not in _IN_EACH:
             return True
@@ -81,11 +82,14 @@ class _Blame(NamedTuple):
 
 
 def contradiction(fit: SphereFit, scene: SphereScene) -> tuple[str, float, Remark] | None:
-    """Find the source that contradicts the images, the factor of its standard deviation, and a remark.
+    """Find the source that contradicts the images.
 
     A wrong but narrow prior displaces other parameters. Therefore each source is freed in turn, and the source with the
-    largest decrease of chi squared is selected. The result is None if all residuals of the priors are small, and no freed
-    source decreases chi squared much.
+    largest decrease of chi squared is selected.
+
+    Returns:
+        Name of the source, factor by which its standard deviation is to be multiplied, and a remark. None if the residuals
+        of all priors are small, and no freed source decreases chi squared much.
     """
     problem = fit.solution.problem
     away = problem.prior_rows @ fit.solution.p - problem.prior_values
@@ -102,16 +106,16 @@ def contradiction(fit: SphereFit, scene: SphereScene) -> tuple[str, float, Remar
         text += f" (the images indicate {wanted:.4g} mm, but {stated:.4g} mm is specified)"
     remark = Remark(
         f"{blamed.source.replace(' ', '-')}-contradicted",
-        f"{text}: {times_off(pull)} the given standard deviation, as extrapolated from the fit; the standard deviation "
-        "was enlarged: check the given value",
+        f"{text}; according to the fit, the given value is {times_off(pull)} its standard deviation, which was therefore "
+        "enlarged: check the given value",
     )
     return blamed.source, 1.5 * pull, remark
 
 
 def times_off(pull: float) -> str:
-    """Format a distance in standard deviations.
+    """Format the distance of a specified value from the images, in standard deviations.
 
-    Large values are first-order estimates without significant digits.
+    A large distance is formatted as a lower limit, because it is an inaccurate first-order estimate.
     """
     return f"off by more than {_FAR:.0f} times" if pull > _FAR else f"off by about {pull:.0f} times"
 
@@ -155,9 +159,9 @@ def _blamed(fit: SphereFit, scene: SphereScene) -> list[_Blame]:
 
 
 def _rows_of(name: str, sources: Sequence[str]) -> np.ndarray:
-    """Select the rows of the prior that belong to a source.
+    """Compute a mask of the rows of the prior that belong to a source.
 
-    Shifts of the sphere belong to the outline.
+    The rows of the source "shift" are those of the outline.
     """
     return np.array([one == ("outline" if name == "shift" else name) for one in sources])
 
@@ -168,11 +172,11 @@ def _freeing(scene: SphereScene, source: str) -> float:
 
 
 def with_wider(scene: SphereScene, source: str, factor: float) -> SphereScene:
-    """Multiply the standard deviation of the values of one source.
+    """Multiply the standard deviation of the specified values of one source by a factor.
 
     Args:
-        scene: specified values.
-        source: name of the source, as in the prior.
+        scene: specified values and their standard deviations.
+        source: name of the source, one of `_WIDENED`.
         factor: factor of the standard deviation, no unit.
     """
     change: dict[str, Any]

@@ -1,7 +1,8 @@
 """Sources of the uncertainty of a joint fit, and parameters that its images do not distinguish.
 
-There are two budgets. `error_budget` gives the reduction of the variance if a source were exact. `reading_budget` is
-the budget of the GUM: variances of independent sources, whose sum is the variance of the result.
+There are two budgets. `error_budget` computes the decrease of the variance that an exact source would cause.
+`reading_budget` builds the budget of the GUM (Guide to the expression of uncertainty in measurement, JCGM 100:2008). It
+consists of the variances of independent sources, whose sum is the variance of the result.
 """
 
 from __future__ import annotations
@@ -45,7 +46,7 @@ class Inseparable(NamedTuple):
 
     Attributes:
         names: names of two parameters.
-        correlation: correlation between the two, without a prior on the first.
+        correlation: correlation of the two parameters, no unit, if the first has nearly no prior.
     """
 
     names: tuple[str, str]
@@ -60,7 +61,13 @@ class Inseparable(NamedTuple):
 
 
 class Ratio(NamedTuple):
-    """Ratio of F(theta_d) to the mean of F from 10 to 45 degrees, and its standard deviation; theta_d is in rad."""
+    """Ratio of F(theta_d) to the mean of F from 10 to 45 degrees.
+
+    Attributes:
+        theta_d: difference angle, rad.
+        value: the ratio, no unit.
+        std: standard deviation of the ratio, no unit.
+    """
 
     theta_d: float
     value: float
@@ -86,13 +93,15 @@ class FitReading(NamedTuple):
 
 
 def ratio_reading(fit: SphereFit, curve: ReflectanceCurve, channel: int, theta_d: float) -> FitReading:
-    """Derive F(theta_d) over the mean of F from 10 to 45 degrees, within the range of the images.
+    """Compute the ratio of F(theta_d) to the mean of F from 10 to 45 degrees.
+
+    Angles outside the range of the images are omitted from the mean.
 
     Args:
         fit: the fit.
         curve: F of the channel.
         channel: index of the channel.
-        theta_d: angle, rad.
+        theta_d: difference angle, rad.
     """
     at = np.append(_normal_angles(fit), theta_d)
     value, slopes = curve.at(at), curve.slopes(at)
@@ -103,9 +112,9 @@ def ratio_reading(fit: SphereFit, curve: ReflectanceCurve, channel: int, theta_d
 
 
 def _level_reading(fit: SphereFit, curve: ReflectanceCurve, channel: int, unit: float) -> FitReading:
-    """Derive the mean of F from 10 to 45 degrees.
+    """Compute the mean of F from 10 to 45 degrees.
 
-    `unit` is the strength that corresponds to F = 1.
+    `unit` is the strength that corresponds to F = 1. Angles outside the range of the images are omitted from the mean.
     """
     at = _normal_angles(fit)
     level = float(curve.at(at).mean()) / unit
@@ -123,20 +132,21 @@ def error_budget(
 ) -> dict[str, dict[str, float]]:
     """Compute the contribution of each source to the standard deviation of the results.
 
-    The contribution is the root of the decrease of the variance if the source were exact.
+    The contribution is the root of the decrease of the variance that an exact source would cause.
 
     Args:
         fit: the fit.
         curve: F of one channel.
         channel: index of the channel.
-        theta_d: angle of F, rad.
+        theta_d: difference angle of the ratio, rad.
         unit_std: relative standard deviation of the unit of the images, from a reference. Default: NaN, F is relative.
 
     Returns:
-        Source -> result -> standard deviation. Results: "ratio" (F at theta_d over its mean from 10 to 45 degrees,
-        relative), "level" (that mean, relative; only if F is absolute), "roughness" (logarithm of the lobe's first
-        parameter, or of the half width of a spline-modified lobe), "radius_px", "lens" (relative). Source "total"
-        includes all sources; "reference" is the uncertainty of the unit.
+        Standard deviations by source and result. The results are "ratio" (F at theta_d divided by the mean of F from 10 to
+        45 degrees, relative), "level" (this mean, relative; only if F is absolute), "roughness" (logarithm of the first
+        parameter of the lobe, or of the half width of a spline-modified lobe), "radius_px" (px) and "lens" (relative). The
+        source "total" includes all sources, "reference" is the unit of the images, and "noise" is the standard deviation
+        if all specified values are exact.
     """
     solution, layout, unity = fit.solution, fit.layout, np.eye(fit.layout.size)
     ratio, width = ratio_reading(fit, curve, channel, theta_d), next(iter(_lobe_readings(fit).values()))
@@ -188,9 +198,9 @@ def _shared(fit: SphereFit) -> tuple[tuple[str, ...], np.ndarray]:
 def inseparable(fit: SphereFit) -> tuple[Inseparable, ...]:
     """Find shared parameters that the images alone do not distinguish from the lens, the distances or the outline.
 
-    The prior of each of these parameters is removed in turn. The images do not determine the freed parameter if its standard
-    deviation more than triples, and its correlation with another parameter then exceeds 0.95. The parameter with the largest
-    correlation is reported.
+    The priors of lens, camera distance, lamp distance and outline are removed in turn, except for 1 % of their information.
+    A freed parameter is reported if its standard deviation more than triples, and if its correlation with another shared
+    parameter exceeds 0.95. It is reported together with the parameter of the largest correlation.
     """
     solution, (names, slopes) = fit.solution, _shared(fit)
 
@@ -225,10 +235,10 @@ def inseparable(fit: SphereFit) -> tuple[Inseparable, ...]:
 def parameter_readings(
     fit: SphereFit, curves: Sequence[ReflectanceCurve], units: Sequence[Stated]
 ) -> dict[str, FitReading]:
-    """Derive the parameters of lobe, lens, F (n and k) and diffuse parts from a fit, by reported name.
+    """Derive the parameters of lobe, lens, F (n and k) and diffuse parts from a fit.
 
-    `curves` are the curves of F of each channel. `units` are the units of each channel: value of the images per radiance
-    under unit irradiance.
+    `curves` contains F of each channel. `units` contains the unit of each channel, which is the image value per radiance
+    under unit irradiance. The keys of the result are the names in a report.
     """
     p, layout, unity = fit.solution.p, fit.layout, np.eye(fit.layout.size)
     found = _lobe_readings(fit)
@@ -249,10 +259,10 @@ def parameter_readings(
 def reflectance_readings(
     fit: SphereFit, curves: Sequence[ReflectanceCurve], units: Sequence[Stated], theta_d: float
 ) -> dict[str, FitReading]:
-    """Derive the ratio of F at an angle to its mean from 10 to 45 degrees, by channel.
+    """Derive the ratio of F at an angle to the mean of F from 10 to 45 degrees, for each channel.
 
-    If F is absolute, the mean itself is also derived. `curves` and `units` are those of `parameter_readings`. `theta_d`
-    is the difference angle, rad.
+    If F is absolute, the mean is derived, too. `curves` and `units` are those of `parameter_readings`. `theta_d` is the
+    difference angle, rad. The keys of the result are the names in a report.
     """
     found = {}
     for index, (channel, curve, unit) in enumerate(zip(fit.channels, curves, units, strict=True)):
@@ -274,7 +284,7 @@ def reflectance_readings(
 def length_readings(fit: SphereFit) -> dict[str, FitReading]:
     """Derive the outline radius (px) and the distances of camera and lamp (radii of the sample) from a fit.
 
-    A distance that the images do not determine is omitted.
+    A distance is omitted if the fitted inverse distance is not positive.
     """
     layout, p, unity = fit.layout, fit.solution.p, np.eye(fit.layout.size)
     found = {"outline_radius_px": FitReading(float(p[layout.of("radius")]), unity[layout.of("radius")])}
@@ -329,8 +339,8 @@ def _statements(fit: SphereFit) -> list[Statement]:
 def _lobe_readings(fit: SphereFit) -> dict[str, FitReading]:
     """Derive the parameters of the lobe.
 
-    The half widths, rad, of a lobe without a spline modification are added. A spline-modified lobe has a half width among its
-    parameters.
+    The half width, rad, is one of the parameters of a spline-modified lobe. For other lobes, the half widths along the axes
+    are added to the parameters.
     """
     kind, size = fit.kind, fit.layout.size
     q = fit.solution.p[: kind.size]
@@ -355,7 +365,7 @@ def _lobe_readings(fit: SphereFit) -> dict[str, FitReading]:
 
 
 def _of_curve(fit: SphereFit, curve: ReflectanceCurve, channel: int, value: float, row: np.ndarray) -> FitReading:
-    """Build a value derived from the curve of a channel.
+    """Build the reading of a value that is derived from the curve of F of one channel.
 
     `row` contains the derivatives of the value with respect to the coefficients of the curve.
     """

@@ -38,33 +38,37 @@ def reconstruct(
 ) -> Reconstruction | FlatReconstruction:
     """Reconstruct a material from photographs of a sample under a moved lamp.
 
-    The sample is a sphere, a cylinder or flat. Frames are merged, with exposures, noise and clipping estimated from
-    them. Outline and highlights give a first estimate of the geometry. Then lobe, reflectance, diffuse part, lens,
-    outline, lamps and distances are fitted jointly to the pixels of all images. The specified values of the capture are
-    the priors. Standard deviations include the uncertainty of all these quantities, and the unexplained residual. For a
-    flat sample, maps are estimated at each frequency of its texture.
+    The sample is a sphere, a cylinder or flat. Exposures, noise and clipping are estimated from the frames, and the frames
+    of each lamp position are merged to one image. Outline and highlights give a first estimate of the geometry. Then
+    lobe, reflectance, diffuse part, lens, outline, lamps and distances are fitted jointly to the pixels of all images. The
+    specified values of the capture are the priors. Standard deviations include the uncertainty of all these quantities,
+    and the unexplained residual. For a flat sample, maps of the texture are estimated at each frequency instead.
 
     Args:
         capture: capture, as returned by `files.capture.read_capture`, or its folder.
-        ndf: family of the lobe: "ggx", "epd", "sgd", "beckmann" or "gaussian". Default: "auto", the more probable of
-            "ggx" and "epd", spline-modified if that reduces the residual; for a cylinder with strips of several
-            orientations, GGX with two roughnesses.
-        masking: masking G of the lobe: "smith", "smith-separable", "van-ginneken" or None. Default: "smith".
-        diffuse: True if the material may have a Lambertian part. Default: True.
-        rig_from: earlier reconstruction with the same rig, or its JSON file. Its lens, distances, lamps and
-            distortion, with their covariance, replace the specified values of the capture. Default: None.
+        ndf: family of the lobe: "ggx", "epd", "sgd", "beckmann" or "gaussian"; for a flat sample, "ggx", "beckmann" or
+            "gaussian". Default: "auto", the more probable of "ggx" and "epd", spline-modified if that reduces the
+            residual. For a cylinder with strips of several orientations, "auto" is GGX with two roughnesses; for a flat
+            sample, it is "ggx".
+        masking: model of the masking of the lobe: "smith", "smith-separable", "van-ginneken" or None. Default: "smith".
+        diffuse: True if the material may have a Lambertian part; not used for a flat sample. Default: True.
+        rig_from: earlier reconstruction of a sphere with the same rig, or its JSON file. The earlier lens, distances,
+            lamps and distortion, with their covariance, replace the specified values of the capture. Default: None, the
+            specified values are used.
         progress: function that is called with the name of a step, the number of finished parts and the number of all parts.
             Default: None.
         workers: number of lamp positions whose frames are read at the same time, in threads. Default: 1.
         keep: folder for intermediate results, from which an interrupted computation resumes. Default: None, not stored.
 
     Returns:
-        Table, parameters, geometry, error budget and remarks; for a flat sample, maps and their resolution.
+        `Reconstruction` with table, parameters, geometry, error budget and remarks; for a flat sample,
+        `FlatReconstruction` with the maps and their resolution.
 
     Raises:
         ArgumentError: an argument is wrong or unsuitable for the sample, or `rig_from` is of another rig.
-        FileFormatError: a file of the capture is wrong.
-        FitError: no sphere or cylinder was found, or there are too few highlights or values.
+        FileFormatError: a file of the capture, or the file `rig_from`, is missing or invalid.
+        FitError: the frames do not determine the result. For example, no outline was found, or too few lamp positions
+            can be used.
 
     Source:
         docs/model.md 10.

@@ -36,11 +36,12 @@ def material_table(fit: SphereFit, curves: Sequence[ReflectanceCurve], units: Se
     Args:
         fit: lobe, strengths and diffuse parts.
         curves: F of each channel, in the unit of the fit.
-        units: unit of each channel: value per radiance under unit irradiance, with its relative standard deviation.
-            Strengths divided by the unit are F. If the standard deviation is NaN, F is relative.
+        units: unit of each channel, which is the image value per radiance under unit irradiance, with its relative
+            standard deviation. F is the strength divided by the unit. If the standard deviation is NaN, F is relative.
 
     Returns:
-        Dataset with `brdf`, `brdf_std` (1/sr) and `supported` over the MERL grid. A grey capture has three equal channels.
+        Dataset with `brdf` and `brdf_std`, 1/sr, and the mask `supported`, over the MERL grid. For a grey capture, the
+        three channels are equal.
     """
     grid = merl_grid("centre")
     half = len(grid.phi_d) // 2  # isotropic and reciprocal: phi_d and pi - phi_d are equivalent
@@ -58,14 +59,14 @@ def _mirrored(half: np.ndarray) -> np.ndarray:
 def with_support(
     fit: SphereFit, table: xr.DataArray, value: np.ndarray, std: np.ndarray, theta_d: np.ndarray
 ) -> xr.Dataset:
-    """Combine the entries of a table, their standard deviations and their support.
+    """Combine the entries of a table, their standard deviations, and a mask of the supported entries.
 
     Args:
         fit: fit whose images determine the supported range of theta_d.
-        table: the entries, 1/sr, (..., theta_d, phi_d, channel).
-        value: the entries with full precision, same shape.
-        std: standard deviations of the entries, same shape.
-        theta_d: angles along the third to last axis, rad.
+        table: entries, 1/sr, (..., theta_d, phi_d, channel).
+        value: entries with full precision, 1/sr, same shape.
+        std: standard deviations of the entries, 1/sr, same shape.
+        theta_d: difference angles along the third to last axis, rad.
     """
     seen = fit.solution.theta_d
     covered = (theta_d > seen.min() - _BEYOND) & (theta_d < seen.max() + _BEYOND)
@@ -84,7 +85,7 @@ def with_support(
 def table_entries(
     fit: SphereFit, curves: Sequence[ReflectanceCurve], units: Sequence[Stated], *angles: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Compute the entries of all channels and their standard deviations, 1/sr, with the channels on the last axis.
+    """Compute the entries of a table and their standard deviations, 1/sr. The channels are on the last axis.
 
     Args:
         fit: lobe, strengths, diffuse parts and their covariance.

@@ -33,17 +33,19 @@ LIT = 0.1
 
 
 class ObservedPixels(NamedTuple):
-    """Chosen pixels of one image: pixels of the window, row by row of (v, u), then the scattered pixels.
+    """Chosen pixels of one image.
+
+    The pixels of the window, in the order of (v, u), precede the scattered pixels.
 
     Attributes:
         window: nodes and pixels about the highlight, as required by the model.
         column: column of the scattered pixels without the distortion of the lens, px, (SCATTERED,).
         row: row of the scattered pixels without the distortion of the lens, px, (SCATTERED,).
         values: values of all pixels, (WINDOW^2 + SCATTERED,); 0 if not used.
-        std: standard deviation of the noise, same shape; 1 if not used.
-        clipped: True for pixels whose value is a lower bound.
-        channel: index of the colour of each pixel.
-        used: True for pixels that have a value and are fitted.
+        std: standard deviation of the noise of the values, same shape; 1 if not used.
+        clipped: True for pixels whose value is a lower bound, same shape.
+        channel: index of the colour of each pixel, same shape.
+        used: True for pixels that have a value and are fitted, same shape.
         positions: columns and rows of all pixels in the frame, px, (2, WINDOW^2 + SCATTERED).
     """
 
@@ -65,9 +67,9 @@ class ObservedPixels(NamedTuple):
     def noise_at(self, level: np.ndarray) -> np.ndarray:
         """Compute the standard deviation of the noise of pixels whose expected values are known, (pixels,).
 
-        `std` is partly derived from the value of each pixel, so it is too small where noise lowered this value. As a weight
-        it would bias a fit towards low values. The median ratio of variance and level of pixels of similar level is used
-        instead.
+        `std` is partly derived from the value of each pixel, so it is too small where noise has lowered this value. With
+        `std` as weight, a fit would be biased towards low values. Instead, the variance of a pixel is its expected value
+        times the median ratio of variance to expected value among pixels of similar level.
 
         Args:
             level: expected values, (pixels,).
@@ -97,9 +99,10 @@ def chosen_pixels(
         picture: values of the image and their noise.
         position: positions of sphere and highlight.
         scale: angle over which the lobe changes near its peak, rad.
-        plateau: half the lamp's angular radius, rad.
-        seed: seed of the draw of the scattered pixels.
-        keep: earlier choice. Its pixels are kept, with new nodes, if the pixels of the window are the same. Default: None.
+        plateau: half the angular radius of the lamp, rad.
+        seed: seed of the random selection of the scattered pixels.
+        keep: earlier choice. If the new window has the same pixels, the earlier pixels are kept with new nodes. Default:
+            None.
         field: distortion and blur of the lens over the field. Default: None, uniform.
     """
     window = window_about(
@@ -152,9 +155,10 @@ def _scattered(
     seed: int,
     field: LensField | None,
 ) -> np.ndarray:
-    """Draw pixels outside the window, uniformly in strata of ln theta_h.
+    """Draw pixels outside the window, uniformly in strata of the logarithm of the half angle theta_h.
 
-    If there are fewer than `SCATTERED` such pixels, the remaining positions are outside the frame.
+    The result contains columns and rows in the frame, px, (2, SCATTERED). If there are fewer than `SCATTERED` pixels
+    outside the window, the remaining positions are outside the frame.
     """
     height, width = picture.values.shape
     row, column = np.mgrid[0:height, 0:width]

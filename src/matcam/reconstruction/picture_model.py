@@ -1,8 +1,8 @@
 """Record of a lobe in the pixels of one image, with derivatives with respect to every parameter.
 
-The value of a pixel is the integral of kernel(position - pixel) L(position) over the image. Near the highlight the
-nodes are fixed on the sphere, so that they move with its centre and radius. For other pixels the image is smooth on the
-scale of the kernel, and the Gauss rule of the kernel is used.
+The value of a pixel is the integral of kernel(position - pixel) times radiance(position) over the image. Near the
+highlight, the integration nodes are fixed on the sphere, so that they move with the centre and radius of the sphere. At
+other pixels, the image is smooth on the scale of the kernel, and the Gauss rule of the kernel is used.
 """
 
 from __future__ import annotations
@@ -58,13 +58,15 @@ class Recorded(NamedTuple):
 
 
 class ShownLight(NamedTuple):
-    """Parameters of one image that change the radiance; their derivatives are computed separately.
+    """Parameters of one image that change the radiance.
+
+    The derivatives with respect to the fields are computed separately.
 
     Attributes:
         lobe: coordinates of the lobe, which do not affect angles.
-        pose: inverse distances of camera and lamp, and the rotation (a, b) of the lamp.
-        shape: terms of the diffuse part.
-        table: table of Lambda of the lobe, which all images share. Default: None, Lambda has a closed form.
+        pose: inverse distances of camera and lamp, 1/radii, and the rotation (a, b) of the lamp, rad.
+        shape: coefficients of the departure of the diffuse part from Lambert's law.
+        table: table of Smith's Lambda of the lobe, which all images share. Default: None, Lambda has a closed form.
         by_lobe: derivatives of the table with respect to the coordinates of the lobe, (coordinates, nodes). Default: None,
             not requested.
     """
@@ -77,7 +79,13 @@ class ShownLight(NamedTuple):
 
 
 class KernelSlopes(NamedTuple):
-    """One term of the kernel along one axis, 1/px, and its derivatives with respect to offset and ln scale."""
+    """Term of the kernel along one axis, 1/px, and its derivatives.
+
+    Attributes:
+        value: value of the term, 1/px.
+        by_offset: derivative with respect to the offset, 1/px^2.
+        by_lens: derivative with respect to ln of the scale of the lens, 1/px.
+    """
 
     value: jax.Array
     by_offset: jax.Array
@@ -107,7 +115,7 @@ def over_source(
     """Average the radiance of lobe and diffuse part over the source disc.
 
     Args:
-        radiance_under: function that computes both under a direction to the lamp.
+        radiance_under: function that computes both radiances for one direction to the lamp.
         source: positions on the source disc, as rotations of the direction to the lamp, rad, (points, 2), and their weights.
         frame: base direction of the lamp.
         turn: rotation of the lamp from its base direction, rad.
@@ -154,14 +162,17 @@ class PictureModel(eqx.Module):
     ) -> tuple[Recorded, Recorded | None]:
         """Compute the record of a window, (WINDOW, WINDOW) with v first, and its derivatives.
 
-        The derivatives have an additional last axis over the parameters, (size,).
+        The derivatives have an additional last axis over the parameters, (size,). They are None if `slopes` is False.
         """
         return _compiled("_window_slopes" if slopes else "_window_value")(self, *self._split(p, slopes), frame, window)
 
     def pixels(
         self, p: np.ndarray, frame: LampFrame, column: np.ndarray, row: np.ndarray, *, slopes: bool
     ) -> tuple[Recorded, Recorded | None]:
-        """Compute the record of single pixels, (pixels,), and its derivatives, (pixels, size)."""
+        """Compute the record of single pixels, (pixels,), and its derivatives, (pixels, size).
+
+        The derivatives are None if `slopes` is False.
+        """
         name = "_pixels_slopes" if slopes else "_pixels_value"
         return _compiled(name)(self, *self._split(p, slopes), frame, (column, row))
 
@@ -187,7 +198,10 @@ class PictureModel(eqx.Module):
     def _window_slopes(
         self, light: ShownLight, kernel: jax.Array, frame: LampFrame, window: Window
     ) -> tuple[Recorded, Recorded]:
-        """Compute value and derivatives by explicit formulas, which require only three arrays of the kernel."""
+        """Compute the record of a window and its derivatives by explicit formulas.
+
+        The formulas require only the three arrays of `KernelSlopes`.
+        """
         sum_u, sum_v, theta_d = self._projection(kernel, window, frame)
         radius, turned, (lateral, height) = kernel[1], window.turned > 0, _seen_disc(window)
         area = radius**2 * _area(window)
@@ -329,9 +343,9 @@ class PictureModel(eqx.Module):
 
 
 def _by_each(function: Callable[[ShownLight], Any], light: ShownLight) -> tuple[Any, Any, Any]:
-    """Differentiate a function of the light with respect to each part separately.
+    """Differentiate a function with respect to lobe, pose and shape of `ShownLight` separately.
 
-    Intermediate values that do not depend on a part are therefore not differentiated.
+    This avoids the differentiation of intermediate values that do not depend on the respective part.
     """
 
     def of_lobe(lobe: jax.Array, table: jax.Array | None) -> Any:
@@ -349,7 +363,7 @@ def _by_each(function: Callable[[ShownLight], Any], light: ShownLight) -> tuple[
 
 @lru_cache(maxsize=8)
 def _lambda_table(kind: LobeKind, lobe: bytes, slopes: bool) -> tuple[AnyArray | None, AnyArray | None]:
-    """Compute the table of Lambda of a lobe, and its derivatives on request; None if Lambda has a closed form.
+    """Compute the table of Smith's Lambda of a lobe, and its derivatives on request; None if Lambda has a closed form.
 
     Args:
         kind: kind of the lobe.

@@ -1,9 +1,9 @@
 """Integration nodes in an image of a sphere, dense about a sharp highlight.
 
-Positions on the disc of the outline are p = (cos v sin u, sin v). In u and v a lobe has similar widths along the plane
-of incidence and across it, independent of foreshortening. All functions of u and v are smooth at the outline (u = pi /
-2). A product of nodes in u and v therefore suits a highlight at any position. Their spacing follows the lobe near its
-peak, and is half a pixel elsewhere.
+Positions on the disc of the outline are p = (cos v sin u, sin v), with u and v in rad. In u and v, a lobe has similar
+widths along the plane of incidence and across it, independent of foreshortening. All functions of u and v are smooth at
+the outline (u = pi / 2). A product of nodes in u and v therefore suits a highlight at any position. The spacing of the
+nodes follows the lobe near its peak, and is at most half a pixel elsewhere.
 """
 
 from __future__ import annotations
@@ -33,21 +33,22 @@ _NO_DISC = 0.1  # share of the width of the lobe below which a source disc is tr
 class Window(NamedTuple):
     """Integration nodes and pixels of the window about one highlight.
 
-    The u axis is parallel to `pixel_u`: columns, or rows if `turned`. A lens with distortion maps a position to
-    stretch @ position + shift, with positions along (u, v). The disc of nodes is rotated by `tilt`, so that the images of
-    nodes of equal v lie on one line of pixels.
+    The u axis is parallel to the axis of the column index, or to that of the row index if `turned` is 1. A lens with
+    distortion maps a position along (u, v) to stretch @ position + shift. The disc of nodes is rotated by `tilt`, so that
+    the images of nodes of equal v lie on one line of pixels.
 
     Attributes:
         u: nodes, rad, (NODES,).
         v: nodes, rad, (NODES,).
         weight: weights of the nodes on the disc of the outline, of radius 1, (NODES, NODES), v before u.
-        pixel_u: column of each pixel, or its row if `turned`, px, (WINDOW,).
-        pixel_v: row of each pixel, or its column if `turned`, px, (WINDOW,).
+        pixel_u: columns of the pixels, or their rows if `turned` is 1, px, (WINDOW,).
+        pixel_v: rows of the pixels, or their columns if `turned` is 1, px, (WINDOW,).
         turned: 1.0 if u is parallel to the axis of the row index, else 0.0.
-        stretch: derivatives of the distorted position with respect to the undistorted position, (2, 2).
-        shift: constant part of the distorted position, px, (2,).
-        tilt: rotation of the disc of nodes, rad.
-        widened: width of the lens at the highlight, relative to that of its profile, no unit.
+        stretch: derivatives of the distorted position with respect to the undistorted position, (2, 2). Default: the unit
+            matrix.
+        shift: constant part of the distorted position, px, (2,). Default: 0.
+        tilt: rotation of the disc of nodes, rad. Default: 0.
+        widened: width of the lens at the highlight, relative to that of its profile, no unit. Default: 1.
     """
 
     u: np.ndarray
@@ -66,11 +67,11 @@ class HighlightPosition(NamedTuple):
     """Position of a highlight and its sphere in the frame, without the distortion of the lens.
 
     Attributes:
-        column: column of the outline's centre, px.
-        row: row of the outline's centre, px.
+        column: column of the centre of the outline, px.
+        row: row of the centre of the outline, px.
         radius: radius of the outline, px.
-        lamp: direction to the lamp, (3,).
-        highlight: p_x, p_y of the mirror point on the disc of the outline.
+        lamp: unit vector to the lamp, x right, y up, z to the camera, (3,).
+        highlight: position of the highlight relative to the centre, to the right and upwards, in radii of the outline.
     """
 
     column: float
@@ -104,7 +105,7 @@ def window_about(
         field: distortion and blur of the lens over the field. Default: None, uniform.
 
     Returns:
-        Window with nodes and pixels.
+        Window with nodes and pixels, and with the affine map of the lens if there is a field.
     """
     radius, (p_x, p_y) = position.radius, position.highlight
     turned = abs(p_y) > abs(p_x)
@@ -142,11 +143,11 @@ def window_about(
 
 
 def through_lens(window: Window, field: LensField, highlight: tuple[float, float]) -> Window:
-    """Apply the affine map of a lens near a highlight to a window.
+    """Compute the affine map of a lens near a highlight, and replace that of a window.
 
     Args:
         window: window whose nodes and pixels are kept.
-        field: distortion and blur.
+        field: distortion and blur of the lens over the field.
         highlight: column and row of the highlight, px, without distortion.
     """
     seen, stretch, true = np.array(field.seen_at(*highlight)), field.stretch(*highlight), np.array(highlight)
@@ -172,7 +173,19 @@ def _tilt(field: LensField, highlight: tuple[float, float], turned: bool) -> flo
 def graded_nodes(
     low: float, high: float, peak: float, scale: float, plateau: float, radius: float, nodes: int = NODES
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Compute nodes and weights in [low, high], from Gauss-Legendre panels with equal integrals of a node density."""
+    """Compute nodes, rad, and weights in [low, high], from Gauss-Legendre panels with equal integrals of a node density.
+
+    The density increases about the peak of the lobe and near the limb.
+
+    Args:
+        low: lower end of the interval, rad.
+        high: upper end of the interval, rad.
+        peak: position of the peak of the lobe, rad.
+        scale: angle over which the lobe changes near its peak, rad.
+        plateau: angle over which a source disc spreads the peak, rad.
+        radius: radius of the outline, px, which determines the largest spacing.
+        nodes: number of nodes. Default: `NODES`.
+    """
 
     def share(t: np.ndarray) -> np.ndarray:
         aside = t - peak
@@ -195,10 +208,12 @@ def graded_nodes(
 
 
 def lamp_disc(points: int) -> tuple[np.ndarray, np.ndarray]:
-    """Compute positions on the unit disc and their weights: the centre, or the rings of a quadrature rule of degree 5 or more.
+    """Compute positions on the unit disc, (points, 2), and their weights, (points,), whose sum is 1.
+
+    The positions are the centre, or rings of 6, 12, 18, ... positions of a quadrature rule of degree 5 or more.
 
     Args:
-        points: number of positions: 1, or at least 7 for rings of 6, 12, ... positions.
+        points: required number of positions; 1 for the centre. The rings may contain more positions.
     """
     if points <= 1:
         return np.zeros((1, 2)), np.ones(1)
@@ -219,11 +234,11 @@ def lamp_positions(lamp_radius: float, width: float) -> tuple[np.ndarray, np.nda
 
     Args:
         lamp_radius: angular radius of the lamp, rad.
-        width: width of the lobe, rad.
+        width: width of the lobe, rad or a slope.
 
     Returns:
-        Rotations of the direction to the lamp that give each position, rad, (points, 2); weights of the positions, whose sum
-        is 1, (points,); and the angle over which the disc spreads the peak of a lobe, rad.
+        Positions as rotations of the direction to the lamp, rad, (points, 2); weights of the positions, whose sum is 1,
+        (points,); and the angle over which the disc spreads the peak of a lobe, rad.
     """
     radius = lamp_radius if lamp_radius / 2 > _NO_DISC * width else 0.0
     positions, weights = lamp_disc(_DISC_POINTS if radius else 1)

@@ -1,4 +1,4 @@
-"""Classical binning of the images, with the geometry of the joint fit."""
+"""Binning of the pixels of the images as for a perfect camera, with the geometry of the joint fit."""
 
 from __future__ import annotations
 
@@ -21,10 +21,11 @@ def pinhole_reading(pictures: Iterable[MergedPicture], fit: SphereFit, units: Se
     Args:
         pictures: images in the order of the fit. Images that the fit does not contain are omitted.
         fit: fit with outline, lamps, distances and the gain of each image.
-        units: unit of each channel: value per radiance under unit irradiance at the centre of the sphere.
+        units: unit of each channel, which is the image value per radiance under unit irradiance at the centre of the
+            sphere.
 
     Returns:
-        Table on the MERL grid, 1/sr; NaN in cells without pixels.
+        BRDF on the MERL grid, 1/sr; NaN in cells without pixels.
     """
     p, layout = fit.solution.p, fit.layout
     table = PinholeTable(fit.channels)

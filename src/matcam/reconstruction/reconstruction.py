@@ -52,16 +52,16 @@ class Reconstruction(Summarised):
     """Material from photographs, with its accuracy.
 
     Attributes:
-        table: Dataset with `brdf`, `brdf_std` (1/sr) and `supported` over the MERL grid; for an anisotropic material, over
-            theta_h, phi_h, theta_d and phi_d.
-        pinhole: table from binning the same images as a perfect camera, 1/sr; None: not computed.
+        table: Dataset with `brdf` and `brdf_std`, 1/sr, and the mask `supported`, over the MERL grid; for an anisotropic
+            material, over theta_h, phi_h, theta_d and phi_d.
+        pinhole: BRDF from binning the pixels of the same images as if the camera were perfect, 1/sr; None: not computed.
         fit: joint fit of all images.
-        curves: F of each channel over theta_d.
-        units: unit of each channel: value of the images per radiance under unit irradiance, with its relative standard
-            deviation. Without a reference, the standard deviation is NaN, and F is relative.
-        budget: source -> result -> standard deviation.
+        curves: Fresnel term F of each channel as a function of the difference angle theta_d.
+        units: unit of each channel, which is the image value per radiance under unit irradiance, with its relative
+            standard deviation. Without a reference, the standard deviation is NaN, and F is relative.
+        budget: standard deviations by source of uncertainty and result.
         not_determined: parameters that the images alone do not distinguish.
-        tried: unexplained share of the light for each lobe.
+        tried: unexplained share of the light, no unit, by the name of the lobe.
         remarks: remarks on the result.
         captured: data of the capture before the fit.
         sample: kind of the sample, "sphere" or "cylinder".
@@ -93,22 +93,23 @@ class Reconstruction(Summarised):
     def parameters(self) -> dict[str, tuple[float, float]]:
         """Value and standard deviation of each parameter, by name.
 
-        The parameters describe lobe, lens, F (n and k) and diffuse part. Those of a spline-modified lobe are a half width, a
-        tail exponent and a haze share.
+        The parameters describe lobe, lens, Fresnel term (refractive index n + i k) and diffuse part. A spline-modified lobe
+        is described by a half width, a tail exponent and a haze share.
         """
         covariance = self.fit.solution.covariance
         found = parameter_readings(self.fit, self.curves, self.units)
         return {name: (one.value, one.std(covariance)) for name, one in found.items()}
 
     def uncertainty_budget(self, name: str) -> UncertaintyBudget:
-        """Return the uncertainty budget of a result (GUM).
+        """Compute the uncertainty budget of a result.
 
-        Its combined uncertainty is the standard deviation of the result. Sources are the pixels and the specified
-        values of lens, lamps, distances, outline, gains and reference. Their variances add up. `budget` gives the
-        reduction of the uncertainty if one source were exact.
+        The budget follows the Guide to the expression of uncertainty in measurement (GUM, JCGM 100:2008). The combined
+        uncertainty is the standard deviation of the result. The sources are the pixels and the specified values of lens,
+        lamps, distances, outline, gains and reference. The variances of the sources add up. In contrast, the attribute
+        `budget` contains the decrease of the uncertainty that an exact source would cause.
 
         Args:
-            name: name of the result, as in `uncertainty_budgets`.
+            name: name of the result, one of the names of `uncertainty_budgets()`.
 
         Raises:
             ArgumentError: there is no result of this name.
@@ -122,7 +123,7 @@ class Reconstruction(Summarised):
         return reading_budget(self.fit, name, known[name])
 
     def uncertainty_budgets(self) -> list[UncertaintyBudget]:
-        """Return the uncertainty budgets of parameters, F and lengths (GUM)."""
+        """Compute the uncertainty budgets of parameters, Fresnel term and lengths."""
         return [reading_budget(self.fit, name, one) for name, one in self._readings.items()]
 
     @property
@@ -178,10 +179,10 @@ class Reconstruction(Summarised):
 
     @property
     def lengths(self) -> dict[str, tuple[float, float]]:
-        """Outline and distances, each with standard deviation.
+        """Values and standard deviations of outline and distances.
 
-        They are the values of `geometry`, by names with units: px, radii of the sample, and mm if its radius is
-        specified. A distance that the images do not determine is infinite.
+        The names contain the units: px, radii of the sample, and mm if the radius of the sample is specified. A distance
+        that the images do not determine is infinite, and so is its standard deviation.
         """
         geometry = self.geometry
         (column, row), (column_std, row_std) = geometry["centre_px"]
@@ -203,7 +204,8 @@ class Reconstruction(Summarised):
     def length_quantities(self) -> list[Quantity]:
         """Outline and distances for a summary.
 
-        A distance that may be infinite is replaced by its lower limit of two standard deviations.
+        If the standard deviation of a distance is at least half the distance, a lower limit of the distance is given. It
+        corresponds to two standard deviations of the inverse distance.
         """
         return [
             Quantity(name, _least_distance(value, std))
@@ -213,10 +215,12 @@ class Reconstruction(Summarised):
         ]
 
     def ratio(self, theta_d: float, channel: int = 0) -> Ratio:
-        """Divide F at an angle by its mean from 10 to 45°.
+        """Compute F at an angle divided by the mean of F.
+
+        The mean is over angles from 10° to 45°, within the range of the images. F is the Fresnel term.
 
         Args:
-            theta_d: angle, rad.
+            theta_d: difference angle, rad.
             channel: index of the channel, no unit. Default: 0.
         """
         one = ratio_reading(self.fit, self.curves[channel], channel, theta_d)
@@ -224,7 +228,7 @@ class Reconstruction(Summarised):
 
     @property
     def measured_range(self) -> tuple[float, float]:
-        """Smallest and largest theta_d of the images, rad."""
+        """Smallest and largest difference angle theta_d of the images, rad."""
         theta = self.fit.solution.theta_d
         return float(theta.min()), float(theta.max())
 
@@ -277,10 +281,7 @@ class Reconstruction(Summarised):
 
     @property
     def supported_share(self) -> float:
-        """Share of supported entries (no unit).
-
-        Entries without a value are excluded.
-        """
+        """Share of supported entries among those with a value, no unit."""
         return float(self.table["supported"].values[np.isfinite(self.table["brdf"].values)].mean())
 
     def _summary(self) -> Summary:
@@ -355,9 +356,9 @@ def reconstructed(
     Args:
         captured: merged images with approximate geometry, and prior knowledge of camera, outline, lamps and distances.
         family: family of the lobe. Default: "auto".
-        sample: kind of the sample, "sphere" or "cylinder". For a sphere, a pinhole table of the images that the fit explains
-            is included. Default: "sphere".
-        masking: masking G of the lobe. Default: "smith".
+        sample: kind of the sample, "sphere" or "cylinder". For a sphere, the result includes the pinhole table of the fitted
+            images. Default: "sphere".
+        masking: model of the masking of the lobe. Default: "smith".
         diffuse: True to include a Lambertian part. Default: True.
         progress: function that is called with a line about each step. Default: None.
         fit_pictures: function that fits one family, for samples other than a sphere. Default: `fit_sphere`.

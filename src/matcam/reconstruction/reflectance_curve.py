@@ -1,7 +1,7 @@
 """F as a function of theta_d, fitted to the strengths of all images.
 
-The curve is that of n and k if it explains the strengths, otherwise a smooth curve. The strengths have independent and
-common errors. The curve interpolates F between the angles of the images.
+The curve is that of a metal with the refractive index n + i k if it explains the strengths, and otherwise a smooth curve.
+The strengths have independent and common errors. The curve interpolates F between the angles of the images.
 """
 
 from __future__ import annotations
@@ -28,15 +28,15 @@ _LOG_BOUNDS = ((-5.0, 4.0), (-9.0, 4.0))
 
 @dataclass(frozen=True)
 class ReflectanceCurve:
-    """F of one channel as a function of theta_d.
+    """F of one channel as a function of the difference angle theta_d.
 
     Attributes:
-        model: "conductor", or "smooth" if n and k do not explain the strengths.
-        coefficients: coefficients of the curve.
+        model: "conductor" for the curve of a refractive index n + i k, or "smooth" if no index explains the strengths.
+        coefficients: coefficients of the curve, (coefficients,).
         gain: derivatives of the coefficients with respect to the strengths, (coefficients, pictures).
-        by_scale: covariance of the coefficients from the prior of the scale.
-        by_misfit: covariance of the coefficients from the unexplained residual.
-        misfit: mean squared residual, relative to the variance.
+        by_scale: covariance of the coefficients due to the prior of the scale, (coefficients, coefficients).
+        by_misfit: covariance of the coefficients due to the unexplained residual, same shape.
+        misfit: mean squared residual of the strengths, relative to their variance.
     """
 
     model: str
@@ -52,15 +52,18 @@ class ReflectanceCurve:
         return self.by_scale + self.by_misfit
 
     def at(self, theta: np.ndarray) -> np.ndarray:
-        """Evaluate F at angles theta_d, rad."""
+        """Evaluate F at difference angles, rad, in the unit of the strengths."""
         return _curve(self.model, self.coefficients, theta)[0]
 
     def slopes(self, theta: np.ndarray) -> np.ndarray:
-        """Evaluate the derivatives of F with respect to the coefficients, (angles, coefficients)."""
+        """Evaluate the derivatives of F with respect to the coefficients at difference angles, (angles, coefficients)."""
         return _curve(self.model, self.coefficients, theta)[1]
 
     def parameters(self) -> dict[str, tuple[float, np.ndarray]]:
-        """Compute n and k and their derivatives with respect to the coefficients. A smooth curve has neither."""
+        """Compute n and k, and their derivatives with respect to the coefficients, by name.
+
+        The result is empty for a smooth curve.
+        """
         if self.model != "conductor":
             return {}
         found = {}
@@ -78,7 +81,7 @@ def reflectance_curve(
     """Fit F as a function of theta_d to strengths. The curve has the unit of the strengths.
 
     Args:
-        theta: angles of the strengths, rad, (pictures,).
+        theta: difference angles of the strengths, rad, (pictures,).
         strengths: measured F, in any unit, (pictures,).
         covariance: covariance of the strengths, (pictures, pictures).
         unit: strength that corresponds to F = 1, with its relative standard deviation; None: unknown.
@@ -141,7 +144,7 @@ def _with_gain(
 
 
 def _curve(model: str, coefficients: np.ndarray, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Evaluate a curve, and its derivatives with respect to the coefficients, (angles, coefficients)."""
+    """Compute the values of a curve, (angles,), and their derivatives with respect to the coefficients."""
     if model == "smooth":
         c = 1 - np.cos(theta)
         basis = np.column_stack([np.ones_like(c), c, c**3, c**5, c**9])[:, : len(coefficients)]

@@ -1,7 +1,8 @@
 """Joint fit of merged images of a scene: priors, a starting point, and rounds of refinement.
 
-The lobe is first searched for on a lattice of widths, with the strengths of each image solved for. Then all parameters are
-fitted, and the windows are placed again about the fitted highlights, until convergence.
+First, the best lobe of a lattice of widths is found; for each lobe, the strengths of each image follow from linear least
+squares. Then all parameters are fitted in rounds, until convergence. Before each round, the windows are placed about the
+fitted highlights.
 """
 
 from __future__ import annotations
@@ -98,10 +99,10 @@ class SphereFit:
         return np.sqrt(np.maximum(np.diag(self.strengths_covariance()), 0)).reshape(self.strengths.shape)
 
     def strengths_covariance(self, covariance: np.ndarray | None = None) -> np.ndarray:
-        """Compute the covariance of the strengths, (strengths, strengths), with strengths = pictures x channels.
+        """Compute the covariance of the strengths at fixed angles theta_d, (pictures x channels, pictures x channels).
 
-        The uncertainty of the angle of each strength is included: the slope of F times the error of the angle, with all
-        correlations.
+        The uncertainty of the angle of each image is included. It contributes the slope of F times the error of the angle,
+        with all correlations.
 
         Args:
             covariance: covariance of all parameters. Default: None, that of the fit.
@@ -110,7 +111,10 @@ class SphereFit:
         return rows @ (self.solution.covariance if covariance is None else covariance) @ rows.T
 
     def strengths_rows(self) -> np.ndarray:
-        """Compute the derivatives of the strengths at fixed angles with respect to all parameters, (strengths, size)."""
+        """Compute the derivatives of the strengths at fixed angles theta_d with respect to all parameters.
+
+        The result has the shape (pictures x channels, size).
+        """
         layout, solution, strengths = self.layout, self.solution, self.strengths
         rows = np.zeros((layout.pictures * layout.channels, layout.size))
         for k in range(layout.pictures):
@@ -146,11 +150,10 @@ def fit_sphere(
         pictures: merged images, one per lamp position.
         scene: prior knowledge of the scene.
         family: family of the lobe. Default: "ggx".
-        masking: masking G of the lobe. Default: "smith".
+        masking: model of the masking of the lobe. Default: "smith".
         diffuse: True to include a Lambertian part. Default: True.
         spline: prior standard deviation of the departure of ln D from its family (no unit). Default: 0, no departure.
-        lamps: directions to the lamps, derived from the highlights, (pictures, 3), with which the search starts. Default:
-            None, those of the scene.
+        lamps: unit vectors to the lamps with which the search starts, (pictures, 3). Default: None, those of the scene.
         start: earlier fit of all or some of these images, with any lobe, from which this fit starts. Default: None.
         widths: lattice of widths (first parameter of the lobe) for a search without `start`. Default: 14 widths from 3e-4 to
             0.5.
@@ -159,13 +162,15 @@ def fit_sphere(
         observe: function that chooses pixels and model for a sample other than a sphere. Default: None, a sphere.
         stretched: True for a lobe with two roughnesses, "ggx" only. Default: False.
         shaped: True if the diffuse part of a sphere may depart from Lambert's law. Default: False.
-        rivals: families that replace `family` if their lattice gives a smaller residual. Default: ().
+        rivals: other families for a search without `start`. The family with the smallest cost in the search is fitted.
+            Default: ().
 
     Raises:
         ArgumentError: there are fewer than 2 images.
+        FitError: a fitted parameter is not finite.
     """
     if len(pictures) < 2:
-        raise ArgumentError(f"a joint fit needs at least 2 images, got {len(pictures)}")
+        raise ArgumentError(f"a joint fit needs at least 2 images, got {len(pictures)}: add images")
     again = observe is None
     observe = observe or sphere_pixels
     kind = LobeKind(family, masking, KNOTS if spline else 0, stretched=stretched)
@@ -273,7 +278,7 @@ def _searched(
     widths: np.ndarray,
     observe: Observe,
 ) -> tuple[float, np.ndarray]:
-    """Find the lobe of a lattice that fits a few images best, with the strengths solved for.
+    """Find the lobe of a lattice that fits a few images best. The strengths are fitted for each lobe.
 
     Returns:
         Cost and coordinates of the lobe.
@@ -309,7 +314,11 @@ def _lattice(kind: LobeKind, widths: np.ndarray) -> list[tuple[float, ...]]:
 
 
 def _with_strengths(problem: JointProblem, p: np.ndarray, unexplained: float) -> np.ndarray:
-    """Solve for strengths and diffuse parts by linear least squares, image by image."""
+    """Fit strengths and diffuse parts by linear least squares, image by image.
+
+    The diffuse part of each channel is the median over the images. unexplained: noise of a pixel in addition to its
+    standard deviation, as a share of its value.
+    """
     layout, p = problem.layout, p.copy()
     diffuse = np.zeros((layout.pictures, layout.channels))
     for k in range(layout.pictures):
@@ -343,7 +352,9 @@ def sphere_pixels(
     disc: bool = True,
     keep: Sequence[ObservedPixels] | None = None,
 ) -> tuple[PixelModel, list[ObservedPixels], list[FieldChange]]:
-    """Choose the pixels of a sphere at the parameters p, with windows about the highlights, and their model.
+    """Choose the pixels of a sphere for the fit, and build their model.
+
+    The windows are about the highlights that follow from the parameters p.
 
     Args:
         pictures: merged images.
@@ -352,11 +363,12 @@ def sphere_pixels(
         layout: order of the parameters.
         kind: family, masking and splines of the lobe.
         p: parameters, (size,).
-        disc: False for a lamp without extent. Default: True.
-        keep: earlier choice of the pixels of each image. Default: None.
+        disc: False to treat the lamp as a point. Default: True.
+        keep: earlier choice of the pixels of each image, which is kept if the window has not moved. Default: None.
 
     Returns:
-        Model of the pixels, pixels of each image, and effect of a change of the lens field on each image.
+        Model of the pixels, pixels of each image, and effect of a change of the lens field on each image. The latter list
+        is empty if the scene has no lens field.
     """
     width = float(np.exp(p[0]))
     turns, weights, plateau = lamp_positions(scene.lamp_radius if disc else 0.0, width)
@@ -381,7 +393,7 @@ def sphere_pixels(
 def _lamps_again(fit: SphereFit, pictures: Sequence[MergedPicture]) -> np.ndarray:
     """Choose the directions to the lamps for the next round.
 
-    They are the fitted directions. In an unexplained image, the brightest pixel determines the direction.
+    The fitted directions are used, except for unexplained images. In those, the brightest pixel determines the direction.
     """
     lamps = fit.lamps
     for k in fit.unexplained_pictures:
@@ -400,7 +412,7 @@ def _lamps_again(fit: SphereFit, pictures: Sequence[MergedPicture]) -> np.ndarra
 
 
 def _slopes(fit: SphereFit) -> np.ndarray:
-    """Estimate d ln F / d theta_d in each image and channel, from a smooth curve through the strengths."""
+    """Estimate d ln F / d theta_d of each image and channel, 1/rad, from a smooth curve through the strengths."""
     theta, strengths = fit.solution.theta_d, fit.strengths
     slope = np.zeros_like(strengths)
     if len(theta) < 5:

@@ -23,15 +23,15 @@ _LEAST = 1e-9  # smallest cosine of the angles of incidence and view: on the out
 def normal_at(p_x: jax.Array, p_y: jax.Array, depth: jax.Array, camera_nearness: jax.Array) -> Vector:
     """Compute the normal at the point where a line of sight meets the sphere.
 
-    The line through p has the lateral slope m = |p| / sqrt(1 - w^2) with w = 1 / D. It meets the sphere at z = (m^2 w +
-    depth) / (1 + m^2 w^2).
+    The line through p has the lateral slope m = |p| / sqrt(1 - w^2), where w is `camera_nearness`. It meets the sphere at
+    z = (m^2 w + depth) / (1 + m^2 w^2).
 
     Args:
         p_x: position on the disc of the outline, to the right, no unit.
         p_y: position on the disc of the outline, upwards, no unit.
         depth: sqrt(1 - p_x^2 - p_y^2), a separate argument because its computation from p_x and p_y loses digits near the
             outline.
-        camera_nearness: w, inverse of the camera's distance, 1/radii, [0, 1).
+        camera_nearness: inverse of the distance of the camera, 1/radii, [0, 1).
     """
     w = camera_nearness
     slope2 = (p_x**2 + p_y**2) / (1 - w**2)
@@ -45,13 +45,13 @@ def light_and_view(
 ) -> tuple[Vector, Vector, jax.Array]:
     """Compute the directions of light and view at points of the sample, and the relative irradiance.
 
-    The relative irradiance is the squared ratio of the lamp's distances from the centre and from the point.
+    The relative irradiance is the squared ratio of the distance of the lamp from the centre to its distance from the point.
 
     Args:
         point: points of the sample, radii; those of a sphere equal their normals.
         lamp: direction from the centre to the lamp, of length 1.
-        camera_nearness: inverse of the camera's distance, 1/radii.
-        lamp_nearness: inverse of the lamp's distance, 1/radii.
+        camera_nearness: inverse of the distance of the camera from the centre, 1/radii.
+        lamp_nearness: inverse of the distance of the lamp from the centre, 1/radii.
     """
     light, square = towards_source(lamp, point, lamp_nearness)
     zero = jnp.zeros(())
@@ -62,24 +62,24 @@ def light_and_view(
 def surface_shading(
     normal: Vector, tangent: Vector, point: Vector, lamp: Vector, camera_nearness: jax.Array, lamp_nearness: jax.Array
 ) -> tuple[Shading, jax.Array]:
-    """Compute the shading of points, and their irradiance relative to the centre, without the cosine.
+    """Compute the shading at points of the sample, and their relative irradiance.
 
-    `normal` and `tangent` are the normal and the x axis of the material at each point. The other arguments are those of
-    `light_and_view`.
+    `normal` and `tangent` are the normal and the x axis of the material at each point. The other arguments and the
+    relative irradiance are those of `light_and_view`.
     """
     light, view, closeness = light_and_view(point, lamp, camera_nearness, lamp_nearness)
     return shading(normal, tangent, light, view), closeness
 
 
 def theta_d_at(point: Vector, lamp: Vector, camera_nearness: jax.Array, lamp_nearness: jax.Array) -> jax.Array:
-    """Compute theta_d at points of the sample, rad. The arguments are those of `light_and_view`."""
+    """Compute the difference angle at points of the sample, rad. The arguments are those of `light_and_view`."""
     light, view, _ = light_and_view(point, lamp, camera_nearness, lamp_nearness)
     cos2 = sum(s * t for s, t in zip(light, view, strict=True))
     return jnp.arccos(jnp.clip(cos2, -1 + 1e-12, 1 - 1e-12)) / 2
 
 
 def sphere_tangent(normal: Vector) -> Vector:
-    """Compute the horizontal tangents at points of the sphere."""
+    """Compute the horizontal tangents, of length 1, at points of the sphere."""
     x, _, z = normal
     # visible points have z > 0, or lie at the start of a row, so x and z are never both 0
     across = jnp.sqrt(x**2 + z**2)
@@ -94,12 +94,18 @@ def radiance(
     closeness: jax.Array,
     table: jax.Array | None = None,
 ) -> tuple[jax.Array, jax.Array]:
-    """Compute the radiance of a lobe with F = 1, and of a diffuse surface of albedo 1, under unit irradiance at the centre.
+    """Compute the radiance of a lobe with F = 1 and of a diffuse surface of albedo 1, 1/sr.
 
-    The radiance of the lobe is `Microfacet.reflected` divided by cos_o, with Smith's Lambda from a small table if Lambda is an
-    integral.
+    The irradiance is 1 on a surface that is at the centre of the sample and faces the lamp. The radiance of the lobe is
+    `Microfacet.reflected` divided by cos_o. Without a closed form, Smith's Lambda is interpolated in a small table.
 
-    `table` is the table of Lambda; None: it is computed where required.
+    Args:
+        slopes: distribution of the slopes of the facets.
+        masking: model of the masking of the lobe.
+        shape: coefficients of the departure of the diffuse part from Lambert's law.
+        at: shading of the points.
+        closeness: relative irradiance of the points, as for `light_and_view`.
+        table: table of Lambda. Default: None, the table is computed if it is required.
     """
     seen = (at.cos_o > _LEAST) & (at.cos_i > _LEAST)
     cos_i, cos_o = jnp.where(seen, at.cos_i, 1.0), jnp.where(seen, at.cos_o, 1.0)

@@ -1,4 +1,4 @@
-"""Prior knowledge of a capture, the corresponding prior of the fit, and the problem of the fit."""
+"""Prior knowledge of a capture, and the problem of the joint fit with the corresponding prior."""
 
 from __future__ import annotations
 
@@ -32,30 +32,31 @@ _DEPARTURE = 0.5
 
 @dataclass(frozen=True)
 class SphereScene:
-    """Prior knowledge of a capture before its highlights are fitted.
+    """Prior knowledge of a capture before the joint fit.
 
     Attributes:
-        camera: the camera; the width of its lens is scaled in the fit.
-        lens_std: relative standard deviation of the lens width; 0: exact.
-        centres: column and row of the outline's centre in each image, px, (pictures, 2).
+        camera: the camera; the fit scales the width of its lens.
+        lens_std: relative standard deviation of the lens width, no unit; 0: exact.
+        centres: column and row of the centre of the outline in each image, px, (pictures, 2).
         radius: radius of the outline, px.
-        outline_covariance: covariance of column, row and radius that all images share, px^2, (3, 3).
-        shift_std: standard deviation of the centre in each image, px.
-        camera_nearness: inverse of the camera's distance, 1/radii.
-        lamp_nearness: inverse of the lamp's distance, 1/radii.
-        lamps: directions from the sphere's centre to the lamp, x right, y up, z to the camera, (pictures, 3).
+        outline_covariance: covariance of the errors of column, row and radius that all images share, px^2, (3, 3).
+        shift_std: standard deviation of the additional error of the centre in each image, px.
+        camera_nearness: inverse of the distance of the camera, with standard deviation, 1/radii.
+        lamp_nearness: inverse of the distance of the lamp, with standard deviation, 1/radii.
+        lamps: unit vectors from the centre of the sphere to the lamp, x right, y up, z to the camera, (pictures, 3).
         lamp_std: standard deviation of each direction along each tangent, rad, () or (pictures,).
-        lamp_radius: angular radius of the source disc, seen from the sphere's centre, rad.
-        gain_std: standard deviation of ln of the gain of each image, () or (pictures,).
-        gain: irradiance in each image relative to the mean, from a reference, (pictures,). Default: None, 1 in each image.
+        lamp_radius: angular radius of the source disc, seen from the centre of the sphere, rad. Default: 0, a point.
+        gain_std: standard deviation of ln of the gain of each image, no unit, () or (pictures,). Default: 0.005.
+        gain: irradiance of each image relative to the mean of all images, from a reference, (pictures,). Default: None, 1
+            for each image.
         gain_correlation: correlation of the errors of ln gain between images, (pictures, pictures). An error of the position
             of a reference is common to all images. Default: None, independent errors.
         rig: rig of an earlier reconstruction, which replaces the specified lens, distances, lamps and distortion.
             Default: None.
         unstated_field: prior of an unspecified distortion, which is not fitted, but increases the errors. Default: None,
-            only the distortion of the profile.
-        sample_radius: specified radius of the sample with its standard deviation, mm. Both inverse distances
-            are this radius divided by a distance in mm, and share its error. Default: None, unknown.
+            the only distortion is that of the profile.
+        sample_radius: specified radius of the sample with its standard deviation, mm. Both inverse distances are this radius
+            divided by a distance in mm, so the error of the radius is common to them. Default: None, unknown.
     """
 
     camera: Camera
@@ -83,7 +84,7 @@ class SphereScene:
 
     @property
     def field(self) -> LensField | None:
-        """Distortion and blur over the field: those of the profile, otherwise the unspecified distortion."""
+        """Lens field of the profile or, without such a field, that of the unspecified distortion."""
         return self.camera.field or self.unstated_field
 
 
@@ -116,7 +117,18 @@ def unstated_distortion(ball: MirrorBall) -> LensField:
 def prior_of(
     layout: JointLayout, scene: SphereScene, frames: Sequence[LampFrame], spline: float, own: int
 ) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
-    """Build the prior: linear combinations of the parameters (rows) with unit variance, their means, and their sources."""
+    """Build the prior as linear combinations of the parameters with independent errors and unit variance.
+
+    Args:
+        layout: order of the parameters.
+        scene: prior knowledge of the scene.
+        frames: base direction of the lamp of each image.
+        spline: prior standard deviation of the departure of ln D from its family; 0: no departure.
+        own: index of the first coefficient of the spline.
+
+    Returns:
+        Combinations, (rows, size), means of the combinations, (rows,), and name of the source of each.
+    """
     rows: list[np.ndarray] = []
     values: list[float] = []
     sources: list[str] = []
@@ -206,7 +218,7 @@ def joint_problem(
     diffuse: bool = True,
     spline: float = 0.0,
 ) -> JointProblem:
-    """Build the problem of chosen pixels and their model, with bounds, priors and constant parameters.
+    """Build the problem of the joint fit: pixels, model, bounds, prior and constant parameters.
 
     Args:
         layout: order of the parameters.
@@ -219,7 +231,7 @@ def joint_problem(
             the effect is neglected.
         slope: d ln F / d theta_d of each image and channel, 1/rad. Default: None, 0.
         diffuse: True to include a Lambertian part. Default: True.
-        spline: prior standard deviation of the departure of ln D from its family. Default: 0, no departure.
+        spline: prior standard deviation of the departure of ln D from its family, no unit. Default: 0, no departure.
     """
     low, high = _bounds(layout, kind, scene)
     fixed = low == high
@@ -257,7 +269,7 @@ def _bounds(layout: JointLayout, kind: LobeKind, scene: SphereScene) -> tuple[np
 
 
 def lens_std(camera: Camera) -> float:
-    """Compute the relative standard deviation of the lens width, from the profile or as assumed; 0: exact."""
+    """Compute the relative standard deviation of the lens width, no unit, from the profile or as assumed; 0: exact."""
     known = known_lens(camera)
     if known.uncertainty is None:
         return 0.0

@@ -1,6 +1,6 @@
 """Sphere and cylinder.
 
-The image of a sphere contains all visible normals. The image of a cylinder contains the normals of one plane.
+The image of a sphere contains all visible normals. The image of a cylinder contains only normals in one plane.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 class Sphere(Curved):
     """Sphere, whose image contains all visible normals.
 
-    u and v are the longitude and latitude of the normal about the y axis.
+    The surface coordinates u and v are the longitude and latitude of the normal about the y axis, rad.
 
     Args:
         radius: radius of the limb in the image, in (0, 1e100] px.
@@ -51,7 +51,8 @@ class Sphere(Curved):
     def surface(self, u: jax.Array, v: jax.Array) -> Element:
         """Compute the surface element at longitude u and latitude v.
 
-        x = radius sqrt(d^2 - 1) n_x / (d - n_z), and the same for y with n_y (docs/model.md 3).
+        The image position is x = radius sqrt(d^2 - 1) n_x / (d - n_z), and y follows in the same way from n_y (docs/model.md
+        3). d is the distance of the camera in radii, and (n_x, n_y, n_z) is the normal.
         """
         cos_v, sin_u = xp.cos(v), sine(u)
         cos_u = xp.sqrt((1 - sin_u) * (1 + sin_u))  # visible points have |u| < pi / 2; a cosine takes much longer
@@ -61,10 +62,10 @@ class Sphere(Curved):
     def facing(self, normal: Vector) -> Element:
         """Compute the surface element that faces a direction.
 
-        Its area is per solid angle of the normal, px^2/sr.
+        The area of the element is per solid angle of the normal, px^2/sr.
 
         Args:
-            normal: components of the unit vector of the direction; arrays that broadcast.
+            normal: components of the unit vector in this direction; arrays that broadcast.
         """
         view, length, depth = self.line_of_sight(normal, normal[1])
         scale = self.stretch / depth
@@ -114,8 +115,8 @@ class Sphere(Curved):
     ) -> Position:
         """Compute image position and lamp angle for half and difference angles.
 
-        The azimuth of the normal about the half vector, from the side of the lamp, is psi = pi - phi_d (docs/model.md
-        3). If the camera is near, the angles refer to the line of sight.
+        The azimuth of the normal about the half vector, from the side of the lamp, is pi - phi_d (docs/model.md 3). If the
+        camera is near, the angles refer to the line of sight.
         """
         theta_h, theta_d, phi_d = (xp.asarray(a, dtype=xp.float64) for a in (theta_h, theta_d, phi_d))
         # light, view and normal about the half vector, which is the z axis; light at +x
@@ -156,11 +157,11 @@ class Sphere(Curved):
         )
 
     def height(self, element: Element) -> jax.Array:
-        """Compute the height, the y component of the normal, radii."""
+        """Compute the height, radii, which equals the y component of the normal."""
         return element.normal[1]
 
     def section(self, v: jax.Array) -> jax.Array:
-        """Compute the radius of the section, cos v, radii."""
+        """Compute the radius of the section at v, cos v, radii."""
         return xp.cos(v)
 
     def _turn_across(self, half_vector: jax.Array) -> jax.Array:
@@ -170,8 +171,8 @@ class Sphere(Curved):
 class Cylinder(Curved):
     """Cylinder about the y axis, seen perpendicular to its axis.
 
-    The cylinder extends beyond the image. v is the position along the axis, in radii. The first tangent of an
-    anisotropic material is the direction around the cylinder.
+    The cylinder extends beyond the image. The surface coordinates are u, the angle of the normal about the axis, rad, and
+    v, the position along the axis, radii. The first tangent of an anisotropic material points around the cylinder.
 
     Args:
         radius: half the width of the image of the cylinder, in (0, 1e100] px.
@@ -195,7 +196,10 @@ class Cylinder(Curved):
         self.distant = is_infinite(distance)
 
     def surface(self, u: jax.Array, v: jax.Array) -> Element:
-        """Compute the surface element at angle u and axial position v."""
+        """Compute the surface element at angle u and axial position v.
+
+        u is in rad, and v in radii.
+        """
         element, _ = self._element(xp.sin(u), xp.cos(u), v)
         return element
 
@@ -223,7 +227,8 @@ class Cylinder(Curved):
     ) -> Position:
         """Compute image position and lamp angle for half and difference angles.
 
-        At v = 0 only normals in the plane of camera and lamp are visible: the position is NaN unless phi_d is 0 or pi.
+        All normals of a cylinder lie in the plane of camera and lamp at v = 0. Therefore the position is NaN unless phi_d is
+        0 or pi, or theta_h is 0.
         """
         theta_h, theta_d, phi_d = (xp.asarray(a, dtype=xp.float64) for a in (theta_h, theta_d, phi_d))
         side = -xp.cos(phi_d)
@@ -236,7 +241,7 @@ class Cylinder(Curved):
         return Position(x=x, y=xp.zeros_like(x), lamp_angle=u + seen)
 
     def section(self, v: jax.Array) -> jax.Array:
-        """Return 1, because the section is constant."""
+        """Return 1, the radius of the section at every v, radii."""
         return xp.ones_like(v)
 
     def _element(self, n_x: jax.Array, n_z: jax.Array, v: jax.Array) -> tuple[Element, jax.Array]:

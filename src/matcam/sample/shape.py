@@ -1,11 +1,11 @@
 """Shapes of samples: image positions of surface normals (docs/model.md 3).
 
-The x axis of the image lies in the plane of camera and lamp, the y axis is perpendicular to it; both are in px from
-the optical axis through the centre of the sample. The lamp is in the plane of x and the optical axis, towards +x;
-another azimuth rotates these axes relative to the sensor. Distances are in radii of the sample. The nearness of a lamp
-is the inverse of its distance; None means a distant lamp.
+The x axis of the image lies in the plane of camera and lamp, and the y axis is perpendicular to this plane. Image positions
+are in px from the optical axis, which passes through the centre of the sample. The lamp is towards +x. Another azimuth of
+the lamp rotates these axes relative to the sensor. Distances are in radii of the sample. The nearness of a lamp is the
+inverse of its distance; None means a distant lamp.
 
-A flat sample has one normal; the image of a curved sample (`Sphere`, `Cylinder`) contains many.
+The image of a flat sample contains one normal, and that of a curved sample (`Sphere`, `Cylinder`) contains many.
 """
 
 from __future__ import annotations
@@ -36,11 +36,11 @@ class Element(NamedTuple):
     """Surface elements in the image; arrays that broadcast.
 
     Attributes:
-        normal: surface normal.
-        tangent: first tangent, in the plane of x and the axis.
-        view: direction to the camera.
-        x: position in the image, px.
-        y: position in the image, px.
+        normal: unit vector of the surface normal.
+        tangent: unit vector of the first tangent, in the plane of the x axis and the optical axis.
+        view: unit vector to the camera.
+        x: image position along the x axis, px.
+        y: image position along the y axis, px.
         area: area in the image divided by the cosine of the viewing angle, px^2 per du dv for an element at (u, v), per
             px^2 for an element at (x, y). The light towards the camera is proportional to this cosine, so the product
             of light and area is regular at the limb.
@@ -58,8 +58,8 @@ class Position(NamedTuple):
     """Image position and lamp angle for half and difference angles.
 
     Attributes:
-        x: position, px.
-        y: position, px.
+        x: image position along the x axis, px.
+        y: image position along the y axis, px.
         lamp_angle: angle between lamp and optical axis, rad.
     """
 
@@ -96,7 +96,8 @@ class Sample(Module):
 class Flat(Sample):
     """Flat sample, tilted away from the camera.
 
-    Its normal is constant, so the camera blurs its texture but not its reflectance.
+    The normal of a flat sample is constant, so the camera blurs the texture but not the angular dependence of the
+    reflectance.
 
     Source:
         Holzschuch & Pacanowski (2017), section 3; docs/model.md 3.
@@ -113,14 +114,17 @@ class Flat(Sample):
     def frequency_on_sensor(self, frequency: ArrayLike, theta_o: ArrayLike) -> jax.Array:
         """Compute the frequency of a texture on the sensor, cycles/px.
 
-        The texture varies along the direction of the tilt, which foreshortens it (paper (4)).
+        The texture varies along the direction in which the tilt shortens the image of the sample.
 
         Args:
             frequency: frequency of the texture without tilt, cycles/px.
             theta_o: tilt, rad, [0, pi/2); broadcasts with frequency.
 
         Raises:
-            ArgumentError: an argument is out of range.
+            ArgumentError: an argument is not finite or out of range, or the shapes do not broadcast.
+
+        Source:
+            Holzschuch & Pacanowski (2017), (4).
         """
         frequency, theta_o = checks.number("frequency", frequency), checks.viewing_angle("theta_o", theta_o)
         checks.broadcast_shape(frequency=frequency, theta_o=theta_o)
@@ -133,12 +137,14 @@ class Flat(Sample):
 class Curved(Sample):
     """Curved sample, whose image contains many normals.
 
-    The surface has two coordinates: u, the angle of its normal from the optical axis in the plane of camera and lamp,
-    and v, out of that plane. At every v the visible and lit part is one interval of u, with sharp ends.
+    The surface has two coordinates: u, the angle of the normal from the optical axis in the plane of camera and lamp, rad,
+    and v, perpendicular to this plane. At every v, the visible and lit part of the surface is one interval of u, with sharp
+    ends.
 
     Attributes:
         radius: radius of the limb in the image, px.
-        distance: distance of the camera from the sample's centre, in radii of the sample; infinite: orthographic.
+        distance: distance of the camera from the centre of the sample, in radii of the sample; infinite for an
+            orthographic camera.
         distant: True if the distance is infinite. The view direction is then constant.
     """
 
@@ -176,12 +182,12 @@ class Curved(Sample):
 
         Args:
             u: angle of the normal in the plane of camera and lamp, rad; broadcasts with v.
-            v: second coordinate of the surface, out of that plane.
+            v: second coordinate of the surface, perpendicular to this plane; rad for a sphere, radii for a cylinder.
         """
 
     @abstractmethod
     def at(self, x: jax.Array, y: jax.Array) -> tuple[Element, jax.Array]:
-        """Compute the surface elements at image positions, and a mask of the lines of sight that hit the sample.
+        """Compute the surface elements at image positions, and a mask, True for lines of sight that meet the sample.
 
         Args:
             x: position in the image, px; broadcasts with y.
@@ -213,7 +219,7 @@ class Curved(Sample):
 
     @abstractmethod
     def section(self, v: jax.Array) -> jax.Array:
-        """Compute the radius of the surface's section at v, in radii of the sample.
+        """Compute the radius of the section of the surface at v, in radii of the sample.
 
         Args:
             v: second coordinate of the surface.
@@ -221,7 +227,7 @@ class Curved(Sample):
 
     @abstractmethod
     def height(self, element: Element) -> jax.Array:
-        """Compute the signed distance of surface elements from the plane of x and the axis, radii.
+        """Compute the signed distance of surface elements from the plane of the x axis and the optical axis, radii.
 
         Args:
             element: the surface elements.
@@ -237,19 +243,21 @@ class Curved(Sample):
 
     @property
     def nearness(self) -> jax.Array:
-        """Inverse of the camera's distance, 1/radii; 0 for a distant camera."""
+        """Inverse of the camera distance, 1/radii; 0: a distant camera."""
         return 1 / self.distance
 
     @property
     def stretch(self) -> jax.Array:
         """Scale at the depth of the centre, px per radius.
 
-        It is radius sqrt(1 - 1 / d^2) (docs/model.md 3).
+        The scale is radius sqrt(1 - 1 / distance^2) (docs/model.md 3).
         """
         return self.radius * xp.sqrt(1 - self.nearness**2)
 
     def visible(self, v: jax.Array) -> jax.Array:
-        """Compute the largest visible |u|, rad; 0 if no u is visible.
+        """Compute the largest |u| that is visible at v, rad.
+
+        The result is 0 if no u is visible.
 
         Args:
             v: second coordinate of the surface.
@@ -259,7 +267,8 @@ class Curved(Sample):
     def _seen_from(self, v: jax.Array, nearness: jax.Array) -> jax.Array:
         """Compute the largest visible |u - u_0| at v for an observer at the angle u_0, rad.
 
-        The observer is a camera or a lamp in the plane of x and the axis. nearness: inverse of its distance, 1/radii.
+        The observer is a camera or a lamp in the plane of the x axis and the optical axis. nearness: inverse of the distance
+        of the observer, 1/radii.
         """
         section = self.section(v)
         cosine = nearness / xp.where(section > 0, section, 1.0)
@@ -268,9 +277,9 @@ class Curved(Sample):
     def lit(
         self, v: jax.Array, lamp_angle: jax.Array, lamp_nearness: ArrayLike | None = None
     ) -> tuple[jax.Array, jax.Array]:
-        """Compute the interval of u that is visible and lit, rad.
+        """Compute the visible and lit interval of u, rad.
 
-        The interval is empty (low = high) if no u is both visible and lit.
+        The results are the lower and the upper end. They are equal if no u is both visible and lit.
 
         Args:
             v: second coordinate of the surface.
@@ -304,7 +313,7 @@ class Curved(Sample):
     def highlight(self, lamp_angle: jax.Array, lamp_nearness: ArrayLike | None = None) -> jax.Array:
         """Compute the angle u of the highlight at v = 0, rad.
 
-        The normal is the half vector there. In a distant rig u is half of lamp_angle.
+        At the highlight, the normal is the half vector. If camera and lamp are distant, u is `lamp_angle` / 2.
 
         Args:
             lamp_angle: angle between lamp and optical axis, rad.
@@ -328,7 +337,7 @@ class Curved(Sample):
     def theta_d(self, lamp_angle: jax.Array, lamp_nearness: ArrayLike | None = None) -> jax.Array:
         """Compute half the angle between lamp and camera, rad.
 
-        The angle is seen from the highlight. This is the inverse of `lamp_angle`.
+        The angle is seen from the highlight. This function is the inverse of `Curved.lamp_angle`.
 
         Args:
             lamp_angle: angle between lamp and optical axis, rad.
@@ -340,8 +349,9 @@ class Curved(Sample):
     def px_per_rad(self, theta_o: jax.Array, lamp_nearness: ArrayLike | None = None) -> tuple[jax.Array, jax.Array]:
         """Compute the shift of the image per rotation of the normal, px/rad.
 
-        For a distant camera and lamp it is (radius cos theta_o, radius), because x = radius sin theta_o (paper (5)). In
-        a near rig the half vector also rotates, by half the rotation of the line to camera or lamp.
+        For a distant camera and lamp, the shift on a sphere is (radius cos theta_o, radius), because x = radius sin theta_o
+        (Holzschuch & Pacanowski 2017, (5)). If camera or lamp are near, the half vector also rotates, by half the rotation
+        of the line to camera or lamp.
         """
         q = self.nearness
         turn_along, turn_across = self._half_vector_turn(theta_o, lamp_nearness)
@@ -370,9 +380,9 @@ class Curved(Sample):
 
     @abstractmethod
     def _turn_across(self, half_vector: jax.Array) -> jax.Array:
-        """Compute the angle between normal and half vector per radius along y.
+        """Compute the rotation of the normal relative to the half vector, rad per radius along y.
 
-        half_vector: rotation of the half vector per radius.
+        half_vector: rotation of the half vector, rad per radius.
         """
 
     def line_of_sight(self, normal: Vector, y: jax.Array) -> tuple[Vector, jax.Array, jax.Array]:
@@ -383,7 +393,7 @@ class Curved(Sample):
 
         Args:
             normal: surface normal at the points.
-            y: distance from the plane of x and the axis, in radii.
+            y: distance from the plane of the x axis and the optical axis, radii.
         """
         zero, one = xp.zeros(()), xp.ones(())
         if self.distant:

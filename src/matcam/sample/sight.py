@@ -14,12 +14,12 @@ if TYPE_CHECKING:
 
 
 def highlight_between(lamp_angle: jax.Array, camera: ArrayLike, lamp: ArrayLike) -> jax.Array:
-    """Compute the angle between optical axis and normal at the highlight of a near camera and lamp, rad.
+    """Compute the angle between the optical axis and the normal at the highlight, rad, for a near camera or lamp.
 
     Args:
         lamp_angle: angle between lamp and optical axis, rad.
-        camera: inverse of the camera's distance, 1/radii.
-        lamp: inverse of the lamp's distance, 1/radii.
+        camera: inverse of the distance of the camera, 1/radii.
+        lamp: inverse of the distance of the lamp, 1/radii.
     """
 
     def miss(u: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -41,11 +41,13 @@ def highlight_between(lamp_angle: jax.Array, camera: ArrayLike, lamp: ArrayLike)
 
 
 def parallax(aside: jax.Array, nearness: ArrayLike) -> tuple[jax.Array, jax.Array]:
-    """Compute the parallax of a near point between surface and centre, rad, and its derivative with respect to `aside`.
+    """Compute the parallax of a near point, rad, and the derivative of the parallax with respect to `aside`.
+
+    The parallax is the angle between the directions to the point from the surface and from the centre of the sample.
 
     Args:
         aside: angle of the point from the normal, seen from the centre of the sample, rad.
-        nearness: inverse of the point's distance from the centre, 1/radii.
+        nearness: inverse of the distance of the point from the centre, 1/radii.
     """
     q = xp.asarray(nearness)
     slope = q * (xp.cos(aside) - q) / (1 + q**2 - 2 * q * xp.cos(aside))
@@ -53,7 +55,7 @@ def parallax(aside: jax.Array, nearness: ArrayLike) -> tuple[jax.Array, jax.Arra
 
 
 def angle_on_circle(slope: jax.Array, tilt: jax.Array) -> jax.Array:
-    """Solve sin u + tilt cos u = slope for the u nearest to 0; +-pi/2 without a solution."""
+    """Solve sin u + tilt cos u = slope for the solution u nearest to 0, rad. The result is +-pi/2 without a solution."""
     lean = xp.arctan(tilt)  # the solution is the intersection of a line of sight with a circle
     sine = slope * xp.cos(lean)
     inside = xp.abs(sine) < 1
@@ -61,7 +63,11 @@ def angle_on_circle(slope: jax.Array, tilt: jax.Array) -> jax.Array:
 
 
 def depth_of(slope: AnyValues, q: ArrayLike) -> tuple[AnyValues, AnyValues]:
-    """Compute cos t of the visible point with sin t = slope (1 - q cos t), and a mask of lines of sight that hit the circle."""
+    """Compute the depth cos t of the point at which a line of sight meets a circle of radius 1.
+
+    The point satisfies sin t = slope (1 - q cos t). slope: lateral slope of the line of sight. q: inverse of the distance
+    of the camera, 1/radii. The second result is a mask, True for lines of sight that meet the circle.
+    """
     square = slope**2
     root = 1 + square * (q**2 - 1)
     hits = root > 0
@@ -69,5 +75,5 @@ def depth_of(slope: AnyValues, q: ArrayLike) -> tuple[AnyValues, AnyValues]:
 
 
 def depth_from(square: AnyValues, root: AnyValues, q: ArrayLike) -> AnyValues:
-    """Compute `depth_of` from the squared slope and sqrt(1 - (1 - q^2) slope^2)."""
+    """Compute the depth of `depth_of` from the squared slope, `square`, and `root` = sqrt(1 - (1 - q^2) slope^2)."""
     return (square * q + root) / (1 + square * q**2)

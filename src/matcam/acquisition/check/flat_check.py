@@ -22,7 +22,7 @@ NOT_CHECKED = Remark(
 
 
 def flat_remarks(capture: Capture) -> list[Remark]:
-    """Check the requirements of a flat sample: grey images, directions and tilts, several half angles.
+    """Report unmet requirements of a flat sample: grey images, enough lamp positions, directions, tilts, half angles.
 
     Args:
         capture: capture of a flat sample.
@@ -58,9 +58,10 @@ def flat_remarks(capture: Capture) -> list[Remark]:
 
 
 def sample_tilts(capture: Capture) -> np.ndarray:
-    """Return the specified tilt of a flat sample at each lamp position, rad.
+    """Return the specified tilt of a flat sample towards +x (right) at each lamp position, (lamps,), rad.
 
-    An ArgumentError is raised if the number of specified tilts is wrong.
+    The tilt is 0 if it is not specified. An ArgumentError is raised if the number of specified tilts is neither 1 nor the
+    number of lamp positions.
     """
     stated, count = capture.settings["sample"]["tilt_deg"] or [0.0], len(capture.lamps)
     if len(stated) not in (1, count):
@@ -78,5 +79,10 @@ def _half_angles(capture: Capture, tilts: np.ndarray) -> list[Remark]:
     angle = np.degrees(np.arccos(np.clip((half * normals).sum(axis=1), -1, 1)))
     if np.ptp(angle) >= _SPREAD:
         return []
-    text = f"all images have half angles from {angle.min():.0f} to {angle.max():.0f} degrees: tilt the sample, or move the "
-    return [Remark("half-angles-similar", f"{text}lamp, until they span {_SPREAD:.0f} degrees or more")]
+    return [
+        Remark(
+            "half-angles-similar",
+            f"all images have half angles from {angle.min():.0f} to {angle.max():.0f} degrees: tilt the sample, or move the "
+            f"lamp, until the half angles span {_SPREAD:.0f} degrees or more",
+        )
+    ]

@@ -38,7 +38,7 @@ class Seen(NamedTuple):
     Attributes:
         column: column of the highlight, or of a cylinder's bright line.
         row: row of the highlight; NaN for a cylinder.
-        std: standard deviation along either axis.
+        std: standard deviation of column and row each; for a cylinder that of the column.
     """
 
     column: float
@@ -60,11 +60,11 @@ def quick_highlights(
         capture: the capture.
         radiometry: radiometric calibration from a few lamp positions; None if unknown.
         outline: outline of the sample; None: unknown, and a highlight is the centroid of the bright spot.
-        camera: distance of the camera, radii. Default: infinite.
+        camera: distance of the camera from the centre of the sample, radii. Default: infinite.
 
     Returns:
-        Highlight by lamp position, only for lamp positions that show one; and remarks on lamp positions without a highlight
-        or with clipped pixels.
+        The highlights by lamp position, and remarks. Lamp positions without a highlight are omitted. The remarks report
+        missing highlights and clipped pixels.
     """
     reader = MosaicReader(capture)
     kind = capture.settings["sample"]["kind"]
@@ -125,7 +125,7 @@ def _clip_threshold(reader: MosaicReader, radiometry: Radiometry | None) -> floa
 
 
 def _top_codes(codes: np.ndarray, frame: CaptureFrame, reader: MosaicReader, radiometry: Radiometry) -> TopCodes:
-    """Collect the largest codes of a frame, to detect a clip level that the complete brackets do not contain."""
+    """Measure the brightest pixels of a frame, to detect a clip level that completely read lamp positions do not show."""
     dark = radiometry.darkness.get(frame.exposure)
     hot = np.zeros(codes.shape, bool) if dark is None else dark.hot_pixels(codes.shape)
     level = black_level(radiometry) if dark is None else dark.level

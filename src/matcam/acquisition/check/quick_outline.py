@@ -46,7 +46,7 @@ class QuickOutline(NamedTuple):
         column: column of the centre of a sphere or the axis of a cylinder, px.
         row: row of the centre, px; NaN for a cylinder.
         radius: radius of the limb, or half the distance between the edges, px.
-        std: standard deviations of column, row and radius, px (3,).
+        std: standard deviations of column, row and radius, px (3,); NaN for the row of a cylinder.
     """
 
     column: float
@@ -58,8 +58,8 @@ class QuickOutline(NamedTuple):
 def quick_outline(capture: Capture, black: float, sigma: float) -> tuple[QuickOutline | None, list[Remark]]:
     """Find the outline of a sphere or cylinder, and measure every outline frame.
 
-    The sources are those of a reconstruction. For a sphere they are, in order of preference, a specified circle, a mask
-    and outline frames; for a cylinder, outline frames and the specified outline.
+    The sources are the same as in a reconstruction. For a sphere, a specified circle is preferred to a mask, and a mask to
+    outline frames. For a cylinder, outline frames are preferred to the specified outline.
 
     Args:
         capture: capture of a sphere or a cylinder.
@@ -67,8 +67,9 @@ def quick_outline(capture: Capture, black: float, sigma: float) -> tuple[QuickOu
         sigma: standard deviation of the lens's blur, px; used if the bright field is clipped.
 
     Returns:
-        The outline or None, and remarks. An outline from frames is that of the first frame that shows one. The remarks
-        report a missing outline, an unusable source, a clipped field, or a sample that moved.
+        The outline, or None if there is none, and remarks. If outline frames are the source, the outline is that of the
+        first usable frame. The remarks report a missing outline, an unusable source, a clipped field, or a sample that
+        moved.
     """
     cylinder = capture.settings["sample"]["kind"] == "cylinder"
     frames = capture.of("outline")
@@ -155,13 +156,13 @@ def _stated(capture: Capture) -> QuickOutline | None:
 
 
 def dark_disc(codes: np.ndarray) -> tuple[float, float, float]:
-    """Estimate column, row and radius of a dark disc, px.
+    """Estimate column, row and radius of a dark disc in front of a bright field, px.
 
-    The area and the first moments of the light that is missing from a bright field determine them to a few tenths of a
-    pixel. They are NaN if there is no disc, or the border of the frame cuts it.
+    The disc reduces the light of the field. The area and the first moments of the missing light determine the disc to a
+    few tenths of a pixel. All results are NaN if there is no disc, or if the border of the frame cuts the disc.
 
     Args:
-        codes: frame, (height, width).
+        codes: frame, (height, width), DN.
     """
     # bins of 2 x 2 px contain all colours of a mosaic
     height, width = (n // 2 * 2 for n in codes.shape)

@@ -1,4 +1,4 @@
-"""Comparison of the lamp table with the highlights: a rotated table, a wrong radius, single wrong lamps.
+"""Comparison of the lamp table with the highlights, which detects a rotated table, a wrong radius and single wrong lamps.
 
 The unknowns are a rotation of the axes of the table relative to the camera, and the outline of the sample in the frame.
 If an outline was measured, its centre and radius are known and the rotation is free. Without an outline, a rotation
@@ -49,9 +49,10 @@ class TableCheck(NamedTuple):
     """Result of the comparison of a lamp table with the highlights.
 
     Attributes:
-        centre: column, row and radius of the sample from highlights, table and outline, px; NaN if unknown.
-        turn: rotation vector from the table to the highlights, about x (right), y (up) and z (to the camera), rad (3,).
-        turn_std: standard deviations of `turn`, rad (3,); NaN for an axis whose rotation was not fitted.
+        centre: column, row and radius of the sample from highlights, table and outline, px; NaN if they were not fitted.
+        turn: rotation vector from the table to the highlights, about x (right), y (up) and z (to the camera), rad (3,);
+            0 for an axis about which no rotation was fitted.
+        turn_std: standard deviations of `turn`, rad (3,); NaN for an axis about which no rotation was fitted.
         remarks: contradictions between table, highlights and outline.
     """
 
@@ -72,7 +73,13 @@ class _Fit(NamedTuple):
 
 
 class _Rig(NamedTuple):
-    """Distances of camera and lamp, radii, and the relative error that they cause in a radius from highlights."""
+    """Distances of camera and lamp from the centre of the sample, and the error that their uncertainties cause.
+
+    Attributes:
+        camera: distance of the camera, radii.
+        lamp: distance of the lamp, radii.
+        growth_std: relative standard deviation of a radius from highlights due to the uncertainties of the distances.
+    """
 
     camera: float
     lamp: float
@@ -88,11 +95,14 @@ def _rig(capture: Capture) -> _Rig:
 
 
 def check_table(capture: Capture, seen: dict[str, Seen], outline: QuickOutline | None) -> TableCheck:
-    """Compare the lamp table of a sphere or a cylinder with its highlights.
+    """Compare the lamp table of a sphere or a cylinder with the highlights.
+
+    At least four highlights with a specified direction are required, and for a cylinder an outline. Without them, the
+    result is empty: its positions are NaN, and it has no remarks.
 
     Args:
         capture: the capture with the directions.
-        seen: highlight of each lamp position.
+        seen: highlights by lamp position.
         outline: outline of the sample in the frame; None: not measured.
     """
     names = [name for name in seen if np.isfinite(capture.lamps[name].direction).all()]
@@ -156,7 +166,10 @@ def _of_sphere(
 def _of_cylinder(
     capture: Capture, names: list[str], directions: np.ndarray, seen: list[Seen], outline: QuickOutline
 ) -> TableCheck:
-    """Compare the columns of the bright lines, which determine only the rotation about the axis of the cylinder."""
+    """Compare the columns of the bright lines with those predicted from the lamp table.
+
+    The columns determine only the rotation about the axis of the cylinder.
+    """
     rig = _rig(capture)
     columns = np.array([[one.column] for one in seen])
 
@@ -179,7 +192,7 @@ def _of_cylinder(
 def _errors(capture: Capture, seen: list[Seen], radius: float) -> np.ndarray:
     """Compute the standard deviation of each highlight about its expected position, px.
 
-    An error of the direction of the lamp moves the highlight by half that angle.
+    An error of the direction of the lamp rotates the normal at the highlight by half of this error.
     """
     return np.hypot([one.std for one in seen], abs(radius) * capture.direction_std / 2)
 
@@ -231,9 +244,14 @@ def _turn_remarks(fit: _Fit, std: np.ndarray, whose: str) -> list[Remark]:
         return []
     degrees, axes = np.degrees(turn), ("x (right)", "y (up)", "z (to the camera)")
     parts = ", ".join(f"{value:+.1f} about {axis}" for value, axis, one in zip(degrees, axes, free, strict=True) if one)
-    text = f"the highlights indicate a rotation of the lamp table by {np.degrees(size):.1f} ± {np.degrees(spread):.1f} degrees"
     where = f" relative to the {whose} outline" if free[1] else ""
-    return [Remark("table-turned", f"{text}{where} ({parts}): check the axes of angles and azimuths")]
+    return [
+        Remark(
+            "table-turned",
+            f"the highlights indicate a rotation of the lamp table by {np.degrees(size):.1f} ± {np.degrees(spread):.1f} "
+            f"degrees{where} ({parts}): check the axes of angles and azimuths",
+        )
+    ]
 
 
 def _radius_remarks(fit: _Fit, outline: QuickOutline, std: float) -> list[Remark]:
@@ -252,7 +270,8 @@ def _single_remarks(capture: Capture, names: list[str], fit: _Fit) -> list[Remar
     return [
         Remark(
             "table-contradicts",
-            f"lamp {name}: its highlight is {off:.0f} px from the position that its direction predicts: check frames.csv",
+            f"lamp {name}: the highlight is {off:.0f} px from the position that the specified direction predicts: check "
+            "this direction in frames.csv",
         )
         for name, off in zip(names, fit.off, strict=True)
         if off > allowed

@@ -26,9 +26,9 @@ def unmeasured_lens() -> str:
 
 
 def lens_sigma(camera: Camera | None) -> float:
-    """Determine the standard deviation of the lens of a camera, px.
+    """Determine the standard deviation of the blur of a camera's lens, px.
 
-    It is `GUESSED_LENS` for a lens that is not Gaussian or has no profile.
+    If there is no profile, or if the lens is not Gaussian, the result is the value of `GUESSED_LENS`.
     """
     known = {} if camera is None else camera.parameters()
     return float(known.get("optics.sigma_px", GUESSED_LENS.value))

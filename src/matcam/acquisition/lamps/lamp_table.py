@@ -1,4 +1,4 @@
-"""Comparison of highlights with a table of lamps: its common mistakes.
+"""Detection of common mistakes in a table of lamp directions, by comparison with the highlights.
 
 Axes: x right, y up, z to the camera. Directions point from the sphere's centre to the lamp.
 """
@@ -27,8 +27,9 @@ class TableVerdict(NamedTuple):
     Attributes:
         mistake: "none", "unexplained", or the name of the mistake.
         rms: rms angle between the lamps from the highlights and the table as given, rad.
-        rms_explained: `rms` after correction of the mistake, rad.
-        remarks: description of a disagreement.
+        rms_explained: angle that remains after correction of the mistake, rad: its rms, or its median for
+            "degrees-as-radians". It equals `rms` if no mistake was identified.
+        remarks: remark on a disagreement; empty if the table agrees.
     """
 
     mistake: str
@@ -55,19 +56,18 @@ _WORDS = {
 def explain_lamp_table(lamps: np.ndarray, table: np.ndarray) -> TableVerdict:
     """Find the common mistake that explains a wrong lamp table.
 
-    Each mistake is applied to the lamps from the highlights. The result contains the mistake after which they match the
-    table.
+    Each mistake is applied to the directions from the highlights. The result is the mistake that reproduces the table best.
 
     Args:
         lamps: directions from the highlights (n, 3); NaN for a lamp without a highlight.
-        table: directions as given (n, 3).
+        table: directions as given (n, 3); NaN: unknown.
 
     Returns:
-        The mistake, and the rms angles before and after its correction. The mistake is "none" if the table agrees within
-        1.5 degrees rms, and "unexplained" if no common mistake explains the disagreement.
+        The mistake, and the angles between table and highlights before and after its correction. The mistake is "none" if
+        the table agrees within 1.5 degrees rms, and "unexplained" if no common mistake explains the disagreement.
 
     Raises:
-        ArgumentError: the shapes differ, or fewer than three lamps have a highlight.
+        ArgumentError: the shapes differ or are not (n, 3), or fewer than three lamps have both directions.
 
     Example:
         >>> turn = np.radians([10, 25, 40, 70])
@@ -77,11 +77,11 @@ def explain_lamp_table(lamps: np.ndarray, table: np.ndarray) -> TableVerdict:
     """
     lamps, table = np.asarray(lamps, float), np.asarray(table, float)
     if lamps.shape != table.shape or lamps.ndim != 2 or lamps.shape[1] != 3:
-        raise ArgumentError(f"lamps and table must both have shape (n, 3), got {lamps.shape} and {table.shape}")
+        raise ArgumentError(f"lamps and table must have the same shape (n, 3), got {lamps.shape} and {table.shape}")
     good = np.isfinite(lamps).all(1) & np.isfinite(table).all(1)
     if good.sum() < 3:
         raise ArgumentError(
-            f"the number of lamps with a highlight and a row in the table is {good.sum()}; it must be at least 3"
+            f"the number of lamps with a highlight and a direction in the table is {good.sum()}; it must be at least 3"
         )
     lamps, table = unit(lamps[good]), unit(table[good])
     rms = _rms(lamps, table)
@@ -106,7 +106,7 @@ def _rms(lamps: np.ndarray, table: np.ndarray) -> float:
 
 
 def _mistakes(lamps: np.ndarray) -> Iterator[tuple[str, np.ndarray, float]]:
-    """Yield each mistake, the table that it would produce, and the factor by which it stretches angles."""
+    """Yield the name of each mistake, the table that it would produce, and the factor by which it stretches angles."""
     z = np.array([0.0, 0.0, 1.0])
     yield "y-flipped", lamps * [1, -1, 1], 1.0
     yield "x-flipped", lamps * [-1, 1, 1], 1.0

@@ -1,4 +1,4 @@
-"""Reading of the exposures of lamp positions, several at a time, for the radiometric calibration."""
+"""Reading of the exposures of each lamp position for the radiometric calibration, with a cache of the results."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ class ReadBracket(NamedTuple):
         used: frames that can be used, in the order of the exposures.
         lacking: exposures without a usable frame.
         sample: selected pixels; None without a usable frame.
-        largest: largest code of all frames of the lamp position, DN.
-        smallest: smallest code of all frames of the lamp position, DN.
+        largest: largest code of the used frames, DN; -infinity without a usable frame.
+        smallest: smallest code of the used frames, DN; infinity without a usable frame.
         remarks: warnings and limitations, with the names of the frames.
     """
 
@@ -45,7 +45,7 @@ class ReadBracket(NamedTuple):
 
 @dataclass
 class BracketReading:
-    """Reader of the brackets of one capture.
+    """Reader of the brackets (series of exposures) of one capture.
 
     Attributes:
         capture: the capture.

@@ -1,9 +1,10 @@
 """Vignetting and pixel response non-uniformity, from frames of a uniform field.
 
-For each colour the dark-subtracted mean of the flat frames is a smooth field times the deviation of each pixel. The
-smooth field contains vignetting and shadows of dust. The deviation is shrunk according to the noise of the flat frames
-(James and Stein, as in darkness.py): two frames of 15,000 electrons determine a pixel to 0.6 %, and the pixels of a
-sensor differ by 1 %. The remaining uncertainty widens the errors of the merged values.
+For each colour, the dark-subtracted mean of the flat frames is the product of a smooth field and the relative response of
+each pixel. The smooth field contains vignetting and shadows of dust. The relative response is shrunk towards 1 according to
+the noise of the flat frames (James and Stein 1961). For example, two frames of 15,000 electrons determine the response of a
+pixel to 0.6 %, and the responses of a sensor differ by about 1 %. The remaining uncertainty is added to the errors of the
+merged values.
 """
 
 from __future__ import annotations
@@ -42,9 +43,10 @@ class FlatField:
     Attributes:
         response: response of each pixel relative to the mean of its colour in the middle of the frame, float32
             (height, width); NaN if it is too small to be corrected.
-        std: relative standard deviation of `response`, one for all pixels of a colour, (channels,).
+        std: relative standard deviation of `response`, one value for each colour, (channels,).
         reference: mean response over the reference region in each channel, (channels,); 1 without a reference.
-        prnu: relative scatter of the pixels about the smooth field, no unit.
+        prnu: photo-response non-uniformity: relative standard deviation of the pixels' responses about the smooth field,
+            without noise, averaged over the colours, no unit.
         frames: number of flat frames that were used.
     """
 
@@ -65,7 +67,7 @@ def measure_flat(
     gain: float,
     noise: float,
 ) -> tuple[FlatField | None, list[Remark]]:
-    """Measure the uniformity of the pixels, and collect remarks.
+    """Measure the response of the pixels from the flat frames, and collect remarks.
 
     Args:
         reader: the reader of frames.
@@ -125,11 +127,11 @@ def measure_flat(
 
 
 def smooth_field(total: np.ndarray, of: np.ndarray) -> tuple[np.ndarray, float]:
-    """Fit the smooth part of a flat frame at the pixels of one colour, and its level in the middle of the frame.
+    """Fit the smooth part of a flat frame at the pixels of one colour, and its level in the middle of the frame, DN.
 
     Args:
-        total: dark-subtracted flat frame, (height, width).
-        of: pixels of the colour, same shape.
+        total: dark-subtracted flat frame, (height, width), DN.
+        of: mask of the pixels of the colour, same shape.
     """
     powers = [np.vander(np.linspace(-1, 1, size), 5, increasing=True) for size in total.shape]  # of row and column
     positions = np.argwhere(of)[:: max(1, int(of.sum()) // 20_000)]
@@ -187,7 +189,7 @@ def _wrong(
     """Describe the fault of a flat frame; the text is empty if the frame is usable."""
     sizes = [read_exif(capture.folder / one.file).size for one in (frame, capture.of("frames")[0])]
     if shape not in (None, codes.shape) or (None not in sizes and sizes[0] != sizes[1]):
-        return "the flat frame differs in size from the frames of the sample: repeat it with their settings"
+        return "the flat frame differs in size from other frames: repeat it with the settings of the sample's frames"
     if np.mean(codes >= clip) > _CLIPPED:
         return f"{np.mean(codes >= clip):.1%} of the flat frame's pixels are clipped: expose it less"
     level = float(np.median(light))

@@ -1,9 +1,8 @@
 """Cache on disk of results from the frames of a capture, so that an interrupted computation resumes.
 
 The key of a file contains the settings, the version of the package, and a fingerprint of the frames. The fingerprint
-consists of name, size, time of change, and first and last 64 KiB of each frame. Only complete files are used
-(core/sealed.py). A successful computation removes its files, and files of other computations that are older than two
-weeks.
+depends on the name, the size, the time of change, and the first and last 64 KiB of each frame. Only complete files are used
+(core/sealed.py). A successful computation removes its own files, and all files that are older than two weeks.
 """
 
 from __future__ import annotations
@@ -36,7 +35,7 @@ class KeptWork:
         >>> kept = KeptWork(Path(tempfile.mkdtemp()))
         >>> kept.store("squares", lambda: {"of three": np.array(9)})["of three"]
         array(9)
-        >>> kept.store("squares", lambda: {})["of three"]  # it is not made again
+        >>> kept.store("squares", lambda: {})["of three"]  # loaded, not computed again
         array(9)
     """
 
@@ -62,7 +61,7 @@ class KeptWork:
 
 
 def identity(paths: Iterable[Path]) -> str:
-    """Compute a fingerprint of the files."""
+    """Compute a fingerprint of the files: one line for each file, with name, size, time of change and a hash."""
     lines = []
     for path in paths:
         try:

@@ -52,8 +52,8 @@ class TopCodes(NamedTuple):
 
     Attributes:
         level: largest code, DN.
-        same: number of pixels with this code.
-        near: number of pixels within the width of a pile-up below `level`.
+        same: number of pixels with the code `level`.
+        near: number of pixels whose code is less than the width of a pile-up below `level`.
         median: median code of the pixels that `near` counts, DN.
         height: `level` above dark, DN.
         gain: lower bound of the ratio of photon noise variance to light, DN per electron; NaN: not determined.
@@ -76,8 +76,8 @@ class PileUp(NamedTuple):
 
     Attributes:
         clip: the common clip level.
-        frames: indices of the frames whose pixels pile up at the common level.
-        apart: indices of the frames whose pixels pile up at another code.
+        frames: indices of the frames whose brightest pixels pile up at the common level.
+        apart: indices of the frames whose brightest pixels pile up at another code.
     """
 
     clip: ClipLevel
@@ -91,8 +91,8 @@ def top_codes(codes: np.ndarray, dark: np.ndarray | float, hot: np.ndarray, step
     Args:
         codes: frame as read, (height, width), DN.
         dark: dark code of each pixel, or one value for all pixels, DN.
-        hot: pixels that are omitted, (height, width).
-        step: distance of the nearest pixel of the same colour, px.
+        hot: mask of the pixels that are omitted, (height, width).
+        step: distance between pixels of the same colour along a row, px.
         noise: read noise, DN.
     """
     good = codes[~hot] if hot.any() else codes.ravel()
@@ -126,7 +126,7 @@ def find_pile_up(tops: Sequence[TopCodes], noise: float, gain: float) -> PileUp 
     Args:
         tops: brightest pixels of all frames.
         noise: read noise, DN.
-        gain: DN per electron, for frames that do not determine it; NaN: unknown.
+        gain: gain that is used if no frame determines it, DN per electron; NaN: unknown.
     """
     gains = [top.gain for top in tops if math.isfinite(top.gain)]
     common = float(np.median(gains)) if gains else gain
@@ -152,14 +152,15 @@ def find_pile_up(tops: Sequence[TopCodes], noise: float, gain: float) -> PileUp 
 
 
 def _width(noise: float, unit: float) -> float:
-    """Compute the width of the codes over which read noise spreads clipped pixels, DN."""
+    """Compute the width of the range of codes over which read noise spreads clipped pixels, DN."""
     return unit * math.ceil(_SPREAD * noise / unit)
 
 
 def _log_share(top: TopCodes, width: float, noise: float, gain: float) -> float:
-    """Compute log10 of 1 - exp(-z w / sigma), the factor of the bound for each pixel beyond the first.
+    """Compute log10 of 1 - exp(-z w / sigma), with the symbols of the module docstring; w is `width`, DN.
 
-    It is 0 if sigma is unknown or negligible, or if the codes are near dark. `width` is w, DN.
+    The argument of log10 is the factor of the bound for each pixel beyond the first. The result is 0 if sigma is unknown or
+    negligible, or if the codes are near dark.
     """
     own = top.gain if math.isfinite(top.gain) else gain
     sigma = math.sqrt(max(own * top.height, 0.0)) if math.isfinite(own) else 0.0
@@ -169,16 +170,16 @@ def _log_share(top: TopCodes, width: float, noise: float, gain: float) -> float:
 
 
 def _least_gain(light: np.ndarray, below: float, step: int, noise: float) -> float:
-    """Compute a lower bound of the ratio of photon noise variance to light, DN; NaN if too few pixels are lit.
+    """Compute a lower bound of the ratio of photon noise variance to light, DN per electron.
 
-    Second differences in both directions have 36 times a pixel's variance and vanish for light that is quadratic in
-    position. Structure only increases them. The smallest value among bins of brightness is therefore a lower bound in
-    frames with smooth parts. It is 0 in frames without noise.
+    Second differences in both directions have 36 times the variance of a pixel and vanish for light that is quadratic in
+    position. Structure only increases the differences. In frames with smooth parts, the smallest ratio among bins of
+    brightness is therefore a lower bound. The result is 0 in frames without noise, and NaN if too few pixels are lit.
 
     Args:
         light: part of a dark-subtracted frame, DN.
-        below: brightness of the largest codes, DN; only darker pixels are used.
-        step: distance of the nearest pixel of the same colour, px.
+        below: brightness of the largest codes, DN; only pixels darker than 90 % of it are used.
+        step: distance between pixels of the same colour along a row, px.
         noise: read noise, DN.
     """
     if min(light.shape) <= 2 * step:

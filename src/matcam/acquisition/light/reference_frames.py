@@ -70,7 +70,7 @@ def in_own_frames(
     darkness: Mapping[str, Darkness],
     threshold: float,
 ) -> tuple[list[SeenReference], list[Remark]]:
-    """Measure the light of the reference patch in its own images, and list unusable images.
+    """Measure the light of the reference patch in its separate images, and report unusable images.
 
     Args:
         reader: the reader of frames.
@@ -95,9 +95,9 @@ def in_own_frames(
             continue
         why = ""
         if not frame.lamp or frame.lamp not in capture.lamps:
-            why = "the sample has no frame of this lamp"
+            why = "the sample has no frame of the same lamp"
         elif frame.exposure not in exposures:
-            why = "the sample has no frame of this exposure"
+            why = "the sample has no frame of the same exposure"
         if why:
             wrong.setdefault(why, []).append(frame.file)
             continue
@@ -120,7 +120,7 @@ def in_own_frames(
         Remark(
             "reference-left-out",
             f"{capture.folder}: {some_of(files, 3)} {'were' if len(files) > 1 else 'was'} omitted, because {why}: correct "
-            "frames.csv, or repeat the exposure",
+            "frames.csv or reference.region_px, or repeat the exposure",
         )
         for why, files in wrong.items()
     ]
@@ -143,8 +143,8 @@ def scatter_between(
     """Estimate the relative standard deviation of the change of light between two images of one lamp position.
 
     Args:
-        seen: the reference of each lamp position, in the order in which they were taken.
-        exposures: relative light of each exposure.
+        seen: light of the reference at each lamp position, in the order in which the images were taken.
+        exposures: light of each exposure relative to a common exposure.
         gain: DN per electron.
         noise: read noise, DN.
         output: light of each lamp position from the reference, with an uncertainty that excludes such changes.
@@ -153,9 +153,10 @@ def scatter_between(
         The standard deviation; NaN with too few images.
 
     Source:
-        With repeated images, the variance of the change is twice that of the repeats, about the means of lamp position
+        With repeated images, the variance of the change is twice the variance of the images about the means of lamp position
         and exposure. Otherwise it is the mean square of the steps between successive lamp positions (von Neumann 1941),
-        which includes drift. Both are increased according to Student's distribution.
+        which includes drift. The variance due to noise is subtracted. The result is increased according to Student's
+        distribution.
     """
     rows, values, variances = [], [], []
     lamps = [one for one in seen if len(one.exposures) > 1]
@@ -197,5 +198,10 @@ def _uneven(capture: Capture, frame: CaptureFrame, light: np.ndarray, region: Re
     chance = 10 * float(light.std()) / np.sqrt(light.size / 2)
     if high < _UNEVEN * max(low, 0.0) or high - low < chance:
         return []
-    text = f"{capture.folder / frame.file}: the halves of reference.region_px have mean codes from {low:.0f} to {high:.0f} DN"
-    return [Remark("reference-uneven", f"{text}: check that {list(region)} lies within the reference")]
+    return [
+        Remark(
+            "reference-uneven",
+            f"{capture.folder / frame.file}: the mean codes of the halves of reference.region_px range from {low:.0f} to "
+            f"{high:.0f} DN above dark: check that the region {list(region)} lies within the reference",
+        )
+    ]

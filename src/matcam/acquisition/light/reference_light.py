@@ -31,7 +31,7 @@ def reference_light(
         response: response of the pixels of the reference in each channel, from flat frames, (channels,).
 
     Returns:
-        Value of each channel with its standard deviation, by lamp position.
+        Value of each channel with its standard deviation, by lamp position; NaN where the reference is not usable.
     """
     found = {}
     for one in seen:
@@ -48,7 +48,10 @@ def reference_light(
 def _merged(
     light: np.ndarray, relative: np.ndarray, scale: float, noise: float, pixels: np.ndarray | int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Merge mean values (DN) of several exposures, which are on the first axis, and compute the noise of the result."""
+    """Merge the mean values of several exposures, and compute the standard deviation of the result, both in DN.
+
+    The exposures are on the first axis of `light`.
+    """
     total = relative.sum()
     variance = (np.maximum(light, 0) * scale + noise**2).sum(0) / pixels
     return light.sum(0) / total, np.sqrt(variance) / total
@@ -62,9 +65,9 @@ def lamp_output(
     noise: float,
     between: float = 0.0,
 ) -> dict[str, Stated]:
-    """Compute the light of the lamps from the reference, relative to the mean of all lamps.
+    """Compute the light of each lamp position from the reference, relative to the mean of all lamp positions.
 
-    For a diffuse reference the lamp is assumed to be distant.
+    The light is NaN where the reference is not usable. For a diffuse reference the lamp is assumed to be distant.
 
     Args:
         capture: capture with the specified properties of reference and lamps.

@@ -2,11 +2,12 @@
 
 The patch is beside the sphere, or in separate images.
 
-A patch of reflectance R at p, with normal n, has the radiance R/pi E g under a lamp with the irradiance E at the centre
-of the sphere: g = n.w / |w|^3 with w = l - p/Q, where l is the direction of the lamp and Q its distance (docs/model.md
-10). The recorded value is U G R/pi g. U is the value per radiance under unit irradiance, and G is the light of the
-image relative to the mean. The prior of ln G is 0, with the specified stability of the lamp. The errors of position and
-tilt of the patch are common to all images; those of the directions of the lamps are independent.
+A patch has reflectance R, position p (radii) and normal n. The direction of the lamp is l, its distance from the centre of
+the sphere is Q (radii), and its irradiance there is E. The radiance of the patch is R/pi E g with g = n.w / |w|^3 and
+w = l - p/Q (docs/model.md 10). The recorded value is U G R/pi g. U is the value per radiance under unit irradiance, and G is
+the light of the image relative to the mean. The prior mean of ln G is 0, and its prior standard deviation is the specified
+scatter of the lamp's light. The errors of position and tilt of the patch are common to all images. The errors of the lamp
+directions are independent.
 """
 
 from __future__ import annotations
@@ -34,10 +35,11 @@ class ReferencePatch(NamedTuple):
 
     Attributes:
         region: first column, first row, width, height in the whole frame, px.
-        reflectance: reflectance of the patch, no unit; None if unknown.
-        depth: distance in front of the centre of the sphere, towards the camera, radii. Default: 0 ± 0.5.
-        tilt_std: standard deviation of the angle of its normal to the camera's axis, about each of two axes, rad.
-            Default: 1 degree.
+        reflectance: reflectance of the patch with standard deviation, no unit; None if unknown. Default: None.
+        depth: distance in front of the centre of the sphere, towards the camera, with standard deviation, radii.
+            Default: 0 ± 0.5.
+        tilt_std: standard deviation of the angle between the normal of the patch and the camera's axis, about each of two
+            axes, rad. Default: 1 degree.
     """
 
     region: Region
@@ -58,7 +60,7 @@ class PatchLight(NamedTuple):
 
     Attributes:
         gain: light of each image relative to the mean, (pictures,).
-        covariance: covariance of ln gain, (pictures, pictures).
+        covariance: covariance of ln(`gain`), (pictures, pictures).
         units: units of each channel, merged value per radiance under unit irradiance at the sphere's centre, with
             relative standard deviation; None if the reflectance of the patch is unknown.
         used: mask of the images in which the patch is usable, (pictures,).
@@ -111,7 +113,7 @@ def patch_light(
     Args:
         patch: the patch.
         light: merged value of the patch in each image and channel with standard deviation; NaN if it is not usable.
-        lamps: directions to the lamps, (pictures, 3).
+        lamps: directions to the lamps, unit vectors, (pictures, 3).
         ball: the sphere, the origin of the position of the patch.
         lamp_nearness: inverse distance of the lamp, 1/radii.
         lamp_std: standard deviation of each lamp's direction along each of two tangents, rad, (pictures,).
@@ -121,7 +123,7 @@ def patch_light(
             relative. Default: 0, one frame shows both.
 
     Returns:
-        Gains, their covariance, and units; None if the patch is not usable in any image.
+        The light of the images, its covariance, and the units; None if the patch is not usable in any image.
     """
     value = np.array([[one.value for one in channels] for channels in light])
     std = np.array([[one.std for one in channels] for channels in light])

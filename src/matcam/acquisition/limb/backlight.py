@@ -20,8 +20,8 @@ def grazing_reflection(radius: float, reach: tuple[float, float] | None) -> tupl
     """Compute the shrinkage of a dark disc by the mirrored backlight, and its standard deviation, px.
 
     A ray that meets the sphere at a distance t inside the limb is deflected by 2 sqrt(2 t / radius). A field that
-    extends E beyond the limb is therefore mirrored up to t = radius (1 - cos(E / 2)), weighted with the Fresnel
-    reflectance.
+    extends by the angle E beyond the limb is therefore mirrored up to t = radius (1 - cos(E / 2)). The shrinkage is the
+    integral of the Fresnel reflectance over this range of t.
 
     Args:
         radius: radius of the limb, px.

@@ -44,13 +44,13 @@ def find_circles(values: np.ndarray, std: np.ndarray, *, bright_inside: bool, mo
     The centre of each lies outside the other.
 
     Args:
-        values: linear radiance (height, width); NaN for missing values.
-        std: standard deviation of `values`.
+        values: linear radiance in any unit, (height, width); NaN for missing values.
+        std: standard deviation of `values`, same shape and unit.
         bright_inside: True for a lit sphere, False for a dark sphere in front of a bright field.
         mosaic: True if neighbouring pixels have different colours.
 
     Returns:
-        Circles in px of the image, with edges along at least 0.15 of their circumference.
+        The circles, in px of the image. Each has edges along at least 0.15 of its circumference.
     """
     bin_ = int(np.ceil(max(values.shape) / _LARGEST))
     bin_ += bin_ % 2 if mosaic else 0
@@ -75,7 +75,7 @@ def find_circles(values: np.ndarray, std: np.ndarray, *, bright_inside: bool, mo
 
 
 def _binned(values: np.ndarray, std: np.ndarray, bin_: int) -> tuple[np.ndarray, float]:
-    """Bin an image, compress it so that a highlight does not dominate, and compute the noise in the same unit."""
+    """Bin and compress an image so that a highlight does not dominate, and compute the noise in the compressed unit."""
     height, width = (n // bin_ * bin_ for n in values.shape)
     blocks = values[:height, :width].reshape(height // bin_, bin_, width // bin_, bin_)
     good = np.isfinite(blocks)
@@ -89,7 +89,7 @@ def _binned(values: np.ndarray, std: np.ndarray, bin_: int) -> tuple[np.ndarray,
 
 
 def _edges(picture: np.ndarray, noise: float, bright_inside: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Find positions (n, 2) of edges of an image and their unit normals towards the sphere (n, 2), in (row, column)."""
+    """Find the edges of an image: positions, px (n, 2), and unit normals towards the sphere (n, 2), in (row, column)."""
     rows = ndimage.gaussian_filter(picture, 1.0, order=(1, 0))
     columns = ndimage.gaussian_filter(picture, 1.0, order=(0, 1))
     size = np.hypot(rows, columns)
@@ -153,7 +153,7 @@ def _best(position: np.ndarray, inwards: np.ndarray, rng: np.random.Generator, l
 def _coverage(
     position: np.ndarray, inwards: np.ndarray, row: float, column: float, radius: float
 ) -> tuple[float, np.ndarray]:
-    """Compute the share of the circumference of a circle with an edge, and the mask of its edges."""
+    """Compute the share of a circle's circumference with an edge, and the mask of the edges on this circle."""
     y, x = row - position[:, 0], column - position[:, 1]
     distance = np.hypot(y, x)
     near = (np.abs(distance - radius) < _NEAR) & (y * inwards[:, 0] + x * inwards[:, 1] > _STRAIGHT * distance)

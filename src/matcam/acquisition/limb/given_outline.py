@@ -53,7 +53,7 @@ def stated_circle(centre: tuple[float, float], radius: float, std: float, sighti
     Args:
         centre: column and row, px.
         radius: radius of the limb, px.
-        std: standard deviation of radius, column and row, px; 0: unknown.
+        std: standard deviation of radius, column and row each, px; 0: unknown, 0.5 px is used.
         sighting: geometry of the camera.
         sigma: standard deviation of the lens's blur, px.
     """
@@ -68,9 +68,9 @@ def mask_outline(
     The area determines the radius, and the first moments the centre.
 
     Args:
-        path: image of two values; the value at the border is outside the sphere.
-        std: standard deviation of the radius, px. An offset of the edge of the mask changes the radius and not the
-            centre, whose standard deviation is half that of the radius.
+        path: image of two values; the value at the border marks the pixels outside the sphere.
+        std: standard deviation of the radius, px. An offset of the edge of the mask changes the radius but not the centre,
+            so the standard deviation of the centre is assumed to be half as large.
         sighting: geometry of the camera.
         sigma: standard deviation of the lens's blur, px.
         shape: width and height of the frames, px. Default: None, not checked.
@@ -99,8 +99,8 @@ def mask_outline(
     by_moments = float(np.sqrt(2 * (rows.var() + columns.var())))  # the variance of a disc along a line is radius^2 / 4
     if abs(by_moments / radius - 1) > _ROUND:
         raise FitError(
-            f"{path}: the mask shows no disc, because its area indicates a radius of {radius:.1f} px, and its second moments "
-            f"{by_moments:.1f} px: exclude the stand from the mask"
+            f"{path}: the shape in the mask is not a disc: the radius is {radius:.1f} px by area, but {by_moments:.1f} px by "
+            "second moments: exclude the stand from the mask"
         )
     return _outline(row, column, radius, np.array([std / 2, std / 2, std]), sighting, sigma)
 

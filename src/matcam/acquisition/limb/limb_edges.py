@@ -1,10 +1,10 @@
 """Edges of a sphere's limb in an image, one for each sector of azimuth, fitted with the blur of the lens.
 
-Just inside the limb the sphere is foreshortened: with t the distance from the limb, px, and r the limb's radius, the
-cosine of the viewing angle is sqrt(2 t / r) to first order. The radiance of a lit sphere near the limb is therefore a
-series in powers of sqrt(t): a + b sqrt(t) + c t + ... inside, the background outside. A dark sphere in front of a bright
-field is a step. Both are blurred by the LSF of lens and pixel, and fitted to the pixels of a sector together with the
-position of the edge.
+The sphere is foreshortened near the limb. At a distance t inside a limb of radius r, both in px, the cosine of the viewing
+angle is sqrt(2 t / r) to first order. The radiance of a lit sphere is therefore a series in powers of sqrt(t) inside the
+limb, a + b sqrt(t) + c t + ..., and the background outside. A dark sphere in front of a bright field is a step. Both models
+are blurred by the line spread function (LSF) of lens and pixel. Their coefficients and the position of the edge are fitted
+to the pixels of a sector.
 """
 
 from __future__ import annotations
@@ -39,9 +39,9 @@ class LimbSectors(NamedTuple):
         offset: distance of the edge outside the assumed curve, px (n,); NaN without an edge.
         std: standard deviation of `offset` due to noise, px (n,).
         misfit: chi squared per degree of freedom (n,).
-        contrast: light 2 px inside the limb, divided by its standard deviation (n,).
+        contrast: light above the background 2 px inside the limb, divided by the standard deviation of this light (n,).
         chi2: chi squared (n,).
-        freedom: degrees of freedom of `chi2` (n,).
+        freedom: degrees of freedom of `chi2` (n,); 0 without an edge.
     """
 
     azimuth: np.ndarray
@@ -54,13 +54,13 @@ class LimbSectors(NamedTuple):
 
 
 class BlurredPowers:
-    """Powers of the distance inside an edge, blurred by a Gaussian lens and a square pixel, as a table.
+    """Table of powers of the distance inside an edge, blurred by a Gaussian lens and a square pixel.
 
     Args:
-        sigma: standard deviation of the lens, px.
+        sigma: standard deviation of the lens's blur, px.
         exponents: exponents of the powers; the first must be 0, the step of light at the edge.
-        coated: radius of the limb, px, of a sphere under a clear coat, whose radiance is multiplied by the transmittance
-            of the coat. Default: None, no coat.
+        coated: radius of the limb of a sphere under a clear coat, px. The radiance is multiplied by the transmittance of
+            the coat. Default: None, no coat.
 
     Example:
         >>> powers = BlurredPowers(0.5, (0, 0.5))
@@ -88,7 +88,7 @@ class BlurredPowers:
         self.slopes = np.gradient(self.columns, _STEP, axis=1)
 
     def __call__(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Interpolate the blurred powers at distances inside the edge, (count, n), and their derivatives.
+        """Interpolate the blurred powers, (exponents, n), and their derivatives with respect to `t`, (exponents, n).
 
         Args:
             t: distance inside the edge, px (n,).
@@ -119,10 +119,10 @@ class BandPixels(NamedTuple):
     Attributes:
         inside: distance inside the assumed curve, px (n,).
         azimuth: azimuth, from +column towards +row, rad (n,).
-        values: linear radiance (n,).
+        values: linear radiance in the unit of the image (n,).
         std: standard deviation of `values` (n,).
         channel: index of the colour (n,).
-        radius: radius of the assumed curve, for the blur's curvature, px.
+        radius: radius of the assumed curve, px, which determines the effect of curvature on the blurred edge.
     """
 
     inside: np.ndarray
@@ -134,7 +134,7 @@ class BandPixels(NamedTuple):
 
 
 def _channel_levels(pixels: BandPixels, channels: np.ndarray) -> np.ndarray:
-    """Compute the height of the step at the limb in the colour of each pixel, relative to the first colour."""
+    """Compute the step of light at the limb in the colour of each pixel, relative to the step in the first colour (n,)."""
     gain = np.ones(len(pixels.values))
     first = None
     for one in channels:
@@ -150,7 +150,7 @@ def _channel_levels(pixels: BandPixels, channels: np.ndarray) -> np.ndarray:
 def sector_edges(pixels: BandPixels, powers: BlurredPowers, count: int) -> LimbSectors:
     """Fit the edge of every sector.
 
-    Gauss-Newton iterations determine its position. Each iteration solves for the coefficients of the radiance.
+    Gauss-Newton iterations determine the position of the edge. Each iteration solves for the coefficients of the radiance.
 
     Args:
         pixels: pixels near the limb.

@@ -51,16 +51,16 @@ def straight_outline(
     """Find the two edges of an upright cylinder in front of a bright field.
 
     Args:
-        codes: linear dark-subtracted image, (height, width).
+        codes: linear dark-subtracted image, (height, width), DN.
         channel: index of each pixel's colour, same shape.
-        origin: row and column of the first pixel in the frame. Default: (0, 0).
+        origin: row and column of the first pixel in the frame, px. Default: (0, 0).
         reach: extent of the field beyond the outline, and its standard deviation, rad. Default: None, unknown.
 
     Returns:
-        Axis and radius in the frame.
+        The outline, in px of the frame.
 
     Raises:
-        FitError: there is no dark stripe between two bright fields.
+        FitError: there is no dark stripe between two bright fields, or the stripe or the field beside it is too narrow.
     """
     height, width = codes.shape
     levels = _levelled(codes, channel)
@@ -69,13 +69,15 @@ def straight_outline(
     inside = np.flatnonzero(dark)
     if high < _CONTRAST * max(low, 1e-3 * high) or not inside.size or inside.size < inside[-1] - inside[0] + 1 - 4:
         raise FitError(
-            "outline: the frame shows no upright dark stripe in front of a bright field; specify sample.outline_radius_px"
+            "outline: the frame shows no upright dark stripe in front of a bright field; repeat the frame, or specify "
+            "sample.outline_radius_px and sample.axis_column_px"
         )
     left, right = inside[0] - 0.5, inside[-1] + 0.5
     if left < _ABOUT or right > width - 1 - _ABOUT or right - left < 4 * _ABOUT:
         raise FitError(
             f"outline: the dark stripe of columns {left + origin[1]:.0f} to {right + origin[1]:.0f} must be "
-            f"{4 * _ABOUT} px wide or more, with {_ABOUT} px of the field on either side: enlarge the field or the region"
+            f"{4 * _ABOUT} px wide or more, with {_ABOUT} px of the field on either side: use more pixels for the cylinder, "
+            "or a wider field or region"
         )
     borders = np.linspace(0, height, min(_BLOCKS, max(height // 4, 1)) + 1).round().astype(int)
     middle, edges = [], []
@@ -97,7 +99,8 @@ def straight_outline(
         remarks.append(
             Remark(
                 "cylinder-leans",
-                f"the axis moves by {abs(lean) * height:.1f} px over {height} rows: rotate the camera to make it upright",
+                f"the axis of the cylinder shifts by {abs(lean) * height:.1f} px over {height} rows: rotate the camera until "
+                "the axis is upright",
             )
         )
     covariance = np.diag([noise**2 / 2, noise**2 / 2 + mirrored_std**2])
@@ -115,9 +118,9 @@ def _levelled(codes: np.ndarray, channel: np.ndarray) -> np.ndarray:
 
 
 def _edge(levels: np.ndarray, start: float, side: int) -> float:
-    """Measure the position of an edge in a block of rows, px.
+    """Measure the column of an edge in a block of rows, px.
 
-    `side` is -1 if the right side is dark, otherwise 1.
+    `side` is -1 if the sample is to the right of the edge, otherwise 1.
     """
     first = int(np.floor(start)) - _ABOUT
     columns = np.arange(max(first, 0), min(first + 2 * _ABOUT + 2, levels.shape[1]))

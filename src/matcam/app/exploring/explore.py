@@ -234,7 +234,10 @@ class ExploreView:
             self._chosen[0].value = str(first)
 
     def _dropped(self, path: Path) -> None:
-        """List a file after its first material has been read. An unreadable file only produces a message."""
+        """Add the materials of a file to the lists, after the first material has been read.
+
+        If the file cannot be read, only a message is shown.
+        """
 
         def read() -> tuple[list[Openable], OpenedTable | None]:
             entries = entries_of(path)

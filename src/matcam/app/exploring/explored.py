@@ -1,4 +1,4 @@
-"""Data of the explore view for a table, and exported files."""
+"""Data of the explore view for one table, and content of the exported files."""
 
 from __future__ import annotations
 
@@ -27,8 +27,12 @@ def slice_of(table: OpenedTable, theta_d: float, channel: int) -> dict[str, np.n
         channel: index of the channel.
 
     Returns:
-        `theta_h`, degrees; `recorded` and `corrected`, 1/sr; `low` and `high`, the corrected values minus and plus their
-        standard deviations, 1/sr; `supported` and `unsupported` corrected values, 1/sr. Missing values are NaN.
+        Columns by name. `theta_h` is in degrees; all others are in 1/sr, and missing values are NaN. `low` and `high` are
+        the corrected values minus and plus their standard deviations; `low` is at least 1 % of the corrected value.
+        `supported` and `unsupported` are the corrected values of these entries.
+
+    Raises:
+        ArgumentError: the file contains only a Fresnel term.
     """
     from matcam.core.grid import merl_grid, sampling_of
 
@@ -79,7 +83,7 @@ def sphere_of(data: xr.DataArray, lamp: float, azimuth: float, size: int = SIDE)
     """Compute the radiance of a sphere, (size, size, channel), 1/sr.
 
     `data` is the table of the material. `lamp` is the angle between lamp and camera, rad. `azimuth` is the azimuth of
-    the lamp, rad.
+    the lamp, rad. `size` is the width and height of the image, px.
     """
     from matcam.figures.spheres import table_sphere
 
@@ -91,7 +95,7 @@ def on_screen(light: np.ndarray, exposure: float) -> np.ndarray:
 
     Args:
         light: radiance, 1/sr, (size, size, channel).
-        exposure: factor in stops; 0 shows the 99th percentile of the lit sphere as white.
+        exposure: exposure compensation, stops; 0 shows the 99th percentile of the lit sphere as white.
     """
     from matcam.figures.spheres import body_white, encoded_for_screen
 
@@ -106,11 +110,11 @@ def on_screen(light: np.ndarray, exposure: float) -> np.ndarray:
 def fresnel_of(table: OpenedTable, channel: int) -> dict[str, np.ndarray]:
     """Compute the curves of the Fresnel term over theta_d.
 
-    Each curve has the mean 1 over 10 to 45 degrees.
+    The mean of each curve over theta_d from 10 to 45 degrees is 1.
 
     Returns:
-        `theta_d`, degrees; `recorded` and `corrected`; `low` and `high`, the corrected values minus and plus their
-        standard deviations, which are NaN unless the table is a result of `matcam fresnel`.
+        Columns by name. `theta_d` is in degrees; all others have no unit. `low` and `high` are the values of `corrected`
+        minus and plus their standard deviations. Both are NaN unless the table is a result of `matcam fresnel`.
     """
     from matcam.inverse.peak_curve import peak_curve
 
@@ -135,9 +139,9 @@ def fresnel_of(table: OpenedTable, channel: int) -> dict[str, np.ndarray]:
 
 
 def as_csv(columns: dict[str, np.ndarray], first: str) -> bytes:
-    """Format columns as CSV, as the commands do.
+    """Format columns as CSV, in the format of the commands.
 
-    `first` is the name of the coordinate.
+    `first` is the name of the column with the coordinate.
     """
     from matcam.core.io import write_columns
 
@@ -154,7 +158,7 @@ def as_exr(light: np.ndarray) -> bytes:
 
 
 def as_bsdf(data: xr.DataArray) -> bytes:
-    """Encode a table in RGL's format, which Mitsuba 3 supports (plugin `measured`)."""
+    """Encode a table in the format of RGL, which Mitsuba 3 reads with the plugin `measured`."""
     from matcam.exchange.conversion import convert
     from matcam.files.merl import write_merl
 

@@ -1,7 +1,7 @@
 """Images of a reconstruction, from its file and from an opened capture.
 
-The file of the result contains outline, highlights and windows. The photographs are read from the folder of the capture
-only if the user opened that folder.
+The file of the result contains outline, highlights and windows. A window is the fitted part of an image. The photographs
+are read from the folder of the capture, only if the user opened that folder.
 """
 
 from __future__ import annotations
@@ -36,7 +36,8 @@ class FittedPicture:
         outline: column, row and radius of the fitted outline, px.
         highlight: column and row of the brightest fitted pixel, px.
         corner: first column and row of the window, px.
-        windows: recorded, fitted, and the residual in standard deviations, (rows, columns) each; NaN if not used.
+        windows: values in the window by the names in `WINDOWS`, (rows, columns) each: recorded and fitted values, in the
+            unit of the merged images, and the residual, in standard deviations. NaN: the pixel was not used.
     """
 
     name: str
@@ -48,7 +49,7 @@ class FittedPicture:
 
 
 def fitted_pictures(name: str, data: xr.Dataset) -> list[FittedPicture]:
-    """Read the images in the file of a reconstruction. The list is empty for any other file.
+    """Read the images in the file of a reconstruction. The list is empty if the file is not from a reconstruction.
 
     Args:
         name: name of the file, for messages.
@@ -72,7 +73,9 @@ def fitted_pictures(name: str, data: xr.Dataset) -> list[FittedPicture]:
         ):  # fmt: skip
             raise ValueError("each image must have one outline, one highlight and one window")
     except (KeyError, ValueError, TypeError) as error:
-        raise FileFormatError(f"{name}: damaged: {error}") from None
+        raise FileFormatError(
+            f"{name}: the images in the file are damaged: {error}; reconstruct the capture again"
+        ) from None
     return [
         FittedPicture(
             name, theta_d, (column, row, radius), (x, y), (left, top), {key: one[k] for key, one in windows.items()}
@@ -105,17 +108,25 @@ def opened_captures(paths: Sequence[Path]) -> tuple[list[Capture], list[str]]:
 
 @dataclass(frozen=True)
 class Shot:
-    """Photograph of a lamp position: name of its file, capture and frame."""
+    """Photograph of a lamp position.
+
+    Attributes:
+        label: name of the file in the capture.
+        capture: capture that contains the photograph.
+        frame: frame of the capture.
+    """
 
     label: str
     capture: Capture
     frame: Any
 
     def about(self, outline: tuple[float, float, float]) -> tuple[np.ndarray, tuple[float, float, float, float]]:
-        """Read the part of the photograph about an outline.
+        """Read the part of the photograph around an outline.
+
+        `outline` contains column, row and radius, px.
 
         Returns:
-            The image, subsampled by `drawn_values`, and its left, top, width and height, px.
+            The image, subsampled by `drawn_values`; and its left border, top border, width and height in the photograph, px.
 
         Raises:
             FileFormatError: the photograph is missing, damaged, or too small for the outline.
@@ -138,9 +149,9 @@ class Shot:
 
 
 def shots_of(picture: FittedPicture, captures: Sequence[Capture]) -> list[Shot]:
-    """Find the photographs of an image in the opened captures.
+    """Find the photographs with the lamp position of an image in the opened captures.
 
-    They have the lamp position of the image, and are sorted by exposure time, the longest first.
+    The photographs are sorted by exposure time, the longest first.
 
     Raises:
         ArgumentError: no capture is open.
@@ -155,7 +166,7 @@ def shots_of(picture: FittedPicture, captures: Sequence[Capture]) -> list[Shot]:
     if not found:
         folders = ", ".join(one.folder.name for one in captures)
         raise FileFormatError(
-            f"{folders}: the capture contains no photograph of lamp position {picture.name}: check whether the "
-            "folder was moved or changed"
+            f"{folders}: there is no photograph of lamp position {picture.name} in the opened captures: open the unchanged "
+            "capture of this result"
         )
     return found

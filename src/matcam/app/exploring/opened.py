@@ -1,7 +1,7 @@
-"""Opened tables, results, and materials of a run, each read on first display.
+"""Opened tables, results, and materials of a run. Each material is read when it is first displayed.
 
-Only paths from the user are read, and files in the folder of a run beside its records. Opened files do not refer to
-other files.
+Only paths from the user are read, and in the folder of a run the files that belong to its records. References to other
+files are not followed.
 """
 
 from __future__ import annotations
@@ -23,17 +23,18 @@ from matcam.core.readers.texts import read_json
 
 @dataclass(frozen=True)
 class OpenedTable:
-    """Material as a table, as recorded and as corrected.
+    """Recorded and corrected table of a material.
 
     Attributes:
         name: label.
-        recorded: recorded table (theta_h, theta_d, phi_d, channel), 1/sr; None: unknown.
+        recorded: recorded table (theta_h, theta_d, phi_d, channel), 1/sr; for a reconstruction the pinhole table. None:
+            unknown.
         corrected: corrected table of the same shape, 1/sr; None: missing.
-        std: standard deviation of `corrected`, 1/sr; None: unknown.
-        supported: mask of supported entries of `corrected`; None: unknown.
+        std: standard deviation of `corrected`, 1/sr, same shape; None: unknown.
+        supported: mask of the supported entries of `corrected`, same shape; None: unknown.
         record: record of the material in a run; {}: the material is not from a run.
         curve: Fresnel term over theta_d, from `matcam fresnel`; None: missing.
-        pictures: images of a reconstruction, with outlines, highlights and windows.
+        pictures: images of a reconstruction, with outlines, highlights and windows; empty for other files.
     """
 
     name: str
@@ -56,7 +57,7 @@ class Openable:
 
     Attributes:
         label: name in a list.
-        read: function that reads it.
+        read: function that reads the material.
     """
 
     label: str
@@ -64,13 +65,13 @@ class Openable:
 
 
 def entries_of(path: Path) -> list[Openable]:
-    """List the materials of a path. Only the records of the materials are read.
+    """List the materials of a path. The files of the materials are not read, except for the records of a run.
 
     Args:
-        path: file, folder or Zarr store of a run, or folder of a capture, which may contain results.
+        path: a file, the folder or the Zarr store of a run, or the folder of a capture, which may contain results.
 
     Raises:
-        FileFormatError: a folder has no records of a run.
+        FileFormatError: a folder has no records of a run, or a file in it is a link to another folder.
     """
     if not is_folder(path):
         table = path.with_suffix(".nc")
@@ -132,7 +133,7 @@ def _of_correction(name: str, data: xr.Dataset, record: dict[str, Any]) -> Opene
         corrected = checked_table(data["brdf"])
         parts = {key: data[key] for key in ("brdf_std", "supported") if key in data}
         if any(part.shape != corrected.shape for part in parts.values()):
-            raise ArgumentError("brdf_std and supported must have the shape of brdf")
+            raise ArgumentError("brdf_std and supported must have the same shape as brdf")
         if "pinhole" in data:  # a reconstruction, whose record without blur is shown as recorded
             pinhole = checked_table(data["pinhole"].assign_attrs(corrected.attrs))
             return OpenedTable(
@@ -143,7 +144,7 @@ def _of_correction(name: str, data: xr.Dataset, record: dict[str, Any]) -> Opene
             return OpenedTable(name, recorded=corrected, record=record)
         recorded = recorded_table(data) if set(TABLE_ATTRIBUTES) <= set(data.data_vars) else None
     except (ArgumentError, ValueError) as error:  # inconsistent shapes
-        raise FileFormatError(f"{name}: damaged: {error}") from None
+        raise FileFormatError(f"{name}: the table in the file is damaged: {error}; write the file again") from None
     return OpenedTable(name, recorded, corrected, parts.get("brdf_std"), parts.get("supported"), record)
 
 

@@ -1,4 +1,4 @@
-"""Images of a reconstruction: fitted outline and highlight over the photograph, and recorded and fitted window."""
+"""Panel for the images of a reconstruction: photograph with fitted outline and highlight, and windows with residual."""
 
 from __future__ import annotations
 

@@ -1,13 +1,14 @@
 """Executor on a Dask cluster: local workers, or a scheduler at an address. Requires the extra `matcam[scale]`.
 
-A task of a lost worker is given to another worker. If three workers are lost with the same file, that file has failed.
+A task of a lost worker is given to another worker. A file has failed if more workers are lost with it than the setting
+`distributed.scheduler.allowed-failures` of Dask permits; the default is 3.
 
-Messages of Dask are pickles: anyone with access to a scheduler or a worker can run code as the user who started it. Local
-workers listen on this machine alone; an address tls://... uses the certificates of Dask's configuration
-(docs/batch.md).
+Messages of Dask are pickles. Anyone with access to a scheduler or a worker can therefore run code with the rights of the
+user who started that process. Local workers listen on this machine alone. An address tls://... uses the certificates of
+Dask's configuration (docs/batch.md).
 
-Workers must be able to access the folder of the run and the inputs under the same names. They must have the same
-versions of numerical packages. Both conditions are checked before any work.
+Workers must be able to access the folder of the run and the inputs under the same names. They must also have the same
+versions of Python, matcam, Dask and numerical packages. Access to the folder and the versions are checked before any work.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ _LOCAL = re.compile(r"local:([1-9][0-9]{0,3})")
 
 
 class ClusterError(MatcamError):
-    """Cluster that cannot be reached, or that must not be used."""
+    """Error of a cluster that cannot be reached, or that must not be used."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +69,7 @@ class ClusterExecutor(Executor):
 
     @property
     def is_open(self) -> bool:
-        """True if jobs would be sent unencrypted to another machine."""
+        """True if jobs would be sent to another machine without encryption."""
         if _LOCAL.fullmatch(self.address):
             return False
         protocol, _, position = self.address.partition("://")
@@ -78,8 +79,8 @@ class ClusterExecutor(Executor):
     def outcomes(self, jobs: Sequence[Job]) -> Generator[Outcome]:
         """Run jobs and yield their outcomes as they are finished.
 
-        A ClusterError is raised if the cluster cannot be reached, or must not be used: the scheduler does not answer,
-        there is no worker, or versions or files differ.
+        A ClusterError is raised if the scheduler does not answer, if the connection is not encrypted, or if there is no
+        worker. It is also raised if a worker has other versions, more than one thread, or no access to the folder.
         """
         from distributed import as_completed
 
@@ -87,8 +88,9 @@ class ClusterExecutor(Executor):
             return
         if self.is_open and os.environ.get(_OPEN) != "trusted":
             raise ClusterError(
-                f"scheduler {self.address} is not encrypted, and messages to another machine can run code there: use "
-                f"tls:// with certificates (docs/batch.md), or, in a network that you trust, set {_OPEN}=trusted"
+                f"the connection to scheduler {self.address} is not encrypted, so others in the network could run code on "
+                f"your machines: use tls:// with certificates (docs/batch.md), or set {_OPEN}=trusted in a network that you "
+                "trust"
             )
         with ExitStack() as stack:
             client = self._client(stack)
@@ -145,7 +147,7 @@ class ClusterExecutor(Executor):
         except (OSError, TimeoutError, ValueError, RuntimeError) as error:
             reason = " ".join(str(error).split())
             raise ClusterError(
-                f"scheduler {self.address} cannot be reached within {_PATIENCE:.0f} s (check the address): {reason:.120}"
+                f"scheduler {self.address} cannot be reached: {reason:.120}; check the address, and that the scheduler runs"
             ) from None
 
 
@@ -188,16 +190,20 @@ def _check_workers(client: Any, folder: Path) -> int:
         reports = client.run(_worker_report, str((folder / SETTINGS).absolute()))
     except Exception as error:  # a worker may even fail to import the function
         reason = described(error)
-        raise ClusterError(f"the cluster's workers cannot run matcam (install matcam there): {reason:.120}") from None
+        raise ClusterError(
+            f"the workers of the cluster cannot run matcam: {reason:.120}; install matcam on each worker"
+        ) from None
     for address, report in reports.items():
         for name, version in ours.items():
             if report["versions"].get(name) != version:
                 raise ClusterError(
-                    f"worker {address} has {name} {report['versions'].get(name)}, but this client has {version}: install "
-                    "the same version"
+                    f"worker {address} has {name} {report['versions'].get(name)}, but this process has {name} {version}: "
+                    "install the same version"
                 )
         if not report["sees"]:
-            raise ClusterError(f"worker {address} cannot access {folder}: workers need this folder under the same name")
+            raise ClusterError(
+                f"worker {address} cannot access {folder}: make this folder available to all workers under the same name"
+            )
     threads = client.nthreads()
     for address, number in threads.items():
         if number != 1:

@@ -1,7 +1,8 @@
 """Executor on this machine: processes of one core each.
 
-Each worker process has its own pipe. A worker that is killed during a message therefore does not affect others, and its
-job is known. The workers of `pebble.ProcessPool` share a pipe, so that some kills break or block the entire pool.
+Each worker process has its own pipe. A worker that is killed while it sends a message therefore does not affect other
+workers, and the job of the killed worker is known. In contrast, the workers of `pebble.ProcessPool` share a pipe, so a
+killed worker may break or block the entire pool.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ class ProcessExecutor(Executor):
 
     Attributes:
         count: number of processes.
-        time_limit: time after which a job's worker is killed and the job has failed, s; None for no limit.
+        time_limit: time after which the worker of a job is killed and the job has failed, s. Default: None, no limit.
     """
 
     count: int
@@ -60,7 +61,9 @@ class ProcessExecutor(Executor):
                     message, job = worker.receive(), worker.job
                     if message is not None:
                         if not worker.ready and message != _READY:
-                            raise WorkerError(f"a worker could not be started: {message}")
+                            raise WorkerError(
+                                f"a worker could not be started: {message}; check the installation of matcam and JAX"
+                            )
                         if not worker.ready:
                             worker.ready, failed_starts = True, 0
                         worker.send(waiting.popleft() if waiting else None)
@@ -96,7 +99,7 @@ class ProcessExecutor(Executor):
         return [worker for worker in workers if worker.pipe in ready]
 
     def _limit_of(self, worker: _Worker) -> float | None:
-        """Select the time limit for the next message of a worker, s. None: the worker is idle, or jobs have no limit."""
+        """Select the time limit for the next message of a worker, s; None: no limit, for example for an idle worker."""
         return _START_LIMIT if not worker.ready else self.time_limit if worker.job is not None else None
 
 
@@ -126,12 +129,12 @@ class _Worker:
             return None
 
     def kill(self, reason: str) -> None:
-        """Kill the process. Its pipe then reports the end."""
+        """Kill the process. The end of the process then closes its pipe."""
         self._why_killed = reason
         self.process.kill()
 
     def end(self) -> None:
-        """End the process, if possible after it has removed its temporary files."""
+        """End the process. If it takes more than 10 s to remove its temporary files, it is killed."""
         self.process.terminate()
         self.process.join(_PATIENCE)
         if self.process.is_alive():
@@ -194,7 +197,7 @@ def _serve(pipe: connection.Connection) -> None:
 def _end_with_parent() -> None:
     """End this worker when its parent dies.
 
-    The result of the worker would be lost, and the next run may process the same file.
+    Without the parent, the result of the worker would be lost, and the next run may process the same file.
     """
     parent = multiprocessing.parent_process()
     if parent is not None:

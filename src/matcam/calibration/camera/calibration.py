@@ -47,7 +47,7 @@ class Calibration(Summarised):
 
     Attributes:
         channels: fits by channel: "R", "G", "B", "Y" or "grey".
-        failed: reasons by name for images that could not be used.
+        failed: images that could not be used: reason by name of the image.
         remarks: assumptions, and advice to the photographer.
         pictures: names of the images that were used.
         lateral_colour: size of the red and of the blue image relative to green, by channel. Default: {}, it is unknown.
@@ -91,9 +91,9 @@ class Calibration(Summarised):
         """Convert the measured edges of all channels to one data set.
 
         Returns:
-            Position, direction, blur and MTF50 of each edge, with units. For images of one shape, also the image height
-            (distance from the middle) and the plane: the MTF is "meridional" if the normal of the edge is within 45 degrees
-            of the radius, otherwise "sagittal".
+            Position, direction, blur and MTF50 of each edge, with units. If all images have the same shape, the data set also
+            contains the image height (distance from the middle) and the plane of each edge. The plane is "meridional" if the
+            normal of the edge is within 45 degrees of the radius, otherwise "sagittal".
         """
         import xarray as xr
 
@@ -136,7 +136,7 @@ class Calibration(Summarised):
         """Convert the result to the JSON object of `matcam calibrate --json`.
 
         Returns:
-            The fit of every channel, images, failures, and the text of each remark.
+            The fit and the lateral colour of each channel, names of used and failed images, and the text of each remark.
         """
         return plain(
             {
@@ -189,16 +189,18 @@ def calibrate(
         channels: channels out of "R", "G", "B", "Y" (luminance), "grey" (no unit). Default: None, all available ones.
         cfa: colours of the first 2 x 2 px, row by row, of mosaics whose files do not specify them: "RGGB", "BGGR", "GRBG" or
             "GBRG" (no unit). Mosaics are not demosaiced. Default: None, those of the files, or no mosaic.
-        accept_sharpened: accept sharpened edges, and images that were denoised or compressed; the result is the MTF of lens
-            and processing (no unit). Default: False.
+        accept_sharpened: True to accept sharpened edges, and images that were denoised or compressed (no unit). The result is
+            then the MTF of lens and processing. Default: False.
 
     Returns:
         A camera for every colour with its uncertainty, the agreement with the edges, and remarks.
 
     Raises:
-        ArgumentError: if an argument is out of range, or the images are of different cameras.
-        FitError: if measurements contradict one another, or do not determine the requested parameters. Without other targets,
-            also if there are fewer than 8 edges, all edges have one direction, or more than 30 % are sharpened or saturated.
+        ArgumentError: if an argument is out of range, if the model requires a missing argument, or if the images are of
+            different cameras.
+        FitError: if measurements contradict one another, or do not determine the requested parameters. If edges are the only
+            measurements, also if they are fewer than 8, have one direction, or are sharpened or saturated in more than 30 %
+            of the cases.
         MatcamError: if no image can be used; the message contains the error of the first image.
 
     Source:
@@ -272,7 +274,7 @@ class _Pictures:
         findings: measurements of each colour of each image.
         remarks: remarks on all images.
         used: names of the images that were used.
-        failed: reasons by name for the images that were not used.
+        failed: images that were not used: reason by name of the image.
         errors: errors of the images that were not used.
         cameras: first image of every camera, by the name of the camera.
     """
@@ -285,7 +287,7 @@ class _Pictures:
     cameras: dict[str, str] = field(default_factory=dict)
 
     def add(self, picture: Any, name: str, f_number: float | None, measure: Callable[..., Any]) -> None:
-        """Measure an image, or record its error. `name`: name for an image without a file name."""
+        """Measure an image, or record its error. `name` is the name for an image without a file name."""
         if isinstance(picture, str | Path):
             name = str(picture)
         elif isinstance(picture, LinearImage):
@@ -316,8 +318,8 @@ class _Pictures:
     def check(self) -> None:
         """Check that the images determine one camera.
 
-        An ArgumentError is raised if they are of different cameras. If no image could be used, the error of the first image is
-        raised; for several images, a FitError quotes that error.
+        An ArgumentError is raised if the images are of different cameras. If no image could be used, the error of the only
+        image is raised, or for several images a FitError that quotes the error of the first image.
         """
         if len(self.cameras) > 1:
             listed = ", ".join(f"{camera} ({file})" for camera, file in self.cameras.items())

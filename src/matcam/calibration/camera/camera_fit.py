@@ -1,8 +1,8 @@
 """Fit of the camera of one colour: lens and pixel, fitted to all measurements of the colour.
 
-A lens model is fitted to all measurements jointly. The result is compared with the model-free mean MTF of the edges, which
-can also be used as the lens itself ("measured"). A fit of the pixel that includes diffraction returns the lens as a tabulated
-MTF. The product of core and diffraction is not one of the lens models.
+A lens model is fitted to all measurements jointly. The result is compared with the model-free mean MTF of the edges. This
+mean MTF can also be used as the lens itself (model "measured"). If the pixel is fitted and diffraction is included, the lens
+is returned as a tabulated MTF, because the product of core and diffraction is not one of the lens models.
 """
 
 from __future__ import annotations
@@ -88,13 +88,13 @@ class CameraFit(Summarised):
             the best-fitting Gaussian.
         values: (k,) fitted parameters, in the units of their names.
         covariance: (k, k) covariance of `values`; increased if the measurements scatter more than their noise.
-        chi2: chi-square of all samples for the given noise (no unit).
+        chi2: chi-square of all measurements for the given noise (no unit).
         degrees: degrees of freedom.
         spread: relative standard deviation of the blur among the edges, beyond their noise (no unit).
         edges: results of every edge; None without edges.
         curve: model-free mean MTF of the edges, and the MTF of this camera.
         measurements: number of measurements by image and kind.
-        remarks: remarks on targets that were excluded. Default: ().
+        remarks: remarks on targets that were excluded, and on disagreement that increases the uncertainty. Default: ().
 
     Example:
         >>> f = np.linspace(0.05, 0.5, 10)
@@ -124,22 +124,23 @@ class CameraFit(Summarised):
 
     @property
     def misfit(self) -> float:
-        """Largest difference between the MTFs of camera and edges.
+        """Largest difference between the MTFs of camera and edges (no unit).
 
-        The MTF of the edges is their mean. Only frequencies below Nyquist are compared. The value is NaN without edges.
+        The MTF of the edges is their mean MTF. Only frequencies up to 0.5 cycles/px are compared. The value is NaN without
+        edges.
         """
         return self.curve.misfit[0]
 
     @property
     def misfit_std(self) -> float:
-        """Standard deviation of `misfit`."""
+        """Standard deviation of `misfit` (no unit)."""
         return self.curve.misfit[1]
 
     @property
     def consistent(self) -> bool:
         """True if the camera explains the mean MTF of the edges.
 
-        It is False if the largest difference exceeds both 0.005 and 4 standard deviations.
+        The value is False if `misfit` exceeds both 0.005 and 4 standard deviations. It is True without edges.
         """
         return self.curve.consistent
 
@@ -178,7 +179,7 @@ class CameraFit(Summarised):
         """Convert the fit to a part of the JSON of `matcam calibrate`.
 
         Returns:
-            Parameters by name, their covariance, statistics of the fit, and the mean MTF.
+            Parameters by name, their covariance, statistics of the fit, and the mean MTFs of edges and camera.
         """
         return {
             "parameters": dict(zip(self.names, self.values, strict=True)),
@@ -197,13 +198,13 @@ class CameraFit(Summarised):
         }
 
     def with_provenance(self, provenance: Provenance) -> CameraFit:
-        """Copy the fit with a provenance of its camera.
+        """Copy the fit, and set the provenance of its camera.
 
         Args:
             provenance: source, date and software, for the profile of the camera.
 
         Returns:
-            The fit with the provenance in its camera.
+            The copy, whose camera has the provenance.
         """
         return replace(self, camera=replaced(self.camera, "provenance", provenance))
 
@@ -214,7 +215,7 @@ class CameraFit(Summarised):
             std: standard deviation that is added in quadrature, in the unit of the parameter.
 
         Returns:
-            The fit. The uncertainty of its camera is increased as well if it refers to the same parameters.
+            The copy. The uncertainty of the camera is also increased if it is for the same parameters as the fit.
         """
         covariance = self.covariance.copy()
         covariance[0, 0] += std**2
@@ -227,7 +228,8 @@ class CameraFit(Summarised):
 def fit_camera(evidence: Evidence, channel: str, request: CameraRequest) -> CameraFit:
     """Fit one camera to all measurements of a colour.
 
-    A FitError is raised if measurements contradict each other, or do not determine the requested parameters.
+    A FitError is raised if measurements contradict each other, or do not determine the requested parameters. An ArgumentError
+    is raised if the model requires an argument that is missing.
     """
     f_numbers = evidence.f_numbers
     lens_at = request.lens_at(channel, f_numbers)
@@ -324,8 +326,8 @@ def _mean_curve(
 ) -> tuple[MeanCurve, np.ndarray]:
     """Compute the mean MTFs of edges and camera.
 
-    The second result is the derivative of the MTF of the camera with respect to ln(blur). The standard deviation is derived
-    from the scatter of the edges, and is not smaller than their noise.
+    The second result is the derivative of the MTF of the camera with respect to ln(blur). The standard deviation of the mean
+    MTF is derived from the scatter of the edges, and is at least that due to the noise of the edges.
     """
     theta, half = jnp.asarray(found.parameters), jnp.asarray(found.half)
     if table is None:
@@ -364,7 +366,7 @@ def _measured_camera(found: _FittedLens, table: EdgeTable, curve: MeanCurve, shi
     """Create a camera whose lens has the mean MTF of the edges, divided by that of the pixel.
 
     Beyond the frequency at which the standard deviation is too large, the curve is extrapolated by the fitted Gaussian.
-    `shift`: standard deviation of the MTF due to disagreement, fully correlated over the frequencies.
+    `shift` is the standard deviation of the MTF due to disagreement, which is fully correlated over the frequencies.
     """
     mean, std = curve.mtf, curve.mtf_std
     c, s = np.abs(np.cos(table.angle))[:, None], np.abs(np.sin(table.angle))[:, None]

@@ -57,8 +57,8 @@ def refuse_too_few(
 ) -> None:
     """Raise FitError if the edges are too few, too parallel, or often processed.
 
-    The check applies if edges are the only measurements. `without`: names of the images without good edges.
-    `accept_sharpened`: whether sharpened edges are treated as good.
+    The check applies if edges are the only measurements. `without` contains the names of the images without good edges. If
+    `accept_sharpened` is True, sharpened edges are not counted as processed.
     """
     codes = [problem.code if problem else "" for stack in stacks for problem in stack.problems]
     good, processed = codes.count(""), codes.count("saturated")
@@ -67,7 +67,8 @@ def refuse_too_few(
     if processed > _PROCESSED * (good + processed):
         raise FitError(
             f"channel {channel}: {processed} of {good + processed} edges are sharpened or saturated, or have crushed blacks: "
-            "this is a processed or overexposed image, whose MTF is not that of the lens; use camera raw, and expose less"
+            "this is a sign of processed or overexposed images, whose MTF is not that of the lens; use camera raw, and expose "
+            "less"
         )
     if good < FEWEST_EDGES:
         none = f"; none are in {some_of(without)}" if good and without else ""
@@ -79,15 +80,16 @@ def refuse_too_few(
     off = widest_angle(angle)
     if off < _APART:
         raise FitError(
-            f"channel {channel}: all {good} edges lie within {np.degrees(off):.0f} degrees: a camera requires edges in two "
-            f"directions at least {np.degrees(_APART):.0f} degrees apart"
+            f"channel {channel}: the directions of all {good} edges differ by at most {np.degrees(off):.0f} degrees: add "
+            f"edges, because a camera requires two directions at least {np.degrees(_APART):.0f} degrees apart"
         )
 
 
 def widest_angle(angle: np.ndarray) -> float:
     """Compute the largest angle between any two of n axes, rad, at most pi / 2.
 
-    Not all pairs are compared, because the axis at the largest angle to a given axis is next to its perpendicular.
+    Not all pairs are compared. In the order of the angles, the axis at the largest angle to a given axis is next to the
+    perpendicular of that axis.
     """
     turned = np.sort(angle % np.pi)
     beyond = np.searchsorted(turned, (angle + np.pi / 2) % np.pi)
@@ -98,7 +100,8 @@ def widest_angle(angle: np.ndarray) -> float:
 def disagreement_remarks(disagreeing: Mapping[str, float], channel: str) -> tuple[Remark, ...]:
     """Create one remark for each kind of target that was excluded.
 
-    `disagreeing`: relative difference of the blur by name; a name ends with the kind in brackets.
+    `disagreeing` contains the relative difference of the blur, by the name of each excluded group. A name ends with the kind
+    in brackets.
     """
     kinds: dict[str, dict[str, float]] = {}
     for name, off in disagreeing.items():

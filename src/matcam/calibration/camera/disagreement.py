@@ -1,7 +1,7 @@
-"""Measurements that disagree with the blur of the edges: their exclusion, and the uncertainty that they add.
+"""Exclusion of measurements that disagree with the blur of the edges, and the uncertainty due to the disagreement.
 
-Noise explains neither differences between kinds of targets nor a wrong shape of the model MTF. The cause is the print, the
-tone curve or the lens model. It also changes the blur of the edges.
+Noise does not explain significant differences between kinds of targets, or a wrong shape of the model MTF. Their cause is the
+print, the tone curve or the lens model. The same cause may also change the measured blur of the edges.
 """
 
 from __future__ import annotations
@@ -29,8 +29,9 @@ def without_disagreeing(
 ) -> tuple[JointFit, dict[str, float]]:
     """Fit without the targets that contradict the edges of their chart.
 
-    The second result maps the name of each excluded group to the relative difference of its blur. A FitError is raised if
-    measurements contradict one another, and no edges determine which are wrong. `channel`: name for the message.
+    The second result is the relative difference of the blur of each excluded group, by name. A FitError is raised if
+    measurements contradict one another, and no edges determine which measurements are wrong. `channel` is the name of the
+    colour for the message.
     """
     groups, replaceable, disagreeing = measurements.groups, measurements.replaceable, dict[str, float]()
     while True:
@@ -47,7 +48,9 @@ def without_disagreeing(
                 others = [other for other in off if other != name]
                 text = f"the blur of {name} differs by {difference:+.0%} from that of {', '.join(others[:2])}"
                 text += f" and {len(others) - 2} more" if len(others) > 2 else ""
-                raise FitError(f"contradictory measurements, channel {channel}: {text}; omit the wrong measurements")
+                raise FitError(
+                    f"channel {channel}: the measurements are contradictory: {text}; omit the wrong measurements"
+                )
             more = {name: difference}
         disagreeing |= more
 
@@ -61,7 +64,7 @@ def blur_disagreement(
         groups: image and kind of every measurement; a name ends with the kind in brackets.
         disagreeing: relative difference of the blur from the fit, by the name of each group that was excluded.
         curve: mean MTF of the edges and of the camera.
-        slope: derivative of the MTF of the camera with respect to ln(blur), at the frequencies of `curve`.
+        slope: derivative of the MTF of the camera with respect to ln(blur), at the frequencies of `curve` (81,).
     """
     of_kind: dict[str, list[float]] = {}
     for name in dict.fromkeys(groups):

@@ -40,15 +40,15 @@ class EdgeTable(NamedTuple):
     """Results of n edges over the field.
 
     Attributes:
-        x: (n,) x of the middle, px.
-        y: (n,) y of the middle, px.
+        x: (n,) x of the middle of the edge, px.
+        y: (n,) y of the middle of the edge, downwards, px.
         angle: (n,) direction of the normal towards the bright side, rad.
         sigma: (n,) lens width from the Gaussian fit of each edge, px.
         sigma_std: (n,) standard deviation of `sigma`, px.
         mtf50: (n,) model-free MTF50, cycles/px.
         mtf50_std: (n,) standard deviation of `mtf50`, cycles/px.
-        mtf: (n, 81) model-free MTF at `free_curve.FREQUENCIES`.
-        mtf_std: (n, 81) standard deviation of `mtf`.
+        mtf: (n, 81) model-free MTF at 81 frequencies from 0 to 1.25 cycles/px (no unit).
+        mtf_std: (n, 81) standard deviation of `mtf` (no unit).
         source: (n,) names of the images.
 
     Example:
@@ -80,15 +80,16 @@ class EdgeTable(NamedTuple):
         return cls(*(np.concatenate(columns) for columns in zip(*tables, strict=True)))
 
     def over_field(self, middle: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
-        """Compute distances from the middle, and find meridional edges.
+        """Compute distances from the middle of the image, and find meridional edges.
 
-        The MTF of an edge is meridional if its normal is within 45 degrees of the radius, otherwise sagittal.
+        An edge is meridional if its normal is within 45 degrees of the line from the middle of the image to the edge. All
+        other edges are sagittal.
 
         Args:
             middle: (x, y) of the middle of the image, px.
 
         Returns:
-            Distances (n,), px, and a mask (n,) of the meridional edges.
+            Distances of the edges (n,), px, and a mask of the meridional edges (n,).
         """
         x, y = self.x - middle[0], self.y - middle[1]
         return np.hypot(x, y), np.abs(np.cos(self.angle - np.arctan2(y, x))) > np.sqrt(0.5)
@@ -105,7 +106,7 @@ class EdgeTable(NamedTuple):
     def weights(self) -> np.ndarray:
         """Weights (n, 81) of the edges in their mean MTF.
 
-        They are inverse variances, normalised to a sum of 1.
+        The weights are inverse variances. At each frequency, their sum is 1.
         """
         # The smallest standard deviation, 1e-4, limits the weight of a single edge.
         weight = 1 / np.maximum(self.mtf_std, 1e-4) ** 2
@@ -113,9 +114,9 @@ class EdgeTable(NamedTuple):
 
     @property
     def spread(self) -> float:
-        """Relative standard deviation of sigma beyond its noise.
+        """Relative standard deviation of `sigma` among the edges, beyond noise (no unit).
 
-        It is 0 if noise explains the scatter of the edges.
+        The value is 0 if noise explains the scatter of the edges, or if there are fewer than 3 edges.
         """
         if self.x.size < 3:
             return 0.0
@@ -131,9 +132,9 @@ class MeanCurve:
 
     Attributes:
         frequency: (81,) frequencies, cycles/px.
-        mtf: (81,) model-free mean of the edges; NaN without edges.
-        mtf_std: (81,) standard deviation of `mtf`; NaN without edges.
-        camera_mtf: (81,) mean MTF of the camera in the directions of the edges; along the rows without edges.
+        mtf: (81,) model-free mean MTF of the edges (no unit); NaN without edges.
+        mtf_std: (81,) standard deviation of `mtf` (no unit); NaN without edges.
+        camera_mtf: (81,) mean MTF of the camera in the directions of the edges (no unit). Without edges, MTF along the rows.
 
     Example:
         >>> f = np.linspace(0, 1, 5)
@@ -149,9 +150,9 @@ class MeanCurve:
 
     @property
     def misfit(self) -> tuple[float, float]:
-        """Largest difference between `mtf` and `camera_mtf` below Nyquist, and its standard deviation.
+        """Largest difference between `mtf` and `camera_mtf`, and its standard deviation.
 
-        Both are NaN without edges.
+        Both have no unit, and are NaN without edges. Only frequencies up to 0.5 cycles/px are compared.
         """
         off = np.abs(self.mtf - self.camera_mtf)
         below = (self.frequency > 0) & (self.frequency <= 0.5)
@@ -170,7 +171,7 @@ class Finding(NamedTuple):
 
     Attributes:
         channel: "R", "G", "B", "Y" or "grey".
-        source: name of the image.
+        source: name of the image, or of the source of `samples` that the caller provided.
         f_number: f-number of the image; None if it is unknown.
         edges: measured edges; None if no edges were measured.
         samples: MTF values of other targets.
@@ -203,7 +204,8 @@ def measure_picture(
 ) -> tuple[list[Finding], list[Remark]]:
     """Measure each colour of an image, and collect remarks.
 
-    The keywords are arguments of `calibrate`. A FitError is raised if nothing can be measured, or the chart is not found.
+    The keywords are arguments of `calibrate`. A FitError is raised if nothing can be measured, if the chart is not found, or
+    if the image was denoised or compressed and this is not accepted.
     """
     mosaic = (cfa or picture.cfa) is not None
     if isinstance(picture, LinearImage):
@@ -304,8 +306,8 @@ class Evidence:
     def check(self, channel: str, failed: Iterable[str], *, accept_sharpened: bool) -> list[Remark]:
         """List remarks on edges that were excluded.
 
-        A FitError is raised if edges are the only measurements and are insufficient for a camera. `failed`: names of the images
-        in which nothing was measured.
+        A FitError is raised if edges are the only measurements and are insufficient for a camera. `failed` contains the names
+        of the images in which nothing was measured.
         """
         edges = [stack for stack, _, _ in self._stacks]
         if edges and not self._samples:

@@ -1,9 +1,10 @@
 """Joint fit of one camera to many measurements, and the test of their agreement.
 
-Edges contribute their bins, and all other targets contribute MTF values with covariance. Every edge has its own levels,
-illumination and position. They are eliminated for each edge (Schur complement), so that only the few common parameters
-remain. The fit uses Fisher scoring: each measurement adds its information and its score, from which the agreement of the
-measurements is also tested. The variance of a pixel follows from the model (docs/model.md 8).
+Edges contribute the means of their bins, and all other targets contribute MTF values with covariance. Every edge has its own
+levels, illumination and position. These parameters are eliminated for each edge (Schur complement), so that only the few
+common parameters remain. The fit uses Fisher scoring: each measurement adds its information matrix and its score. The
+agreement of the measurements is tested with these contributions. The variance of a pixel follows from the model
+(docs/model.md 8).
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from matcam.numerics.normal import IMPROBABLE
 class EdgeMeasurements(NamedTuple):
     """Set of n edges in the form of the joint fit.
 
-    All arrays have a leading axis of n.
+    All arrays have a leading axis of n. `LINEAR` is the number of linear parameters of an edge.
 
     Attributes:
         cells: cells of the edges.
@@ -38,7 +39,7 @@ class EdgeMeasurements(NamedTuple):
         noise: noise of the pixels.
         excess: factor by which the fit of each edge has increased its variances (no unit).
         linear: (n, LINEAR) levels, illumination and shift, as in `State.linear`.
-        used: (n, LINEAR) 1 for free linear parameters, else 0.
+        used: (n, LINEAR) 1 for free linear parameters, 0 for fixed ones.
         lens: lens model, whose arrays have a leading axis of n.
     """
 
@@ -52,15 +53,15 @@ class EdgeMeasurements(NamedTuple):
 
 
 class ValueMeasurements(NamedTuple):
-    """Set of n targets with m MTF values each.
+    """MTF values of n targets, m values for each target.
 
-    Shorter sets are padded with values of weight 0.
+    Targets with fewer values are padded with values of weight 0.
 
     Attributes:
         frequency: (n, m) frequencies, cycles/px.
         direction: (n, m) directions, rad.
-        mtf: (n, m) MTF.
-        weight: (n, m, m) inverse covariances.
+        mtf: (n, m) MTF, no unit.
+        weight: (n, m, m) inverse covariances of the MTF values.
         lens: lens model, whose arrays have a leading axis of n.
     """
 
@@ -78,7 +79,7 @@ class Measurements(NamedTuple):
         edges: edges; None if there are no edges.
         values: MTF values of other targets; None if there are no other targets.
         groups: image and kind of every measurement, edges first.
-        replaceable: groups that may be excluded: targets of a described chart whose edges are also measured.
+        replaceable: groups that may be excluded: targets in images in which edges were also measured. Default: none.
     """
 
     edges: EdgeMeasurements | None
@@ -149,10 +150,11 @@ class JointFit(NamedTuple):
         return (grown + grown.T) / 2
 
     def differences(self, groups: Sequence[str], trusted: Collection[str]) -> dict[str, tuple[float, float]]:
-        """Compute the relative difference of the blur between each group and the other trusted groups.
+        """Compute the relative difference of the blur between each group and the trusted groups.
 
-        The result maps the name of each group to the difference and its standard deviation.
-        `groups`: image and kind of every measurement. `trusted`: names of the groups to compare with.
+        A trusted group is compared with the other trusted groups. The result contains the difference and its standard
+        deviation, by name of the group. `groups` contains the group of every measurement, and `trusted` the names of the
+        trusted groups.
         """
         names = list(dict.fromkeys(groups))
         # The uncertainty of a group follows from its members only, because a contradiction adds to the scatter of groups.
@@ -184,9 +186,14 @@ def fit_jointly(
 ) -> JointFit:
     """Fit the most probable parameters to all measurements.
 
-    `start`: (k,) initial parameters. `longest`: (k,) largest steps. `prior`: (k,) precision of a prior centred on 0.
-    `half_width`: half width of the pixel if it is not a parameter, px. A FitError is raised if the measurements do not
-    determine the parameters, or the fit does not converge.
+    A FitError is raised if the measurements do not determine the parameters, or the fit does not converge.
+
+    Args:
+        measurements: all measurements of one colour.
+        start: initial parameters (k,).
+        longest: largest step of each parameter (k,).
+        prior: precision of a prior with mean 0, for each parameter (k,).
+        half_width: half width of the pixel, px, if it is not a parameter.
     """
     theta = np.asarray(start, dtype=np.float64)
     edges, values = measurements.edges, measurements.values
@@ -270,7 +277,11 @@ def _after_step(
 
 @kept_program(returns=tuple[Shares, tuple[jax.Array, jax.Array]])
 def _edge_shares(edges: EdgeMeasurements, theta: Any, half_width: Any) -> tuple[Shares, tuple[jax.Array, jax.Array]]:
-    """Compute the contributions of the edges, and the response of their linear parameters to the common parameters."""
+    """Compute the contributions of the edges, and the response of the linear parameters of each edge.
+
+    The response consists of the optimal step of the linear parameters, and of their derivative with respect to the common
+    parameters (with negative sign).
+    """
 
     def one(edge: EdgeMeasurements) -> Any:
         profile = edge.lens.profile(jnp.asarray(edge.angle), half_width)
@@ -311,13 +322,20 @@ def _value_shares(values: ValueMeasurements, theta: Any, half_width: Any) -> Sha
 
 
 def _inverse(information: np.ndarray) -> np.ndarray:
-    if not np.isfinite(information).all() or (np.diag(information) <= 0).any():
+    if not np.isfinite(information).all():
         raise FitError(
-            "the measurements do not determine the camera: one of its parameters has no effect on them; add targets"
+            "the fit of the camera produced non-finite values: check that the measurements and their standard deviations are "
+            "finite, and omit the wrong measurements"
+        )
+    if (np.diag(information) <= 0).any():
+        raise FitError(
+            "the measurements do not determine the camera, because a parameter of the camera has no effect on the "
+            "measurements; add targets"
         )
     if least_eigenvalue(information) < FLOOR:
         raise FitError(
-            "the measurements do not determine the camera: two of its parameters have the same effect on them; add targets"
+            "the measurements do not determine the camera, because parameters of the camera have the same effect on the "
+            "measurements; add targets"
         )
     return scaled_inverse(information)
 

@@ -1,4 +1,4 @@
-"""Lateral colour: the difference in image size between two colours, from edges that were measured in both.
+"""Lateral colour: the difference in image size between two colours, from edges that were measured in both colours.
 
 An edge determines a displacement along its normal only. The displacement between two colours is modelled as a shift and
 a magnification, which may change with the squared distance from the centre of the image.
@@ -25,13 +25,13 @@ _REMARKABLE = 0.1
 
 
 class LateralColour(NamedTuple):
-    """Size of the image in one colour relative to another.
+    """Size of the image in one colour relative to a reference colour.
 
     Attributes:
-        corner: outward displacement of this colour in the corners of the image, px.
+        corner: outward displacement of this colour relative to the reference in the corners of the image, px.
         corner_std: standard deviation of `corner`, px.
         scale: relative difference in magnification at the middle of the image (no unit).
-        scale_std: standard deviation of `scale`.
+        scale_std: standard deviation of `scale` (no unit).
         edges: number of edges that were used (no unit).
 
     Example:
@@ -48,9 +48,9 @@ class LateralColour(NamedTuple):
 
 
 def lateral_colour(of: EdgeTable, reference: EdgeTable, shape: tuple[int, int]) -> LateralColour | None:
-    """Estimate the lateral colour from the edges of two colours; None if too few edges were measured in both.
+    """Estimate the lateral colour from the edges of two colours.
 
-    `shape`: height and width of the images, px.
+    The result is None if fewer than 12 edges were measured in both colours. `shape` is the height and width of the images, px.
     """
     middle, unit = (np.array(shape[::-1]) - 1) / 2, float(np.hypot(*shape) / 2)
     positions, moved, normals = [], [], []
@@ -92,5 +92,8 @@ def lateral_remark(found: LateralColour, channel: str, reference: str) -> Remark
     if abs(found.corner) < max(_REMARKABLE, SIGNIFICANT * found.corner_std):
         return None
     where = "further out" if found.corner > 0 else "further in"
-    text = f"{channel} lies {abs(found.corner):.2f} ± {found.corner_std:.2f} px {where} than {reference} in the corners"
-    return Remark("lateral-colour", f"{text}, because of lateral colour")
+    return Remark(
+        "lateral-colour",
+        f"{channel} lies {abs(found.corner):.2f} ± {found.corner_std:.2f} px {where} than {reference} in the corners of the "
+        "image, because of lateral colour",
+    )

@@ -35,11 +35,13 @@ class BlurSamples(NamedTuple):
 
 
 def lens_over_field(positions: Sequence[BlurSamples], shape: tuple[int, int]) -> LensField | None:
-    """Estimate the distortion and the growth of the blur over the field; None if neither was measured.
+    """Estimate the distortion and the growth of the blur over the field.
+
+    The result is None if neither can be estimated.
 
     Args:
-        positions: edges or dots of each image; each group has its own mean width. The blur of groups with fewer than 12
-            positions is not used.
+        positions: edges or dots of each image. Each of these groups has its own mean lens width. The blur of groups with
+            fewer than 12 positions is not used.
         shape: height and width of the images, px.
     """
     middle, unit = ((shape[1] - 1) / 2, (shape[0] - 1) / 2), float(np.hypot(*shape) / 2)
@@ -66,7 +68,8 @@ def lens_over_field(positions: Sequence[BlurSamples], shape: tuple[int, int]) ->
 def _growth(groups: Sequence[BlurSamples], middle: np.ndarray, unit: float) -> tuple[Coefficient | None, float]:
     """Estimate the growth of the blur with rho^2, relative to the blur at a reference distance from the centre.
 
-    The second result is the reference distance, px.
+    rho is the distance from the centre of the image divided by half the diagonal (`unit`, px). The second result is the
+    reference distance, px. The first result is None if there are no groups.
     """
     if not groups:
         return None, 0.0

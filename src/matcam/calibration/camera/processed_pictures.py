@@ -43,7 +43,7 @@ class Processed(NamedTuple):
     noise: FlatNoise | None
 
     def share(self, sigma: float) -> float:
-        """Estimate the relative standard deviation of the blur due to the processing. `sigma`: lens width, px."""
+        """Estimate the relative standard deviation of the blur due to the processing. `sigma` is the lens width, px."""
         if self.noise is None:
             return 0.0
         blur = np.hypot(sigma, np.sqrt(_PIXEL))
@@ -56,8 +56,8 @@ class Processed(NamedTuple):
 def processed(plane: LinearImage, *, accept: bool) -> Processed:
     """Detect the processing of an image.
 
-    A FitError is raised if the image was denoised or compressed, unless `accept` is True: its MTF is not that of the lens.
-    Mosaics are assumed to be unprocessed.
+    The MTF of an image that was denoised or compressed is not that of the lens. A FitError is therefore raised for such an
+    image, unless `accept` is True. Mosaics are assumed to be unprocessed.
     """
     if plane.cfa is not None:
         return Processed((), None)
@@ -95,6 +95,6 @@ def picture_noise(values: np.ndarray) -> FlatNoise:
 
 
 def processing_std(pictures: Iterable[Processed], sigma: float) -> float:
-    """Estimate the standard deviation of the lens width, px, due to the processing. `sigma`: lens width, px."""
+    """Estimate the standard deviation of the lens width due to the processing, px. `sigma` is the lens width, px."""
     share = max((one.share(sigma) for one in pictures), default=0.0)
     return share * (sigma + _PIXEL / sigma)

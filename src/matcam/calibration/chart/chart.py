@@ -1,7 +1,8 @@
 """Test charts: printed elements with their positions and levels.
 
-Positions and lengths are in mm on the page, with x to the right and y down from its upper left corner. Levels are linear
-reflectances relative to the bare paper, which is 1. At the brightest points of a pattern, the cosine of its phase is 1.
+Positions and lengths are in mm on the page, with x to the right and y down from the upper left corner of the page. Levels are
+linear reflectances relative to the bare paper, whose level is 1. At the brightest points of a
+pattern, its phase is a multiple of 2 pi.
 """
 
 from __future__ import annotations
@@ -26,12 +27,12 @@ class Chart:
 
     Attributes:
         page: width and height of the page, mm.
-        fiducials: marks for finding the chart in a photograph; empty, or four or more. Exactly one has two rings.
+        fiducials: marks for finding the chart in a photograph: none, or at least four. Exactly one of them has two rings.
         elements: targets, from upper left to lower right.
         ink: linear level of the fiducials, relative to the paper (no unit).
 
     Raises:
-        ArgumentError: if the values of an element contradict one another, or the fiducials are insufficient.
+        ArgumentError: if the values of an element are invalid or contradict one another, or the fiducials are insufficient.
 
     Example:
         >>> chart = matcam.targets.design_chart(["star"], pixels_across=1500)
@@ -53,8 +54,8 @@ class Chart:
         marks = sum(fiducial.rings == 2 for fiducial in self.fiducials)
         if self.fiducials and (len(self.fiducials) < 4 or marks != 1):
             raise ArgumentError(
-                f"fiducials: at least 4 are needed, exactly one with 2 rings; there are {len(self.fiducials)}, "
-                f"{marks} of them with 2 rings"
+                "fiducials must be empty, or at least 4, of which exactly one with 2 rings, got "
+                f"{len(self.fiducials)}, of which {marks} with 2 rings"
             )
 
 
@@ -144,13 +145,14 @@ class Grating:
 class Star:
     """Sinusoidal Siemens star.
 
-    Its level between two radii is mean + amplitude cos(cycles * azimuth + phase).
+    The level between the two radii is (bright + dark) / 2 + (bright - dark) / 2 cos(cycles * azimuth + phase). The azimuth
+    increases from +x (right) towards +y (down).
 
     Attributes:
         centre: centre, mm.
         inner: inner radius, mm.
         outer: outer radius, mm.
-        cycles: number of periods in a full turn.
+        cycles: number of periods in a full turn (no unit).
         phase: phase at azimuth 0, rad.
         dark: lowest linear level (no unit).
         bright: highest linear level (no unit).
@@ -219,12 +221,12 @@ class Patch:
 class Fiducial:
     """Mark for finding the chart: a dark disc inside concentric dark rings.
 
-    Rings and gaps have the width of the disc radius.
+    The width of each ring and each gap is the radius of the disc.
 
     Attributes:
         centre: centre, mm.
-        radius: radius of the disc, mm; ring n lies between 2n and 2n + 1 radii.
-        rings: number of rings: 1, or 2 for the mark that determines the orientation.
+        radius: radius of the disc, mm; ring n = 1, 2 lies between 2n and 2n + 1 radii.
+        rings: number of rings (no unit): 1, or 2 for the mark that determines the orientation.
 
     Example:
         >>> chart = matcam.targets.design_chart(["star"], pixels_across=1500)

@@ -83,10 +83,10 @@ def write_chart(path: str | Path, chart: Chart, *, force: bool = False) -> None:
     Args:
         path: file to write.
         chart: chart to describe.
-        force: replace an existing file. Default: False.
+        force: True to replace an existing file. Default: False.
 
     Raises:
-        OutputError: if the file exists and `force` is not set, or it cannot be written.
+        OutputError: if the file exists and `force` is False, or if the file cannot be written.
 
     Source:
         docs/targets.md; docs/chart-v1.schema.json is the JSON Schema of the format.

@@ -49,7 +49,8 @@ def design_chart(
 ) -> Chart:
     """Design a chart with one panel for each kind of target.
 
-    Eleven tone patches and eight fiducials are added. All sizes are derived from the pixel size of the camera on the page.
+    Eleven tone patches and eight fiducials are added. The sizes of the elements are multiples of the size of a camera pixel on
+    the page.
 
     Args:
         kinds: panels without repetition: "squares" (slanted by 5 degrees), "bars", "sines" and "lines" (gratings of 0.05 to
@@ -63,7 +64,7 @@ def design_chart(
         The chart, to be printed with `matcam chart` and written with `write_chart`.
 
     Raises:
-        ArgumentError: if a kind or a page is unknown, or a panel is too small for its elements.
+        ArgumentError: if an argument is out of range, a kind or a page is unknown, or a panel is too small for its elements.
 
     Source:
         docs/targets.md; ISO 12233 for slanted edges and the Siemens star.
@@ -115,8 +116,8 @@ def _shorter_side(columns: int, count: int, room: Point) -> float:
 def _fiducials(width: float, height: float, margin: float, radius: float) -> Iterator[Fiducial]:
     """Yield the fiducials along the border of the page.
 
-    The fiducial with two rings is in the upper left corner. The positions between the corners are not symmetric, so that
-    mirrored and rotated views are not mistaken for a view in perspective.
+    The fiducial with two rings is in the upper left corner. The positions between the corners are not symmetric. A mirrored or
+    rotated view therefore cannot be explained by perspective.
     """
     near, far = (margin, margin), (width - margin, height - margin)
     positions = [near, (0.4 * width, near[1]), (far[0], near[1]), (far[0], 0.4 * height), far, (0.6 * width, far[1])]
@@ -134,7 +135,7 @@ def _patches(left: float, top: float, width: float, height: float) -> Iterator[P
 
 
 def _positions(corner: Point, size: Point, pitch: float) -> Iterator[Point]:
-    """Yield the cell centres, mm, of a regular grid that is centred in the panel."""
+    """Yield the centres, mm, of the cells of a regular grid in the middle of a panel."""
     columns, rows = (int(side / pitch + 1e-9) for side in size)
     # More than 200,000 elements in a panel are assumed to be a mistake.
     if columns * rows > 200_000:
@@ -150,8 +151,8 @@ def _positions(corner: Point, size: Point, pitch: float) -> Iterator[Point]:
 def _fitting_side(size: Point, usual: float, pitch: float, least: int) -> float:
     """Compute the side of the squares in a panel, mm.
 
-    The side is `usual` if `least` squares fit. Otherwise it is reduced until two squares fit, but not below half of `usual`.
-    `pitch`: distance between neighbours relative to the side.
+    The side is `usual`, mm, if at least `least` squares of this side fit. Otherwise the side is reduced until two squares fit,
+    but not below half of `usual`. `pitch` is the distance between neighbours, relative to the side.
     """
     if math.prod(int(side / (pitch * usual)) for side in size) >= least:
         return usual

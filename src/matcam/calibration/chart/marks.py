@@ -1,9 +1,10 @@
 """Detection of the fiducials of a chart in an image, and their assignment to the description.
 
-Fiducials are dark discs in concentric dark rings. Four marks determine a pinhole view, and a fifth must agree. All quadruples
-of marks are compared with all quadruples of fiducials in the same cyclic order, for several barrel distortions. If the mark
-with two rings is visible, it is the first of a quadruple; otherwise all starting points are tested. If only four marks are
-visible, any quadruple is consistent, and the printed elements between them are compared with the image.
+Fiducials are dark discs in concentric dark rings. Four marks determine a pinhole view of the page, and a fifth mark must
+agree with this view. All quadruples of marks are compared with all quadruples of fiducials in the same cyclic order, for
+several barrel distortions. If a mark with two rings is visible, it is the first of each quadruple. Otherwise all starting
+points are tested. If only four marks are visible, every assignment is consistent. In this case the printed elements between
+the marks are compared with the image.
 """
 
 from __future__ import annotations
@@ -63,9 +64,10 @@ def balanced(mosaic: ArrayLike) -> FloatArray:
 
 
 def find_marks(picture: FloatArray, enough: int) -> list[Mark]:
-    """Find all concentric dark discs and rings in an image.
+    """Find dark discs with concentric dark rings in an image.
 
-    `picture`: (height, width), NaN for missing pixels. The search stops at `enough` marks if one of them has two rings.
+    `picture` is the image, (height, width), with NaN for missing pixels. Several levels of darkness are tested, until at
+    least `enough` marks are found and one of them has two rings.
     """
     smooth = smoothed(picture)
     # The level of the paper is the local maximum of means, which noise hardly affects.
@@ -119,10 +121,11 @@ class _Views(NamedTuple):
 
     Attributes:
         matrix: (n, 3, 3) homographies from the page, mm, to undistorted positions, px from the middle of the image.
-        barrel: (n,) distortion coefficients.
-        nearest: (n, fiducials) index of the nearest mark; -1 if none is near.
+        barrel: (n,) coefficients d of the barrel distortion. The undistorted radius is r (1 + d r^2), where r is the radius in
+            half diagonals of the image.
+        nearest: (n, fiducials) index of the mark nearest to the expected position of each fiducial; -1 if none is near.
         explained: (n,) number of marks at the expected positions of fiducials.
-        off: (n,) mean distance of these marks from the expected positions, relative to the size of the chart.
+        off: (n,) mean distance of these marks from the expected positions, relative to the size of the chart in the image.
     """
 
     matrix: FloatArray
@@ -138,9 +141,10 @@ class _Views(NamedTuple):
 def match_marks(chart: Chart, marks: list[Mark], smooth: FloatArray) -> list[tuple[int, int]]:
     """Match marks to the fiducials of a chart.
 
-    The result lists pairs (index of the fiducial, index of the mark). It explains the most marks, and agrees best with the
-    image. It is empty unless more than four marks agree, or the image agrees with the printed elements. `smooth`: (height,
-    width) image with little noise, without missing pixels.
+    The result contains pairs (index of the fiducial, index of the mark). Among the matches that explain the most marks, the
+    match is chosen that is most accurate and agrees best with the image. The result is empty unless more than four marks
+    agree, or the image agrees with the printed elements. `smooth` is an image with little noise and without missing pixels,
+    (height, width).
     """
     similar_marks = _similar_marks(marks)
     positions = np.array([fiducial.centre for fiducial in chart.fiducials])
@@ -204,7 +208,8 @@ def _views(
 ) -> _Views:
     """Compute the view of each pair of a quadruple of marks and a quadruple of fiducials.
 
-    If `pinned`, the first point of a quadruple is known. Otherwise each quadruple of marks is used with one starting point.
+    If `pinned` is True, the first points of both quadruples are known to correspond. Otherwise each quadruple of marks is used
+    with one starting point only, because the quadruples of fiducials have all starting points.
     """
     fours = _quads(seen, starts)
     if not pinned:
@@ -230,9 +235,9 @@ def _views(
 
 
 def _best(found: list[_Views]) -> _Views:
-    """Select the views that explain the most marks, at least four, in order of accuracy.
+    """Select the views that explain the most marks, at least four, the most accurate first.
 
-    Only the most accurate view of each match is selected.
+    If several views result from the same match of marks and fiducials, only the most accurate one is selected.
     """
     views = _Views(*(np.concatenate(column) for column in zip(*found, strict=True)))
     views = views.subset(views.explained == max(int(views.explained.max(initial=0)), 4))
@@ -268,7 +273,7 @@ def _shown(chart: Chart, view: FloatArray, barrel: float, smooth: FloatArray, mi
 
 
 def _in_turn(points: FloatArray, start: int) -> list[int]:
-    """Sort the indices of the other points in cyclic order from `start` on."""
+    """Sort the indices of all points except `start` in cyclic order, beginning after `start`."""
     turn = np.arctan2(*(points - points.mean(0)).T[::-1])
     after = np.mod(turn - turn[start], 2 * np.pi)
     return [int(i) for i in np.argsort(after) if i != start]

@@ -1,8 +1,9 @@
 """Printed levels of a chart, measured with its tone patches.
 
-The printed level of a patch is the ratio of the patch and the paper next to it, in which illumination and vignetting
-cancel. Printed greys are darker or brighter than described, but the deviation is smooth: ln(printed) is a nearly linear
-function of ln(described), which is interpolated. The contrasts of stars and gratings follow from this function.
+The printed level of a patch is its brightness divided by the brightness of the paper next to it. Illumination and
+vignetting cancel in this ratio. Printed greys are darker or brighter than described. The deviation is smooth:
+ln(printed) is a nearly linear function of ln(described). This function is interpolated between the patches. It
+determines the contrasts of stars and gratings.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ class PrintedLevels:
     """Printed levels of the patches of a chart.
 
     Attributes:
-        described: (n,) levels of the description, ascending.
+        described: (n,) levels in the description of the chart, ascending.
         printed: (n,) levels in the photograph, relative to the paper.
         std: (n,) relative standard deviations of `printed`.
     """
@@ -78,10 +79,10 @@ class PrintedLevels:
         return float(np.hypot(0.004, np.median(self.std)))
 
     def of(self, element: Element) -> Element:
-        """Replace the described levels of a target by its printed levels.
+        """Replace the described levels of a target by the printed levels.
 
-        For a star or a sine, they are the mean of the print plus and minus the amplitude of its first harmonic. The dark level
-        may then be negative.
+        The levels of a star or of a sine grating become the mean of the printed wave plus and minus the amplitude of
+        its first harmonic. The dark level may then be negative.
         """
         if isinstance(element, Grating) and element.profile != "sine":
             return replace(element, dark=float(self(element.dark)), bright=float(self(element.bright)))
@@ -96,7 +97,8 @@ class PrintedLevels:
 def printed_levels(values: FloatArray, chart: Chart, projection: Projection) -> PrintedLevels | None:
     """Measure the printed levels of the tone patches of a chart; None if too few patches are usable.
 
-    `values`: (height, width) linear, NaN for missing data. `projection`: map from the page, mm, to the image, px.
+    `values`: (height, width) linear values, NaN for missing pixels. `projection`: map from the page, mm, to the image,
+    px.
     """
     rows = []
     for patch in checks.instance("chart", chart, Chart).elements:
@@ -120,7 +122,7 @@ def printed_levels(values: FloatArray, chart: Chart, projection: Projection) -> 
 def _over_paper(values: FloatArray, patch: Patch, projection: Projection) -> tuple[float, float] | None:
     """Measure the level of a patch relative to the paper, with its relative standard deviation.
 
-    The result is None if patch or paper is uneven, or too few of their pixels are known.
+    The result is None if the patch or the paper is uneven or not positive, or if too few of its pixels are known.
     """
     corners = np.array(patch.corners)
     centre, across, along = corners.mean(0), (corners[1] - corners[0]) / 2, (corners[3] - corners[0]) / 2

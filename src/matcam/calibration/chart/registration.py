@@ -1,8 +1,9 @@
 """Registration of a photograph: the map from the page of a chart to the image.
 
 The fiducials are detected first; four of them are sufficient to locate the chart. A pinhole camera with distortion, and
-optionally a curved page, are then fitted to the positions of the fiducials and of the sides of the squares. The accuracy
-must only be sufficient for each estimator to find its target; the estimators refine their geometry to 0.01 px.
+optionally a curved page, are then fitted to the positions of the fiducials and of the sides of the squares. The
+registration must only be accurate enough for each estimator to find its target. The estimators refine the geometry to
+0.01 px.
 """
 
 from __future__ import annotations
@@ -47,13 +48,13 @@ class Registration:
         shape: height and width of the image, px.
         residual: root mean square residual of the fiducials, px.
         found: number of fiducials found.
-        curl: shape of a curved page (no unit): coefficients of x^2, xy and y^2, then the foot point (x, y) of the camera. The
-            height is relative to that of the camera; x and y are in widths of the page from its middle. Default: zeros, a
-            plane page.
+        curl: shape of a curved page (no unit): the coefficients of x^2, xy and y^2 in the height of the page, then the
+            point (x, y) of the page below the camera. Heights are in units of the height of the camera; x and y are in
+            widths of the page, from its middle. Default: zeros, a plane page.
         page: width and height of the page, mm. Default: (1, 1), not required for a plane page.
 
     Example:
-        >>> homography = np.diag([2.0, 2.0, 1.0])  # 2 px per mm, squarely
+        >>> homography = np.diag([2.0, 2.0, 1.0])  # 2 px per mm, perpendicular view
         >>> where = matcam.targets.Registration(homography, (0.0, 0.0), (101, 101), 0.0, 8)
         >>> where(np.array([[10.0, 5.0]])), round(where.scale((10.0, 5.0)), 3)
         (array([[70., 60.]]), 2.0)
@@ -86,7 +87,7 @@ class Registration:
             point: position on the page, mm.
 
         Returns:
-            The scale, px per mm.
+            The scale, px per mm: square root of the ratio of the areas in the image and on the page.
         """
         step = 1e-3
         around = self(np.array(point) + step * np.array([[0, 0], [1, 0], [0, 1]]))
@@ -100,14 +101,15 @@ def register_chart(image: ArrayLike | LinearImage, chart: Chart, *, mosaic: bool
     Args:
         image: a `LinearImage`, or an array (height, width) of linear values, any unit; NaN for missing pixels.
         chart: description of the chart.
-        mosaic: scale the four planes of a mosaic to the same brightness first; required for raw mosaics. Default: False.
+        mosaic: scale the four planes of a mosaic to the same brightness before the search; required for raw mosaics.
+            Default: False.
 
     Returns:
         The map from the page to the image.
 
     Raises:
         FitError: if too few fiducials are found, or their positions do not match the chart.
-        ArgumentError: if the chart has no fiducials.
+        ArgumentError: if the chart has no fiducials, or an argument is invalid.
 
     Source:
         docs/targets.md; R. Hartley and A. Zisserman, Multiple View Geometry, 2nd ed., section 4.1 (direct linear transform).
@@ -132,8 +134,8 @@ def register_chart(image: ArrayLike | LinearImage, chart: Chart, *, mosaic: bool
     marks = find_marks(picture, len(chart.fiducials))
     if len(marks) < 4:
         raise FitError(
-            f"no chart of this description was found in the image: it shows {len(marks)} of the {len(chart.fiducials)} "
-            "fiducials, but at least 4 are needed; photograph the whole chart"
+            f"no chart of this description was found in the image: the image shows {len(marks)} of the "
+            f"{len(chart.fiducials)} fiducials, but at least 4 are needed; photograph the whole chart"
         )
     smooth = smoothed(picture)
     pairs = match_marks(chart, marks, smooth)
@@ -157,19 +159,24 @@ def register_chart(image: ArrayLike | LinearImage, chart: Chart, *, mosaic: bool
 
 
 def radial_distortion(positions: FloatArray, seen: FloatArray, shape: tuple[int, ...]) -> tuple[float, float]:
-    """Fit the coefficient a of the distorted radius r (1 + a r^2), and estimate its standard deviation from the scatter.
+    """Fit the radial distortion of a page, and estimate its standard deviation from the scatter of the positions.
+
+    The distorted radius is r (1 + a r^2), where a is the fitted coefficient.
 
     Args:
         positions: (n, 2) positions on a plane page, any unit.
         seen: (n, 2) positions in the image, px.
-        shape: height and width of the image, px. The unit of r is half the diagonal.
+        shape: height and width of the image, px. The unit of r is half the diagonal of the image.
+
+    Returns:
+        The coefficient a and its standard deviation, no unit.
 
     Raises:
         FitError: if there are fewer than 12 positions, or they do not determine the pose of the page.
     """
     if len(positions) < FEWEST_POSITIONS:
         raise FitError(
-            f"{len(positions)} positions do not determine the distortion; at least {FEWEST_POSITIONS} are needed"
+            f"{len(positions)} positions do not determine the distortion: give at least {FEWEST_POSITIONS} dots"
         )
     at = (positions - positions.mean(0)) / max(float(np.ptp(positions, axis=0).max()), 1e-300)
     try:
@@ -191,13 +198,14 @@ def radial_distortion(positions: FloatArray, seen: FloatArray, shape: tuple[int,
 
 def check_projection_given(name: str, element: Element | None, projection: Projection | None) -> None:
     if (element is None) != (projection is None):
-        raise ArgumentError(f"{name} and projection must be given together, or neither")
+        raise ArgumentError(f"{name} and projection must be given together: give both, or omit both")
 
 
 def pixel_box(points: FloatArray, shape: tuple[int, int], margin: int) -> tuple[int, int, int, int]:
     """Compute the region (x, y, width, height) that contains points, px.
 
-    `points`: (n, 2) px. `shape`: (height, width) of the image. `margin`: px around the points.
+    The region is clipped to the image. `points`: (n, 2) px. `shape`: (height, width) of the image. `margin`: px around
+    the points.
     """
     low = np.maximum(np.floor(points.min(0)).astype(int) - margin, 0)
     high = np.minimum(np.ceil(points.max(0)).astype(int) + margin + 1, shape[::-1])
@@ -213,8 +221,8 @@ def _registration_through(
 ) -> Registration:
     """Fit camera and page curvature to points with known positions on the page, mm, and in the image, px.
 
-    `sides`: further positions, known only in the direction across the side. A FitError is raised if the residuals are too
-    large.
+    `sides`: further positions, which are known only in the direction perpendicular to the side. A FitError is raised if
+    the residuals of the fiducials are too large.
     """
     start = np.append(_homography(positions, _from_middle(seen, shape)).ravel()[:8], np.zeros(7))
     # Priors keep undetermined parameters near 0: distortion, curvature, and the foot point of the camera.
@@ -240,7 +248,8 @@ def _registration_through(
     rms = float(np.sqrt((left**2).mean()))
     if rms > _WORST * max(1.0, max(shape) / 1000):
         raise FitError(
-            f"the fiducials deviate by {rms:.1f} px from the chart: check that the description belongs to this chart"
+            f"the fiducials deviate by {rms:.1f} px from the chart: check that the description belongs to this chart, and "
+            "that the page is not folded"
         )
     return Registration(
         np.append(whole[:8], 1.0).reshape(3, 3), (float(whole[8]), float(whole[9])), (shape[0], shape[1]), rms,
@@ -253,7 +262,8 @@ def _project(
 ) -> FloatArray:
     """Project points on the page (mm) to the image (px).
 
-    `parameters`: eight of the homography, two of the distortion, and the five of `Registration.curl`.
+    `parameters`: (15,) eight parameters of the homography, two of the distortion, and five of `Registration.curl`.
+    `shape`: (height, width) of the image, px. `page`: width and height of the page, mm.
     """
     xx, xy, yy, foot_x, foot_y = parameters[10:]
     x, y = ((points - np.array(page) / 2) / page[0]).T
@@ -273,7 +283,7 @@ def _from_middle(points: FloatArray, shape: tuple[int, ...]) -> FloatArray:
 
 
 def _homography(source: FloatArray, target: FloatArray) -> FloatArray:
-    """Fit the homography (3, 3) between two sets of points (n >= 4, 2) by least squares.
+    """Fit the homography (3, 3) from `source` to `target`, (n >= 4, 2) points each, by least squares.
 
     The last entry of the matrix is 1. A LinAlgError is raised if the points do not determine the homography.
     """

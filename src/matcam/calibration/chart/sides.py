@@ -20,13 +20,13 @@ _LEAST = 0.35
 
 
 class Sides(NamedTuple):
-    """Measured sides of n squares, each at m positions.
+    """Measured positions of n sides of squares, m positions on each side.
 
     Attributes:
         page: (n, m, 2) positions on the page, mm.
         seen: (n, m, 2) measured positions of the sides in the image, px; NaN if no side was found.
         normal: (n, m, 2) outward unit vectors, towards the bright side.
-        length: (n,) length in the image, px.
+        length: (n,) length of the side in the image, px.
     """
 
     page: FloatArray
@@ -77,7 +77,8 @@ def seen_sides(smooth: FloatArray, chart: Chart, projection: Callable[[FloatArra
 def _steepest(profile: FloatArray, steps: FloatArray, level: FloatArray) -> FloatArray:
     """Locate the steepest rise of profiles (n, m, k), px from the expected position of the side.
 
-    The position is NaN if the rise is too small for a side.
+    The position is NaN if the rise is too small for a side or lies at an end of the profile, or if samples are missing.
+    `steps`: (k,) positions of the samples, px. `level`: (n,) described level of the square of each side.
     """
     slope = np.diff(profile, axis=2)
     between = (steps[1:] + steps[:-1]) / 2

@@ -1,6 +1,6 @@
 """Slanted edges (ISO 12233): the MTF of a camera from one edge or from many edges, with standard deviations.
 
-Fewer than 500 edges are measured one by one. A compiled program measures 500 or more edges, ten at a time.
+Up to about 500 edges are measured one by one. A compiled program measures more edges, ten at a time.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class EdgeSettings:
     Attributes:
         lens: lens model of the parametric estimate.
         noise: noise of the pixels; its parameters are NaN if they are estimated from the image.
-        half_width: half width of the pixel, px.
+        half_width: half the side of the sensitive area of a pixel, px.
         accept_sharpened: whether sharpened images are measured.
     """
 
@@ -87,26 +87,28 @@ def edge_mtf(
 ) -> EdgeMTF:
     """Measure the MTF of lens and pixel across one slanted edge.
 
-    The MTF applies to the direction of the edge normal. It is estimated without a model and with a lens model. The edge may
-    deviate from a straight line by a few px, and the light may vary over the region. The edge must not be parallel to the
-    pixel grid or to its diagonals, because the pixels must sample it at different phases. `docs/edge.md` describes the
-    method, its accuracy and the tests.
+    The MTF applies to the direction of the edge normal. It is estimated without a model and with a lens model. The edge
+    may deviate from a straight line by a few px, and the light may vary over the region. The edge must not be parallel
+    to the pixel grid or to its diagonals, because the pixels must sample it at different phases. `docs/edge.md`
+    describes the method, its accuracy and the tests.
 
     Args:
         image: `LinearImage`, `Photograph`, or array (height, width) or (height, width, 3) for R, G, B; NaN marks missing
             pixels.
-        roi: region (x, y, width, height) that contains one edge, px. At least 16 x 16 px, and at most 4 million px; 80 px
-            across the edge and 160 px along it are recommended. Default: None, the whole image.
+        roi: region (x, y, width, height) that contains one edge, px. It must have at least 16 x 16 px and at most 2^22
+            pixels; 80 px across the edge and 160 px along the edge are recommended. Default: None, the whole image.
         model: lens model of the parametric estimate (no unit): "gaussian"; "diffraction"; "defocus" (with diffraction);
-            or "halo" (a Gaussian with veiling glare). Choose another model if the result reports that it does not explain the
-            edge. Default: "gaussian".
+            or "halo" (a Gaussian with veiling glare). Choose another model if the result reports that the model does
+            not explain the edge. Default: "gaussian".
         wavelength: wavelength of the light, m; required by "diffraction" and "defocus". Default: None.
         pixel_pitch: pixel pitch, m; required by "diffraction" and "defocus". Default: None.
-        half_width: half the side of the sensitive area of a pixel, (0, 0.5] px. The model-free estimate hardly depends on it.
-            Default: 0.5.
-        cfa: colours of the first 2 x 2 px of the image, row by row, if it is a mosaic: "RGGB", ... (no unit). The sites of
-            `channel` are used without demosaicing. Default: None, no mosaic.
-        channel: "R", "G", "B" of a mosaic or a colour image, or "Y" for its luminance (no unit). Default: None, luminance.
+        half_width: half the side of the sensitive area of a pixel, (0, 0.5] px. It hardly affects the model-free
+            estimate. Default: 0.5.
+        cfa: colours of the first 2 x 2 px of a mosaic, row by row: "RGGB", "BGGR", "GRBG" or "GBRG" (no unit). The
+            sites of `channel` are used without demosaicing. Default: None, those of the photograph, or no mosaic.
+        channel: "R", "G" or "B" of a mosaic or of a colour image; "Y" for the luminance of a colour image (no unit).
+            This argument is required for a mosaic. Default: None, the luminance of a colour image, or a grey image
+            itself.
         tone: tone curve of the codes, as in `LinearImage.of` (no unit). Default: "auto", as in `calibrate`: photographs of
             8 bits are assumed to be sRGB, which `remarks` reports; arrays, 16-bit files and camera raw are assumed to be
             linear.
@@ -114,7 +116,8 @@ def edge_mtf(
             photo-electrons have gain 1). Default: None, gain and read_noise are estimated.
         read_noise: standard deviation of the read noise, in the units of the linear image. Default: None, gain and
             read_noise are estimated.
-        accept_sharpened: measure a sharpened image; the result is the MTF of lens and sharpening (no unit). Default: False.
+        accept_sharpened: measure a sharpened image instead of raising an error; the result is the MTF of lens, pixel
+            and sharpening (no unit). Default: False.
 
     Returns:
         The model-free and the parametric estimate, with their standard deviations.
@@ -157,25 +160,25 @@ def edge_mtf_stack(
 ) -> EdgeStack:
     """Measure the MTF across the edges of many regions of one shape.
 
-    For 500 edges or more, a compiled program is used, which is several times faster than calls of `edge_mtf`. All edges must be
-    nearer to vertical, or all edges must be nearer to horizontal.
+    For 500 edges or more, a compiled program is used, which is several times faster than calls of `edge_mtf`. Either
+    all edges must be closer to vertical than to horizontal, or all edges must be closer to horizontal.
 
     Args:
-        images: regions, each with one edge: array (n, height, width) of linear values, or `LinearImage`s of one shape without a
-            mosaic. Sides are at least 16 px.
+        images: regions, each with one edge: array (n, height, width) of linear values, or a sequence of `LinearImage`
+            of one shape without a mosaic. Height and width must be at least 16 px.
         model: lens model of the parametric estimate, as in `edge_mtf` (no unit). Default: "gaussian".
         wavelength: wavelength of the light, m; required by "diffraction" and "defocus". Default: None.
         pixel_pitch: pixel pitch, m; required by "diffraction" and "defocus". Default: None.
         half_width: half the side of the sensitive area of a pixel, (0, 0.5] px. Default: 0.5.
         gain: system gain, as in `edge_mtf`. Default: None, estimated for each edge.
         read_noise: standard deviation of the read noise, in the units of the images. Default: None, estimated for each edge.
-        accept_sharpened: measure sharpened images (no unit). Default: False.
+        accept_sharpened: measure sharpened images, as in `edge_mtf` (no unit). Default: False.
 
     Returns:
         The results. The values of an edge that cannot be measured are NaN, and `problems` gives the reason.
 
     Raises:
-        ArgumentError: an argument is invalid, or the edges do not have similar directions.
+        ArgumentError: an argument is invalid, or some edges are closer to vertical and others closer to horizontal.
 
     Source:
         ISO 12233; docs/model.md 7.
@@ -196,8 +199,8 @@ def edge_mtf_stack(
         regions.append((rows, [flaw(one) for one in some]))
         if rows.frame.transposed != regions[0][0].frame.transposed:
             raise ArgumentError(
-                f"images must have edges in similar directions, but the edges from index {i} on are perpendicular to the "
-                "first edges: measure them separately"
+                f"images must have edges that are all closer to vertical, or all closer to horizontal, but the edges with the "
+                f"indices {i} to {i + len(some) - 1} differ from the first edges: measure them separately"
             )
     return edge_stack(regions, settings, even_light=True)
 
@@ -208,7 +211,8 @@ def edge_stack(
     """Measure the edges in regions of one shape.
 
     Args:
-        regions: groups of at most `AT_ONCE` regions. A list contains the known problem of each region, or None.
+        regions: pairs of a group of at most `AT_ONCE` regions and a list, which contains the known problem of each
+            region or None.
         settings: settings of the measurement.
         even_light: correct the regions for uneven light, and search for traces of image processing. Default: False.
     """
@@ -278,7 +282,8 @@ def _in_even_light(rows: EdgeRegions, fits: EdgeFits) -> tuple[EdgeRegions, list
         fits: fits of their edges, NumPy arrays with a leading axis of length n.
 
     Returns:
-        The corrected regions, and the light of each region. The light is None if a polynomial of third order explains it.
+        The corrected regions, and the light of each region. The light is None if a polynomial of third order explains
+        it, or if it cannot be estimated.
     """
     value, fields = np.array(rows.value), list[LightField | None]()
     widths = line_width(fits.free.shape)
@@ -307,7 +312,7 @@ def _in_even_light(rows: EdgeRegions, fits: EdgeFits) -> tuple[EdgeRegions, list
 def _stacked(images: ArrayLike | Sequence[LinearImage]) -> tuple[np.ndarray, np.ndarray]:
     """Stack images as regions (n, height, width).
 
-    The second result contains the positions (n, 2) of their first pixels in the photograph, px.
+    The second result contains the positions (x, y) of the first pixels of the regions in the photograph, (n, 2) px.
     """
     planes = list(images) if isinstance(images, list | tuple) else []
     if planes and all(isinstance(plane, LinearImage) for plane in planes):

@@ -59,7 +59,7 @@ class EdgeMTF(Summarised, EdgeValues[float]):
         mtf50_std: standard deviation of `mtf50`, cycles/px.
         core_mtf: MTF without glare (81,); equal to `mtf` if no glare was found (no unit).
         core_mtf_std: standard deviation of `core_mtf` (81,).
-        core_mtf50: lowest frequency at which `core_mtf` is one half, cycles/px.
+        core_mtf50: lowest frequency at which `core_mtf` is one half, cycles/px; NaN if `core_mtf` does not fall to one half.
         core_mtf50_std: standard deviation of `core_mtf50`, cycles/px.
         glare_fraction: share of the light in glare; 0 if no glare was found at 5 sigma (no unit).
         glare_fraction_std: standard deviation of `glare_fraction` (no unit).
@@ -68,22 +68,24 @@ class EdgeMTF(Summarised, EdgeValues[float]):
             (-pi, pi]; x points right, and y points down.
         angle_std: standard deviation of `angle`, rad.
         bow: distance of the middle of the edge from the chord between its ends, positive towards the bright side, px.
-        position: (x, y) of the middle of the edge, px; pixel centres of the image have whole-number coordinates.
-        dark: level of the dark side, in the (linear) units of the image.
-        bright: level of the bright side, in the units of the image.
-        light: relative change of the light along the rows and columns of the image, 1/px.
-        gain: system gain, given or estimated: the variance of a pixel is gain * value + read_noise^2.
+        position: (x, y) of the middle of the edge in the whole image, px; pixel centres have whole-number coordinates.
+        dark: level of the dark side, in the units of the linear image.
+        bright: level of the bright side, in the units of the linear image.
+        light: relative changes of the light along the rows and along the columns of the image, 1/px.
+        gain: system gain, given or estimated, in the units of the image: the variance of a pixel is gain * value +
+            read_noise^2.
         read_noise: standard deviation of the read noise, given or estimated, in the units of the image.
-        excess: factor by which variances were increased because the scatter of the pixels exceeds their noise; otherwise 1.
+        excess: factor by which all variances were increased because the scatter of the pixels exceeds the noise; 1 if
+            it does not (no unit).
         outliers: number of pixels that were excluded as outliers (no unit).
-        roughness: standard deviation of the position of the edge in single rows beyond noise, px; `mtf_std` includes its
-            blur.
-        misfit: residual near the edge that neither lens nor light explains, in units of the step; included in `mtf_std`.
-        overshoot: overshoot of the ESF beyond its levels, relative to the step; sharpening causes it, a lens does not
-            (no unit).
+        roughness: standard deviation of the position of the edge in single rows beyond noise, px; `mtf_std` includes the
+            blur by the roughness.
+        misfit: residual near the edge that neither lens nor light explains, in units of the step; `mtf_std` includes it.
+        overshoot: largest excess of the edge spread function beyond the dark or the bright level, relative to the step.
+            Sharpening causes an overshoot, but a lens does not (no unit).
         overshoot_std: standard deviation of `overshoot` (no unit).
         parametric: fit of a lens model, a `ParametricEdge`.
-        fits: all fitted quantities, relative to the middle of the region.
+        fits: all fitted quantities; positions are relative to the centre of the region, px.
         given: remarks on the image, for example on its tone curve (no unit). Default: (), no remarks.
 
     Example:
@@ -125,15 +127,18 @@ class EdgeMTF(Summarised, EdgeValues[float]):
 
     @property
     def remarks(self) -> tuple[Remark, ...]:
-        """Remarks on this edge."""
+        """Remarks on the image and on unusual properties of this edge."""
         remarks = list(self.given)
         if self.excess > 1:
             raised = np.sqrt(self.excess)
             text = f"the scatter of the pixels exceeds their noise: standard deviations were multiplied by {raised:.1f}"
             remarks.append(Remark("scatter", text))
         if self.misfit > MISFIT:
-            text = f"neither a lens nor smooth light explains {self.misfit:.2%} of the step: the region may contain a ghost, a "
-            remarks.append(Remark("unexplained", f"{text}shadow or dirt; standard deviations were increased"))
+            text = (
+                f"neither a lens nor smooth light explains {self.misfit:.2%} of the step: the region may contain a ghost, a "
+                "shadow or dirt; standard deviations were increased"
+            )
+            remarks.append(Remark("unexplained", text))
         if self.roughness > _ROUGH:
             text = f"the edge has a roughness of {self.roughness:.2f} px, which blurs it: standard deviations were increased"
             remarks.append(Remark("rough-edge", text))
@@ -146,7 +151,7 @@ class EdgeMTF(Summarised, EdgeValues[float]):
         """Convert the MTFs to a data set over `frequency`.
 
         Returns:
-            Data set with units. Its attributes are the other values of the edge.
+            Data set with units. Its attributes are MTF50, angle, bow, and share and radius of the glare.
         """
         import xarray as xr
 
@@ -186,7 +191,8 @@ class EdgeMTF(Summarised, EdgeValues[float]):
         """Convert the result to the JSON object of `matcam edge --json`.
 
         Returns:
-            Values by name, with units in the names; angles are in degrees.
+            Values by name, with units in the names; angles are in degrees. A standard deviation has the unit of its
+            value.
         """
         return plain(
             {
@@ -247,7 +253,7 @@ class EdgeMTF(Summarised, EdgeValues[float]):
 
     @cached_property
     def bare(self) -> BareEdge:
-        """Measured cells of the edge, corrected for levels and uneven light."""
+        """Means of pixels, sorted by distance, corrected for levels and light."""
         fits = self.fits
         order = np.argsort(fits.cells.distance)
         order = order[fits.cells.pixels[order] > 0]
@@ -275,7 +281,7 @@ class EdgeMTF(Summarised, EdgeValues[float]):
 class EdgeStack(Summarised, EdgeValues[np.ndarray]):
     """Results of n edges.
 
-    Values of an edge that cannot be measured are NaN. `stack[i]` is the `EdgeMTF` of one edge.
+    Floating-point values of an edge that cannot be measured are NaN. `stack[i]` is the `EdgeMTF` of one edge.
 
     Attributes:
         frequency: frequencies (81,) along the normal, cycles/px; the same for all edges.
@@ -299,11 +305,11 @@ class EdgeStack(Summarised, EdgeValues[np.ndarray]):
         light: relative change of the light along rows and columns, (n,) each, 1/px.
         gain: system gain (n,), in the units of the image.
         read_noise: standard deviation of the read noise (n,), in the units of the image.
-        excess: factor by which variances were increased (n,) (no unit).
+        excess: factor by which all variances were increased, as in `EdgeMTF` (n,) (no unit).
         outliers: number of pixels that were excluded (n,) (no unit).
         roughness: standard deviation of the position of the edge in single rows beyond noise (n,), px.
         misfit: residual near the edge that neither lens nor light explains, in units of the step (n,).
-        overshoot: overshoot of the ESF, relative to the step (n,) (no unit).
+        overshoot: overshoot of the edge spread function, relative to the step (n,) (no unit).
         overshoot_std: standard deviation of `overshoot` (n,).
         problems: for each edge, the reason why it cannot be measured, or None.
         parametric: fits of a lens model, a `ParametricStack`.

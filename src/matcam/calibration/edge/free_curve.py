@@ -2,9 +2,9 @@
 
     E(d) = P(d) + sum of c_k [B_k(d) - P(d)] + sum of o_k O_k(d)
 
-d is the distance from the edge, and c_k and o_k are fitted coefficients. P, the pilot, is the edge response of the best
-Gaussian lens and the exact pixel; the deviation of E from P is free. Lengths are in units of s, the standard deviation
-of the line spread function of P, so that the same settings apply to every blur:
+d is the distance from the edge, and c_k and o_k are fitted coefficients. P, the pilot, is the edge response of the
+best-fitting Gaussian lens and the exact pixel; the deviation of E from P is free. Lengths are in units of s, the
+standard deviation of the line spread function of P, so that the same settings apply to every blur:
 
 - core: pairs of Gaussian basis functions of the line spread function, with a standard deviation and a spacing of 0.6 s,
   up to 3.9 s on both sides. Their even combinations B_k determine the MTF, and their odd combinations O_k determine the
@@ -14,8 +14,9 @@ of the line spread function of P, so that the same settings apply to every blur:
 - tail: a Cauchy line spread function, which decreases as 1/d^2, as for every lens with a sharply bounded pupil.
 - glare: a wide Gaussian, used only if glare is found.
 
-All terms are Gaussian or rational. ESF, LSF and MTF are therefore closed forms at any distance and frequency, and the
-variance of the distances in a bin acts as additional blur. No correction for a bin width and no window are used.
+The edge spread function (ESF), the line spread function (LSF) and the MTF of every term have closed forms at any
+distance and frequency. The variance of the distances in a bin acts as additional blur. Therefore neither a correction
+for a bin width nor a window is required.
 """
 
 from __future__ import annotations
@@ -61,7 +62,7 @@ class EdgeSamples(NamedTuple):
     Attributes:
         distance: distance from the edge (n,), px, negative on the dark side.
         value: edge response corrected for uneven light, 0 on the dark and 1 on the bright side (n,) (no unit).
-        std: standard deviation of `value` (n,).
+        std: standard deviation of `value` (n,) (no unit).
         parametric: prediction of the parametric fit for the same bins (n,) (no unit).
 
     Example:
@@ -78,12 +79,12 @@ class EdgeSamples(NamedTuple):
 
 
 class CoreShape(NamedTuple):
-    """Parameters of the basis functions, all scalar.
+    """Parameters of the basis functions of one edge, scalars each, or of n edges, (n,) each.
 
     Attributes:
-        sigma: lens width of the pilot P, px.
-        angle: angle between the edge normal and the grid, rad.
-        half_width: half width of the pixel, px.
+        sigma: standard deviation of the Gaussian lens of the pilot P, px.
+        angle: angle between the edge normal and the rows of the region, rad.
+        half_width: half the side of the sensitive area of a pixel, px.
         radius: standard deviation of the glare, px.
         apart: distance of the centre of the nearest ghost basis function from the edge, px.
     """
@@ -128,7 +129,7 @@ def line_width(shape: CoreShape) -> jax.Array:
 
 
 def edge_basis(shape: CoreShape, distance: AnyArray, spread: AnyArray) -> tuple[jax.Array, jax.Array]:
-    """Evaluate the basis as edge responses: P (n,), then B_k - P and O_k (EVEN + ODD, n).
+    """Evaluate the basis as edge responses: P (n,), then the columns B_k - P and O_k (EVEN + ODD, n).
 
     `distance`: distances (n,) from the edge, px. `spread`: variance of the distances in each bin, px^2.
     """
@@ -168,12 +169,12 @@ def transfer_basis(shape: CoreShape, f: jax.Array) -> tuple[jax.Array, jax.Array
 
 
 def edge_response(curve: FreeCurve, distance: AnyArray) -> SampledCurve:
-    """Evaluate the ESF, 0 on the dark side and 1 on the bright side, at a distance in px."""
+    """Evaluate the edge spread function, 0 to 1, at distances (n,) from the edge, px."""
     return _combined(curve, *edge_basis(curve.shape, distance, xp.zeros(())))
 
 
 def line_response(curve: FreeCurve, distance: jax.Array) -> SampledCurve:
-    """Evaluate the LSF, 1/px, at a distance in px."""
+    """Evaluate the line spread function, 1/px, at distances (n,) from the edge, px."""
     width = line_width(curve.shape)
     slopes = slope_along(lambda d: edge_basis(curve.shape, d, xp.zeros(())), distance, width)
     return _combined(curve, *(slope / width for slope in slopes))
@@ -199,9 +200,9 @@ class Ghost(NamedTuple):
     """Ghost of one edge, or of n edges (n,): a second, weaker step on one side of the edge.
 
     Attributes:
-        share: height of the second step relative to the step of the edge.
+        share: height of the second step relative to the step of the edge, no unit.
         std: standard deviation of `share`.
-        position: distance from the edge, px.
+        position: distance of the ghost from the edge, px.
         bright: whether the ghost lies on the bright side.
     """
 

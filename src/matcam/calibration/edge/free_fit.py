@@ -1,17 +1,19 @@
 """Fit of the model-free edge response to the bins: a linear least-squares problem with priors, optional ghost and glare.
 
-If the bins do not determine a coefficient, a normal prior keeps it near the pilot. The prior standard deviation is 10 % of
-the step for the centre of the core, and decreases with the distance, because lenses deviate most from Gaussians in the
-core. The covariance is that of the estimator under noise, A^-1 X W V W X' A^-1 with A = X W X' + prior. It describes the
-scatter of repeated images, and it is smaller than the posterior covariance. docs/edge.md gives the measured bias of the
-priors.
+If the bins do not determine a coefficient, a normal prior keeps the edge response near the pilot. The prior standard
+deviation is 10 % of the step for the centre of the core. It decreases with the distance from the edge, because lenses
+deviate most from Gaussians in the core. The covariance is that of the estimator under noise, A^-1 X W V W X' A^-1 with
+A = X W X' + prior. X contains the derivatives of the model, W the weights of the bins, V the variances of the bins, and
+the prior the inverse variances of the coefficients. This covariance describes the scatter of repeated images, and is
+smaller than the posterior covariance. docs/edge.md gives the measured bias of the priors.
 
 A ghost is a second, weaker edge. Its basis functions are tested at several distances on the residual of the free curve.
-They are added to the fit if they increase the likelihood enough. Wings of the lens beyond the core are fitted in the
-same way.
+They are added to the fit if they increase the likelihood enough. The same basis functions also describe wings of the
+lens beyond the core.
 
-Glare is a wide Gaussian. Several radii are tested on the residual of the free curve. If the likelihood increases by
-5 sigma, glare with a refined radius is added. A fit of glare that is absent would halve the accuracy of every MTF50.
+Glare is a wide Gaussian. Several radii are tested on the residual of the free curve. If the increase of the likelihood
+has a significance of 5 sigma, glare with a refined radius is added. A fit of glare that is absent would halve the
+accuracy of every MTF50.
 """
 
 from __future__ import annotations
@@ -64,7 +66,7 @@ _COLUMN = SHIFT + GLARE
 
 
 class LinearFit(NamedTuple):
-    """Linear problem at given levels, without glare, and its solution, for n bins and p columns.
+    """Linear least-squares problem of the free curve without glare, and its solution, for n bins and p columns.
 
     Attributes:
         shape: parameters of the basis.
@@ -109,7 +111,7 @@ class LinearFit(NamedTuple):
 
     @property
     def chi2(self) -> jax.Array:
-        """Chi-square of the bins after the fit, for the given noise."""
+        """Chi-square of the bins after the fit, for the noise in `variance`."""
         return (self.cells.pixels / self.variance * self.left**2).sum()
 
     @property
@@ -197,11 +199,13 @@ def _width(cells: EdgeCells) -> jax.Array:
 
 
 def misfit_probability(fit: LinearFit, tested: EdgeModel) -> jax.Array:
-    """Compute the probability of the residuals of the model `tested` if this model is correct.
+    """Compute the probability of residuals at least as large as those of the model `tested` if this model is correct.
 
-    The free curve is fitted to the residuals. The test statistic is the quadratic form s' A^-1 s of the scores s. If the
-    tested model is correct, the covariance of the scores is the information minus the part that the tested fit has absorbed.
-    The distribution is approximated by a scaled chi-square with the same mean and variance (Satterthwaite 1946).
+    The free curve is fitted to the residuals. The test statistic is the quadratic form s' A^-1 s of the scores s, where
+    A is the normal matrix with the prior. If the tested model is correct, the covariance of the scores is the
+    information minus the part that the tested fit has absorbed. The distribution of the statistic is approximated by a
+    scaled chi-square with the same mean and variance (Satterthwaite 1946). The probability is NaN if nothing was
+    fitted.
     """
     score = fit.columns @ (fit.weight * (fit.cells.value - tested.value))
     shared = (fit.columns * fit.weight) @ tested.design.T
@@ -309,7 +313,8 @@ def _glare_rises(fit: LinearFit, log_radii: jax.Array) -> jax.Array:
 def _rises(fit: LinearFit, columns: jax.Array, std: float, least: float = -np.inf) -> jax.Array:
     """Compute the increase of 2 ln likelihood (m,) that results from adding columns (m, q, n) to the model.
 
-    All other parameters are refitted. `std`: prior standard deviation of the coefficients. `least`: smallest score.
+    All other parameters are refitted. `std`: prior standard deviation of the coefficients. `least`: lower limit of the
+    scores.
     """
     weighted = columns * fit.weight
     cross, score = weighted @ fit.columns.T, xp.maximum(weighted @ fit.left, least)[..., None]

@@ -4,9 +4,9 @@ The edge is a curve x0(y), a sum of Legendre polynomials of y up to order 5, in 
 centre, x along the rows, y down. The bright side lies at larger x.
 
 A bin contains the pixels of one column of the aligned rows for which the edge lies in the same eighth of a px.
-`EdgeCells` stores their mean distance and the variance of their distances, so that a correction for a bin width is not
-needed. The mean of a model over the bin is the model at the mean distance, blurred by this variance (with an error of
-1e-6 of the step). Far from the edge, the response varies slowly, and half a column is one bin.
+`EdgeCells` stores the mean and the variance of the distances of these pixels, so that a correction for a bin width is
+not needed. The mean of a model over the bin is the model at the mean distance, blurred by this variance (with an error
+of 1e-6 of the step). Far from the edge, the response varies slowly, and half a column is one bin.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class AlignedRows(NamedTuple):
         step: distance of neighbouring samples of a row, px.
         length: unit of length, as in `Rows`.
         powers: Legendre polynomials, as in `Rows`.
-        light: (rows,) light of each row relative to its linear trend over the rows; the rows were divided by it.
+        light: (rows,) light of each row, relative to a linear function of y. `value` was divided by this light.
     """
 
     value: jax.Array
@@ -136,9 +136,10 @@ def edge_slope(curve: AnyArray, powers: AnyArray, length: AnyArray) -> AnyArray:
 def edge_distance(curve: AnyArray, x: AnyArray, powers: AnyArray, length: AnyArray) -> AnyArray:
     """Compute the distance of samples (rows, columns) from the curve, px, to second order.
 
-    The distance is positive on the bright side. For a parabola with second derivative k and local slope t, and a distance
-    e along the row, the distance is e c - k e^2 t^2 c^5 / 2, where c = 1 / sqrt(1 + t^2). The first term is the distance from a
-    straight edge. The second term corrects for curvature.
+    The distance is positive on the bright side. Let e be the distance of a sample from a parabola along the row, k the
+    second derivative of the parabola, and t its slope in this row. The distance along the normal is e c - k e^2 t^2 c^5
+    / 2, where c = 1 / sqrt(1 + t^2). The first term is the distance from a straight edge. The second term corrects for
+    curvature.
     """
     slope = edge_slope(curve, powers, length)
     curvature = edge_slope(curve @ _SLOPES, powers, length) / length

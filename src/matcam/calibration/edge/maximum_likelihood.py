@@ -1,16 +1,16 @@
 """Maximum likelihood fit of an edge: parameters of its profile, levels, uneven light, and its curve.
 
-A pixel is modelled as  [dark (1 - E(d)) + bright E(d)] (1 + sum of m_k t_k) + sum of a_k t_k.  E is the edge response at
-distance d, and t_k are the polynomial terms of the light in two dimensions. The coefficients m_k describe light that
-multiplies the scene (uneven illumination, vignetting), and a_k light that is added (flare, haze). `State.used` marks the
-free coefficients. The variance of a pixel is gain * value + read^2, where the value is that of the model. The variance is
-held fixed within a step (iteratively reweighted least squares). For Poisson noise, the fixed point is the maximum of the
-likelihood, and noise in the weights does not cause a bias (docs/model.md 8).
+A pixel is modelled as  [dark (1 - E(d)) + bright E(d)] (1 + sum of m_k t_k) + sum of a_k t_k.  E is the edge response
+at distance d, and t_k are the polynomial terms of the light in two dimensions. The coefficients m_k describe light that
+multiplies the scene (uneven illumination, vignetting), and a_k light that is added (flare, haze). `State.used` marks
+the free coefficients. The variance of a pixel is gain * value + read^2, where value is the value of the model and read
+the read noise. The variance is held fixed within a step (iteratively reweighted least squares). For Poisson noise, the
+fixed point is the maximum of the likelihood, and noise in the weights does not cause a bias (docs/model.md 8).
 
 Fisher scoring uses a fixed number of steps. Every step is the same small program, so that many edges run in parallel
-under `vmap`; with a stopping rule, all edges would wait for the slowest one. Profile and levels are fitted to the bins, and
-the curve to the pixels near the edge. The shift of the curve is fitted together with the profile. By symmetry, its slope
-and bow are uncorrelated with all other parameters, so that the two fits can alternate.
+under `vmap`; with a stopping rule, all edges would wait for the slowest one. Profile and levels are fitted to the bins,
+and the curve to the pixels near the edge. The shift of the curve is fitted together with the profile. By symmetry, the
+slope and the bow of the curve are uncorrelated with all other parameters, so that the two fits can alternate.
 """
 
 from __future__ import annotations
@@ -74,8 +74,8 @@ class State(NamedTuple):
     """Parameters of the fit.
 
     Attributes:
-        linear: (LINEAR,) dark level, bright level, m_k (1/px for the terms x and y), a_k, and the shift that is added to
-            every distance, px.
+        linear: (LINEAR,) dark level, bright level, coefficients m_k of the light that multiplies the scene (1/px for
+            the terms x and y), coefficients a_k of the added light, and the shift that is added to every distance, px.
         profile: (k,) parameters of the profile.
         used: (LINEAR,) 1 for free linear parameters, 0 for fixed linear parameters.
     """
@@ -126,7 +126,7 @@ def light_of(linear: jax.Array, terms: jax.Array) -> tuple[jax.Array, jax.Array]
 
 
 def lit_edge(edge: jax.Array, linear: jax.Array, terms: jax.Array) -> LitEdge:
-    """Evaluate an edge response (n,) with levels and light. `linear`, `terms`: as in `light_of`."""
+    """Apply levels and light to an edge response (n,). `linear`, `terms`: as in `light_of`."""
     factor, addend = light_of(linear, terms)
     step = linear[1] - linear[0]
     level = linear[0] + step * edge

@@ -51,9 +51,10 @@ class LensFit(NamedTuple):
 
     Attributes:
         profile: (k,) fitted parameters of the lens.
-        chi2: chi-square of the bins for the given noise.
+        chi2: chi-square of the bins for the given or estimated noise.
         degrees: degrees of freedom: number of bins minus number of parameters.
-        misfit_probability: probability of the residuals if the model is correct, tested with the free curve.
+        misfit_probability: probability of residuals at least as large if the model is correct, tested with the free
+            curve.
         numbers: (k,) parameters of the lens, in the units of their names.
         numbers_covariance: (k, k) covariance of `numbers`.
         expected: (n,) model values of the bins.
@@ -75,14 +76,14 @@ class LensFit(NamedTuple):
 class EdgeFits(NamedTuple):
     """Model-free and parametric estimates of one edge.
 
-    Positions are in px from the centre of the region, values in the units of the image.
+    Positions are in px from the centre of the region. Values are in the units of the image.
 
     Attributes:
         curve: (CURVE,) coefficients of the edge.
         length: unit of length of the curve, as in `Rows`, px.
         slope: dx/dy of the least-squares line through the edge.
         slope_std: standard deviation of `slope`.
-        angle: angle between the normal and the grid, rad.
+        angle: angle between the normal of the edge and the rows of the region, rad.
         crossing: number of rows that the edge crosses, away from the borders.
         noise: given or estimated noise.
         residual: standard deviation of single pixels about the fit, near the edge.
@@ -176,7 +177,10 @@ def edge_fits(
     shape = CoreShape(xp.exp(at.state.profile[0]), angle, half, radius=one, apart=one)
 
     def fitted(position: jax.Array, ghost: float) -> tuple[free_fit.LinearFit, tuple[jax.Array, jax.Array]]:
-        """Fit the free curve without glare, and find the most probable glare. `position`: distance of a ghost, px."""
+        """Fit the free curve without glare, and find the most probable glare.
+
+        `position`: distance of a ghost, px. `ghost`: 1 if the fit includes a ghost, else 0.
+        """
         fit = free_fit.linear_fit(cells, at, noise, shape._replace(apart=position), ghost)
         return fit, free_fit.glare_candidate(fit)
 

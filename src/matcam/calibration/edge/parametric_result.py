@@ -100,16 +100,16 @@ class ParametricEdge(Summarised, _LensNumbers[float]):
         names: names of the fitted parameters in camera profiles, such as "optics.sigma_px" (no unit).
         values: fitted parameters (k,), in the units of their names.
         covariance: covariance of `values` (k, k).
-        mtf: signed total MTF (81,) at the `frequency` of the result (no unit).
+        mtf: signed MTF of lens and pixel (81,), at `EdgeMTF.frequency` (no unit).
         mtf_std: standard deviation of `mtf` (81,).
         mtf50: lowest frequency at which `mtf` is one half, cycles/px.
         mtf50_std: standard deviation of `mtf50`, cycles/px.
-        chi2: chi-square of the bins for the given noise (no unit).
+        chi2: chi-square of the fit to means of pixels, for the given or estimated noise (no unit).
         degrees: degrees of freedom (no unit).
         misfit_probability: probability of at least this much structure in the residuals if the model is correct (no unit).
         lens: the lens model.
-        fitted: fitted parameters (k,), in the parameterisation of the fit.
-        half_width: half width of the pixel, px.
+        fitted: fitted parameters (k,), in the parameterisation of `lens`, such as ln sigma.
+        half_width: half the side of the sensitive area of a pixel, px.
 
     Example:
         >>> y, x = np.mgrid[-80:80, -40:40]
@@ -121,7 +121,7 @@ class ParametricEdge(Summarised, _LensNumbers[float]):
 
     @property
     def camera(self) -> Camera:
-        """Fitted camera, with its covariance."""
+        """Fitted camera, with the covariance of its parameters."""
         return Camera(
             self.lens.optics(xp.asarray(self.fitted)),
             BoxPixel(self.half_width),
@@ -180,17 +180,17 @@ class ParametricStack(_LensNumbers[np.ndarray]):
         names: names of the fitted parameters (no unit).
         values: fitted parameters (n, k), in the units of their names.
         covariance: covariances of `values` (n, k, k).
-        mtf: signed total MTF (n, 81) (no unit).
+        mtf: signed MTF of lens and pixel (n, 81), at `EdgeStack.frequency` (no unit).
         mtf_std: standard deviation of `mtf` (n, 81).
         mtf50: lowest frequency at which `mtf` is one half (n,), cycles/px.
         mtf50_std: standard deviation of `mtf50` (n,), cycles/px.
-        chi2: chi-square of the bins for the given noise (n,) (no unit).
+        chi2: chi-square of the fit to means of pixels, for the given or estimated noise (n,) (no unit).
         degrees: degrees of freedom (n,) (no unit).
         misfit_probability: probability of at least this much structure in the residuals if the model is correct (n,)
             (no unit).
         lens: the lens model.
-        fitted: fitted parameters (n, k), in the parameterisation of the fit.
-        half_width: half width of the pixel, px.
+        fitted: fitted parameters (n, k), in the parameterisation of `lens`, such as ln sigma.
+        half_width: half the side of the sensitive area of a pixel, px.
 
     Example:
         >>> y, x = np.mgrid[-80:80, -40:40]
@@ -205,9 +205,9 @@ def parametric_stack(
 ) -> ParametricStack:
     """Convert the fits of a stack of edges to results.
 
-    All arrays are NumPy arrays. If the lens model is rejected, the differences of its MTF and MTF50 from the model-free values
-    are added in quadrature to its standard deviations. `free`: model-free MTF and MTF50. `bad`: mask (n,) of edges whose
-    values become NaN.
+    All arrays are NumPy arrays. If the lens model is rejected, the differences of MTF and MTF50 from the model-free
+    values are added in quadrature to the standard deviations. `free`: model-free MTF and MTF50. `bad`: mask (n,) of
+    edges whose values become NaN.
     """
     probability = fit.misfit_probability
     wrong = ~(probability > IMPROBABLE)

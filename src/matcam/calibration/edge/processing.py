@@ -90,7 +90,7 @@ class _EdgeRegion:
         edge: result of the measurement.
         value: (rows, columns) values corrected for uneven light; NaN for missing pixels.
         distance: (rows, columns) distances from the edge, px.
-        mosaic: whether the pixels are the sites of one colour.
+        mosaic: whether the pixels are the sites of one colour of a mosaic.
         clear: distance of the edge from the borders, in standard deviations of its blur.
         light: uneven light; None if light of third order explains the region.
     """
@@ -211,7 +211,7 @@ def _ghost(region: _EdgeRegion) -> list[Trace]:
         return []
     side = "bright" if ghost.bright else "dark"
     text = f"a ghost with {ghost.share:.1%} of the step lies {ghost.position:.1f} px from the edge, on the {side} side"
-    return [Trace(0.0, Remark("ghost", f"{text}: the MTF includes it"))]
+    return [Trace(0.0, Remark("ghost", f"{text}: the MTF includes the effect of the ghost"))]
 
 
 def _smoothed(region: _EdgeRegion) -> list[Trace]:
@@ -302,7 +302,9 @@ def _filtered(region: _EdgeRegion, smoothed: list[Trace], raised: list[Trace]) -
         return [Trace(more)]
     kind, off = ("smooths", "low") if uncertainty.smooths else ("sharpens or deconvolves", "high")
     text = f"the noise of neighbours is correlated as after a filter that {kind} (probability {uncertainty.probability:.1%})"
-    return [Trace(more, Remark("filtered", f"{text}: MTF50 may be too {off} by {uncertainty.share:.0%}"))]
+    return [
+        Trace(more, Remark("filtered", f"{text}: MTF50 may be too {off} by {uncertainty.share:.0%}; use camera raw"))
+    ]
 
 
 def _crushed(region: _EdgeRegion) -> list[Trace]:
@@ -319,8 +321,8 @@ def _crushed(region: _EdgeRegion) -> list[Trace]:
 def _coarse(region: _EdgeRegion) -> list[Trace]:
     """Estimate the error of MTF50 that rounding to coarse levels causes.
 
-    The error of the mean of rounded values is at most (level / pi) exp(-2 pi^2 noise^2 / level^2) (Widrow & Kollar,
-    Quantization Noise, 2008, ch. 9).
+    If levels have the distance a and the noise has the standard deviation s, the error of the mean of rounded values is
+    at most (a / pi) exp(-2 pi^2 s^2 / a^2) (Widrow & Kollar, Quantization Noise, 2008, ch. 9).
     """
     value, sides, of_sides = region.value, region.sides, [levels for levels, _ in region.levels]
     if not all(0 < levels.size <= _MOST_LEVELS for levels in of_sides):
@@ -348,9 +350,9 @@ def _coarse(region: _EdgeRegion) -> list[Trace]:
 def _asymmetric(region: _EdgeRegion) -> list[Trace]:
     """Estimate the error of MTF50 if a tone curve causes the asymmetry of the edge response.
 
-    A tone curve v + q v (1 - v) between the levels adds q E (1 - E) to a response E; a symmetric lens does not. The
-    variance of photon noise is proportional to the light. A larger variance of the dark side makes a tone curve more
-    probable.
+    Let v be the light between the dark level (0) and the bright level (1). A tone curve v + q v (1 - v) adds q E (1 -
+    E) to an edge response E, but a symmetric lens does not. The variance of photon noise is proportional to the light.
+    A variance of the dark side that is larger than expected from its light makes a tone curve more probable.
     """
     edge, bare, noise = region.edge, region.edge.bare, region.noise
     if ghost_of(edge.fits.free).share > 0:
@@ -380,15 +382,17 @@ def _asymmetric(region: _EdgeRegion) -> list[Trace]:
     lowest = float(np.clip(edge.dark / edge.bright, 0.0, 0.9))
     share = float(np.sqrt(probability)) * _effect_of_tone(edge, lambda seen: _shoulder_undone(seen, lowest, curvature))
     text = "the edge response is not symmetric, because of coma of the lens or a nonlinear tone curve (a highlight shoulder)"
-    remark = Remark("asymmetric", f"{text}; MTF50 may be wrong by {share:.1%}")
+    remark = Remark(
+        "asymmetric", f"{text}; MTF50 may be wrong by {share:.1%}: specify the tone curve if there is one (--tone)"
+    )
     return [Trace(share, remark if probability >= _SURE_TONE and share >= _LEAST_REPORTED else None)]
 
 
 def _shoulder_undone(response: FloatArray, lowest: float, curvature: float) -> FloatArray:
-    """Invert a tone curve tanh(b v) with a shoulder.
+    """Invert a tone curve with a shoulder, tanh(b v) of the light v.
 
-    `curvature`: q of `_asymmetric`, which determines b; if it is negative, the shoulder is on the dark side. `lowest`:
-    light of the dark side relative to that of the bright side.
+    The parameter b follows from `curvature`. `curvature`: q of `_asymmetric`; if q is negative, the shoulder is on the
+    dark side. `lowest`: light of the dark side relative to the light of the bright side.
     """
     if curvature < 0:
         return 1 - _shoulder_undone(1 - response, 0.0, -curvature)
@@ -416,7 +420,7 @@ def _effect_of_tone(edge: EdgeMTF, undone: Callable[[FloatArray], FloatArray]) -
 
 
 def _effect_of_crushing(region: _EdgeRegion) -> float:
-    """Compute the relative decrease of the width of a fitted Gaussian edge by crushed blacks."""
+    """Compute the relative change of the width of a fitted Gaussian edge by crushed blacks, without its sign."""
     cells, blur = region.edge.samples, region.blur
     used = np.abs(cells.distance) < 6 * blur + 2
     d, value, weight = cells.distance[used], cells.value[used], 1 / np.maximum(cells.std[used], 1e-3)

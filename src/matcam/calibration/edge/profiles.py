@@ -3,10 +3,11 @@
 The edge response is that of the camera model. Gaussian lenses have closed forms. For other lenses, the edge response is
 computed by a fast Fourier transform of the total MTF, and interpolated at the bins.
 
-`Separable` is a lens combined with a pixel of unknown size: diffraction x Gaussian core x square pixel (docs/model.md 7).
-Core and pixel can only be distinguished by the shape of their transforms, that is, by the fourth cumulant of the
-pixel, 2 (half width)^4 / 15. If the core is not exactly Gaussian, the estimate of the pixel would be biased. Therefore
-the core may have an excess kurtosis, with a prior centred on 0. Its uncertainty is included in those of core and pixel.
+`Separable` is a lens combined with a pixel of unknown size: diffraction x Gaussian core x square pixel (docs/model.md
+7). Core and pixel can only be distinguished by the shape of their transforms, that is, by the fourth cumulant of the
+pixel, -2 (half width)^4 / 15. A core that is not exactly Gaussian would bias the estimate of the pixel. Therefore the
+core may have an excess kurtosis, with a prior centred on 0. The uncertainties of core and pixel include the uncertainty
+of the kurtosis.
 """
 
 from __future__ import annotations
@@ -111,7 +112,7 @@ class LensModel(Module):
 
 
 class Gaussian(LensModel):
-    """Gaussian optics. Parameter: ln sigma."""
+    """Gaussian optics. Parameter: ln of the standard deviation sigma in px."""
 
     name: ClassVar[str] = "gaussian"
     names: ClassVar[tuple[str, ...]] = ("optics.sigma_px",)
@@ -140,7 +141,8 @@ class Gaussian(LensModel):
 class GaussianWithHalo(LensModel):
     """Gaussian core with veiling glare.
 
-    Parameters: ln sigma, fraction, ln radius.
+    Parameters: ln of the standard deviation sigma of the core in px, share of the light in glare, ln of the standard
+    deviation of the glare in px.
     """
 
     name: ClassVar[str] = "halo"
@@ -148,7 +150,7 @@ class GaussianWithHalo(LensModel):
     longest: ClassVar[tuple[float, ...]] = (0.3, 0.03, 0.3)
 
     def start(self, log_sigma: jax.Array) -> jax.Array:
-        """Compute initial parameters with little glare, whose radius is much larger than that of the core."""
+        """Compute initial parameters with little glare, which is much wider than the core."""
         return xp.stack([log_sigma - 0.03, xp.asarray(0.03), xp.maximum(log_sigma + 1.5, xp.log(12.0))])
 
     def numbers(self, parameters: jax.Array) -> jax.Array:
@@ -168,7 +170,7 @@ class GaussianWithHalo(LensModel):
 
 
 class Diffraction(LensModel):
-    """Diffraction-limited lens with a fitted f-number. Parameter: ln f_number."""
+    """Diffraction-limited lens with a fitted f-number. Parameter: ln of the f-number."""
 
     wavelength: jax.Array
     pixel_pitch: jax.Array
@@ -178,7 +180,7 @@ class Diffraction(LensModel):
     longest: ClassVar[tuple[float, ...]] = (0.5,)
 
     def start(self, log_sigma: jax.Array) -> jax.Array:
-        """Compute ln of the f-number whose Airy pattern has the same core width: sigma = 0.45 wavelength f_number."""
+        """Compute ln of the f-number whose Airy pattern is as wide as the Gaussian: sigma = 0.45 wavelength f_number."""
         return (log_sigma - xp.log(0.45 * self.wavelength / self.pixel_pitch))[None]
 
     def numbers(self, parameters: jax.Array) -> jax.Array:
@@ -189,7 +191,7 @@ class Diffraction(LensModel):
 
 
 class Defocus(LensModel):
-    """Lens with fitted diffraction and defocus. Parameters: ln f_number, blur_diameter (px)."""
+    """Lens with fitted diffraction and defocus. Parameters: ln of the f-number, diameter of the blur circle in px."""
 
     wavelength: jax.Array
     pixel_pitch: jax.Array

@@ -1,6 +1,6 @@
 """Regions as rows of samples across an edge, and checks of the measured edges.
 
-A region is transposed and mirrored so that its edge is nearer to vertical than to horizontal, and its bright side is on
+A region is transposed and mirrored so that its edge is closer to vertical than to horizontal, and its bright side is on
 the right. The pixels are not resampled. For a mosaic, the rows contain the sites of one colour.
 """
 
@@ -93,7 +93,8 @@ class RegionFrame(NamedTuple):
 class EdgeRegions(NamedTuple):
     """Rows of samples of n regions.
 
-    The regions are transposed and mirrored so that edges are nearer to vertical, with the bright side on the right.
+    The regions are transposed and mirrored so that their edges are closer to vertical than to horizontal, with the
+    bright side on the right.
 
     Attributes:
         value: (n, rows, columns) linear values; NaN for missing samples.
@@ -145,8 +146,8 @@ def edge_region(
 ) -> tuple[LinearImage, EdgeRegions]:
     """Convert an image region that contains one edge to a linear plane and to rows.
 
-    The arguments are those of `LinearImage.of`. A FitError is raised if the region cannot be measured, an ArgumentError if it
-    is invalid or too small.
+    The arguments are those of `LinearImage.of`. A FitError is raised if the region cannot be measured, for example
+    because it is too large or saturated. An ArgumentError is raised if the region is outside the image or too small.
     """
     region = measurable_region(LinearImage.of(image, channel, cfa, tone, roi))
     height, width = region.values.shape
@@ -161,8 +162,8 @@ def edge_region(
 def edge_regions(values: np.ndarray, *, mosaic: bool = False) -> EdgeRegions:
     """Convert regions (n, height, width) to rows.
 
-    All edges must be nearer to vertical, or all edges must be nearer to horizontal. `mosaic`: whether most values are NaN,
-    because the colour has no site there; n is then 1.
+    Either all edges must be closer to vertical than to horizontal, or all edges must be closer to horizontal. `mosaic`:
+    whether most values are NaN, because the colour has no sites at these pixels; n is then 1.
     """
     across, along = (_difference(values, axis) for axis in (2, 1))
     height, width = values.shape[1:]
@@ -230,10 +231,11 @@ def refusals(found: EdgeFits, region: EdgeRegions, clear: np.ndarray, *, accept_
 
     def refusal(i: int) -> Remark | None:
         if lost[i]:
-            return Remark("no-edge", "no edge crosses the region from one side to the other: choose another region")
+            text = "no edge was found that crosses the region from one side to the other: choose another region"
+            return Remark("no-edge", text)
         if contrast[i] < _LEAST_CONTRAST:
-            text = f"no edge was found: the step is {contrast[i]:.1f} times the scatter of the pixels, but at least "
-            text += f"{_LEAST_CONTRAST:g} times are required"
+            text = f"no edge was found: the step is {contrast[i]:.1f} times the scatter of the pixels, but must be "
+            text += f"at least {_LEAST_CONTRAST:g} times the scatter"
             seen = describe_content(region.value[i])
             return Remark(
                 "no-edge", f"{text}; {seen}: choose another region" if seen else f"{text}: choose another region"
@@ -241,9 +243,9 @@ def refusals(found: EdgeFits, region: EdgeRegions, clear: np.ndarray, *, accept_
         if gap[i] > _WIDEST_GAP:
             return Remark(
                 "phases-missing",
-                f"an edge at {np.degrees(abs(found.angle[i])):.1f} degrees to the pixel grid samples too few "
-                f"distances from the edge (the largest gap is {gap[i]:.2f} px, and must be at most {_WIDEST_GAP} px): rotate "
-                "the target by a few degrees",
+                f"the edge is at {np.degrees(abs(found.angle[i])):.1f} degrees to the pixel grid, so that the pixels sample "
+                f"too few distances from the edge (the largest gap is {gap[i]:.2f} px, but must be at most {_WIDEST_GAP} "
+                "px): rotate the target by a few degrees",
             )
         if blur[i] > _BLUR * width:
             return Remark(
@@ -260,8 +262,8 @@ def refusals(found: EdgeFits, region: EdgeRegions, clear: np.ndarray, *, accept_
                 "the raw image, or accept the MTF of lens and sharpening together (accept_sharpened=True)",
             )
         if veiled[i]:
-            text = f"a lens does not cause glare of {glare[i]:.0%} that is as wide as the region and has a misfit of "
-            text += f"{found.misfit[i]:.1%} of the step"
+            text = f"a lens does not cause glare of {glare[i]:.0%} with a radius above {VEIL:.0%} of the region width "
+            text += f"together with a misfit of {found.misfit[i]:.1%} of the step"
             why = describe_content(region.value[i]) or "the region may contain a ghost, a second edge or dirt"
             return Remark("unexplained", f"{text}; {why}: choose another region")
         second = bool(ghost.share[i] > _SECOND)
@@ -281,7 +283,7 @@ def refusals(found: EdgeFits, region: EdgeRegions, clear: np.ndarray, *, accept_
 
 
 def describe_content(value: np.ndarray) -> str:
-    """Describe the content of a region (rows, columns) without a single edge.
+    """Describe the content of a region (rows, columns) that may not contain exactly one edge.
 
     The description is empty if the content is unknown.
     """

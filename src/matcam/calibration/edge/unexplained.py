@@ -1,9 +1,9 @@
 """Noise, outlying pixels and unexplained residuals of an edge.
 
-Pixels of one aligned column that sample the edge at the same phase should have equal values. A pixel is excluded (a hot
-or dead pixel, dust) if it deviates from the other pixels of its group by much more than their scatter and the noise. This
-test does not require a model of the edge. A ghost, the border of a shadow or dirt causes residuals in a few of many
-cells, and a rough edge causes blur. Both effects increase the standard deviation of an MTF.
+Pixels of one aligned column that sample the edge at the same phase should have equal values. A pixel is excluded if it
+deviates from the other pixels of its group by much more than their scatter and the noise. Such outliers are hot or dead
+pixels and dust. This test does not require a model of the edge. A ghost, the border of a shadow or dirt causes
+residuals in a few of many cells, and a rough edge causes blur. Both effects increase the standard deviation of an MTF.
 """
 
 from __future__ import annotations
@@ -122,8 +122,9 @@ def with_unexplained(curve: SampledCurve, f: jax.Array, roughness: jax.Array, mi
 def misfit_of(fit: LinearFit, curve: FreeCurve, excess: jax.Array) -> jax.Array:
     """Compute the scatter of the bins near the edge about the free curve, beyond the noise.
 
-    It is a standard deviation in units of the step. `curve`: free curve, with glare if it was found. `fit`: fit without glare.
-    `excess`: factor that was applied to all variances; 1 if the noise explains the total scatter of the bins.
+    The result is a standard deviation in units of the step. `curve`: free curve, with glare if it was found. `fit`: fit
+    without glare. `excess`: factor that was applied to all variances; 1 if the noise explains the total scatter of the
+    bins.
     """
     distance, there, left = fit.cells.distance, fit.cells.pixels > 0, fit.misfit(curve)
     # Only bins within 7 px of the edge determine the misfit.

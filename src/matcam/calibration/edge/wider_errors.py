@@ -1,4 +1,4 @@
-"""Increase of the standard deviations of measured edges by causes other than pixel noise."""
+"""Increase of the standard deviations of measured edges for causes other than pixel noise."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _JUMP = 1.5
 
 
 def with_core_as_total(stack: EdgeStack, which: np.ndarray) -> EdgeStack:
-    """Replace the MTF of selected edges with their MTF without glare.
+    """Replace the MTF of selected edges with the MTF without glare, and set the glare of these edges to 0.
 
     `which`: mask (n,) of the selected edges.
     """
@@ -35,8 +35,9 @@ def widened(stack: EdgeStack, by_part: Mapping[str, np.ndarray], ghosts: np.ndar
 
     Args:
         stack: results of n edges.
-        by_part: relative standard deviations (n,) of the frequency scale. "lens" applies to all estimates, "free" in
-            addition to the model-free estimates, and "glare" in addition to the model-free MTF with glare.
+        by_part: relative standard deviations (n,) of the frequency scale. "lens" applies to all estimates, "free" only
+            to the model-free estimates, and "glare" only to the model-free MTF with glare. The standard deviations that
+            apply to the same estimate are added in quadrature.
         ghosts: shares (n,) of distant ghosts that may have been fitted as uneven light.
     """
     lens, shares = stack.parametric, by_part["lens"]
@@ -61,9 +62,9 @@ def _by_scale(frequency: np.ndarray, mtf: np.ndarray) -> np.ndarray:
 def _errors(stack: EdgeStack, name: str, share: np.ndarray, ghosts: np.ndarray) -> dict[str, Any]:
     """Compute the standard deviations of an MTF and of its MTF50.
 
-    The standard deviation of MTF50 covers the frequencies at which the MTF plus or minus one standard deviation is one
-    half. A ghost makes the MTF oscillate. If the MTF is close to one half at two frequencies, MTF50 may change
-    discontinuously.
+    A ghost makes the MTF oscillate. If the MTF is close to one half at two frequencies, a small error of the MTF may
+    change MTF50 discontinuously. Therefore the MTF plus or minus one standard deviation is also evaluated. If this
+    changes MTF50 by more than `_JUMP` standard deviations, the change replaces the standard deviation.
     """
     f, mtf, half = stack.frequency, getattr(stack, name), getattr(stack, f"{name}50")
     by_scale = _by_scale(f, mtf)

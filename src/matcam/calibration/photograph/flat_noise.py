@@ -1,9 +1,9 @@
 """Noise of uniform areas, as a test for denoising, compression, sharpening or a tone curve.
 
 The noise of a sensor is independent between pixels, and increases with brightness. Denoising, demosaicing and JPEG
-correlate the noise of neighbours, sharpening makes the correlation negative, and JPEG causes block borders every 8 px. A
-tone curve makes the noise of dark pixels larger than that of bright pixels. Second differences of neighbours remove light
-that changes smoothly.
+correlate the noise of neighbours. Sharpening makes this correlation negative. JPEG also causes block borders every 8
+px. A tone curve makes the noise of dark pixels larger than the noise of bright pixels. Second differences of neighbours
+remove light that changes smoothly.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ def clipped_mean(squares: jax.Array, count: jax.Array | int, most: float, rounds
 
 
 def smoothing_uncertainty(blur: float, *, denoised: bool) -> float:
-    """Estimate the relative standard deviation of a blur due to smoothing in software.
+    """Estimate the relative standard deviation of a measured blur that smoothing in software causes.
 
     Args:
         blur: standard deviation of the blur of lens and pixel, px. Smoothing has less effect on a wider blur.
@@ -88,7 +88,7 @@ class FlatNoise(NamedTuple):
         tilt: ratio of the noise variance of the dark side to that of the bright side; NaN if it is unknown.
         tilt_std: standard deviation of `tilt`.
         grid: ratio of the squared differences across borders every 8 px and elsewhere; 1 for independent noise.
-        variance: variances of the dark and of the bright side.
+        variance: noise variances of the dark and of the bright side, in squared units of the image.
     """
 
     neighbour_ratio: float

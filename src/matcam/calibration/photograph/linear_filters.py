@@ -98,7 +98,8 @@ class FilterUncertainty(NamedTuple):
     """Uncertainty of an MTF due to filters that may have been applied.
 
     Attributes:
-        share: relative error of MTF50: mean of the absolute errors due to all filters, weighted by their probabilities.
+        share: relative error of MTF50, the mean of the absolute errors due to all filters, weighted by their
+            probabilities.
         probability: probability that any filter was applied.
         smooths: whether the most probable filter decreases MTF50.
     """
@@ -123,7 +124,7 @@ class _Filters(NamedTuple):
 
 
 def correlations(value: FloatArray, sides: tuple[np.ndarray, np.ndarray]) -> Correlations | None:
-    """Measure the correlations of the noise of an image; None if there are too few pixels.
+    """Measure the correlations of the noise of an image; None if there are too few pixels or no noise.
 
     Args:
         value: image (height, width), any unit.
@@ -188,15 +189,18 @@ def _log_likelihoods(seen: Correlations) -> FloatArray:
 
 
 def mask_gain(seen: Correlations) -> float:
-    """Compute the increase of 2 ln(likelihood) of the noise due to the unsharp mask. Even light is assumed."""
+    """Compute the increase of 2 ln(likelihood) of the noise if an unsharp mask with `AMOUNT` and `RADIUS` is assumed.
+
+    The light is assumed to be even.
+    """
     expected = _filters().correlation[1 + len(_WIDTHS) + _MASKS.index((AMOUNT, RADIUS))]
     return float(seen.pairs @ (seen.value**2 - (seen.value - expected) ** 2))
 
 
 def edge_gain(edge: BareEdge) -> float:
-    """Compute the decrease of the chi-square of an edge due to the unsharp mask.
+    """Compute the decrease of the chi-square of an edge if an unsharp mask with `AMOUNT` and `RADIUS` is assumed.
 
-    The line spread function is any non-negative function.
+    The line spread function of the lens may be any non-negative function.
     """
     weight = 1 / np.hypot(edge.std, LEAST_NOISE)
     given = edge.light * weight
@@ -220,11 +224,11 @@ def edge_gain(edge: BareEdge) -> float:
 
 
 def needed_gain(blur: float) -> float:
-    """Compute the decrease of chi-square above which the unsharp mask is reported.
+    """Compute the sum of `mask_gain` and `edge_gain` above which an unsharp mask is reported.
 
-    Two of 1,000 clean edges exceed this threshold. Next to the core of a sharp edge, negative noise can only be fitted with the
-    mask. Clean edges with a lens width of 0.3, 0.5 and 0.7 px at a signal-to-noise ratio of 100 have a decrease of 7 ± 3,
-    5 ± 2 and 3 ± 1, respectively.
+    Two of 1,000 clean edges exceed this threshold. Next to the core of a sharp edge, negative noise can only be fitted
+    with the mask. For clean edges with a lens width of 0.3, 0.5 and 0.7 px and a signal-to-noise ratio of 100, the
+    decrease of the chi-square of the edge is 7 ± 3, 5 ± 2 and 3 ± 1, respectively.
 
     Args:
         blur: standard deviation of the line spread function, px.
@@ -234,7 +238,7 @@ def needed_gain(blur: float) -> float:
 
 
 def effect_on_half(frequency: FloatArray, mtf: FloatArray) -> float:
-    """Compute the relative increase of MTF50 due to the unsharp mask; 0 if MTF50 is undefined.
+    """Compute the relative increase of MTF50 by an unsharp mask with `AMOUNT` and `RADIUS`; 0 if MTF50 is undefined.
 
     Args:
         frequency: frequencies, cycles/px.
@@ -248,13 +252,13 @@ def effect_on_half(frequency: FloatArray, mtf: FloatArray) -> float:
 def filter_uncertainty(
     seen: Correlations | None, frequency: FloatArray, mtf: FloatArray, *, sharpened: bool = False
 ) -> FilterUncertainty:
-    """Estimate the uncertainty of an MTF due to possible linear filters from the noise.
+    """Estimate the uncertainty of an MTF due to linear filters, whose probabilities follow from the noise.
 
     Args:
         seen: correlations of the noise; None if they are unknown.
         frequency: frequencies (n,), cycles/px.
         mtf: MTF of the image (n,).
-        sharpened: whether the edge itself indicates that a filter has increased its MTF. Default: False.
+        sharpened: whether the edge itself indicates that a filter has increased the MTF. Default: False.
 
     Returns:
         The uncertainty; its share is 0 if the noise is unknown.

@@ -44,25 +44,26 @@ most six times as steep in dark parts as in bright parts.
 class LinearImage:
     """Linear colour plane of a photograph.
 
-    Every estimator accepts a `LinearImage`, or an array that it converts with `LinearImage.of`. Create one explicitly to use
-    several estimators on the same image, or to store aperture and file name with it.
+    Every estimator accepts a `LinearImage`, or an array that it converts with `LinearImage.of`. Create a `LinearImage`
+    explicitly to apply several estimators to the same image, or to store the f-number and the file name of the image.
 
     Attributes:
         values: linear pixel values (height, width), any unit. NaN marks missing pixels and the sites of other colours of a
             mosaic.
         channel: "R", "G", "B", "Y" (luminance) or "grey" (no unit). Default: "grey".
-        cfa: colours of the first 2 x 2 px of `values`, row by row ("RGGB", ...), of a mosaic (no unit). Default: None, no
-            mosaic.
+        cfa: colours of the first 2 x 2 px of `values`, row by row: "RGGB", "BGGR", "GRBG" or "GBRG" (no unit). Default:
+            None, no mosaic.
         tone: tone curve that was inverted: "linear", "srgb", a gamma or a table (no unit). Default: "linear".
-        f_number: f-number of the photograph (no unit). Default: None, it is unknown.
+        f_number: f-number of the photograph (no unit). Default: None, the f-number is unknown.
         source: file name, for messages and provenance (no unit). Default: "".
         corner: (x, y) of the first pixel in the whole photograph, px. Default: (0, 0).
-        saturated: mask of the saturated pixels (height, width). Default: None, it is unknown.
-        saturation: code of a saturated pixel, in the units of the photograph. Default: infinite, it is unknown.
+        saturated: mask of the saturated pixels (height, width). Default: None, the mask is unknown.
+        saturation: code of a saturated pixel, in the units of the photograph. Default: infinity, the code is unknown.
         remarks: assumptions about the photograph (no unit). Default: ().
 
     Raises:
-        ArgumentError: shapes disagree, or `channel` or `cfa` is not one of the values above.
+        ArgumentError: `values` are not numbers of shape (height, width), `saturated` has another shape, or `channel` or
+            `cfa` is not one of the values above. With `cfa`, `channel` must be "R", "G" or "B".
 
     Example:
         >>> mosaic = np.arange(16.0).reshape(4, 4)
@@ -123,15 +124,16 @@ class LinearImage:
         The tone curve is inverted. A `LinearImage` is returned unchanged, or cropped to `roi`.
 
         Args:
-            image: array of codes (height, width), or (height, width, 3) for R, G, B; NaN marks missing pixels. Or a
-                `Photograph` of `matcam.files.photographs.open_photograph`, or a `LinearImage`.
-            channel: "R", "G", "B" or "Y" (luminance) of a colour image; "R", "G" or "B" of a mosaic (no unit). Default: None,
-                the luminance of a colour image, or a grey image itself.
-            cfa: colours of the first 2 x 2 px of the whole image, row by row, if it is a mosaic: "RGGB", "BGGR", "GRBG" or
-                "GBRG" (no unit). Default: None, those of the photograph, or no mosaic.
+            image: array of codes (height, width), or (height, width, 3) for R, G, B, in which NaN marks missing pixels;
+                a `Photograph` of `matcam.files.photographs.open_photograph`; or a `LinearImage`.
+            channel: "R", "G", "B" or "Y" (luminance) of a colour image; "R", "G" or "B" of a mosaic, for which it is
+                required (no unit). Default: None, the luminance of a colour image, or a grey image itself.
+            cfa: colours of the first 2 x 2 px of the whole image, row by row, if the image is a mosaic: "RGGB", "BGGR",
+                "GRBG" or "GBRG" (no unit). Default: None, the colours in the photograph, or no mosaic.
             tone: tone curve of the codes (no unit): "linear"; "srgb" (IEC 61966-2-1); a gamma, light = (code / full) **
-                gamma; a table of linear values by code, (codes,) or (codes, 3); or "auto": 8-bit photographs are assumed to be
-                sRGB unless their format is linear, and all others are assumed to be linear. Default: "linear".
+                gamma, where full is the largest value of an integer data type, or 1 for floats; a table of linear
+                values by code, (codes,) or (codes, 3); or "auto": 8-bit photographs are assumed to be sRGB unless their
+                format is linear, and all others are assumed to be linear. Default: "linear".
             roi: region (x, y, width, height), px. Default: None, the whole image.
             f_number: f-number of the image (no unit). Default: None, that of the photograph.
             source: name of the file, for messages (no unit). Default: "".
@@ -140,7 +142,8 @@ class LinearImage:
             The plane; `remarks` lists the assumptions of "auto".
 
         Raises:
-            ArgumentError: `image` is not an image or does not have this channel, or the region is not inside the image.
+            ArgumentError: an argument is invalid, the image does not have this channel, or the region is not inside the
+                image.
 
         Source:
             Luminance: IEC 61966-2-1.
@@ -171,11 +174,15 @@ class LinearImage:
         if codes.ndim == 3:
             if mosaic is not None:
                 shape = photograph.values.shape
-                raise ArgumentError(f"cfa is for a mosaic of shape (height, width), got an image of shape {shape}")
+                raise ArgumentError(
+                    f"cfa is for a mosaic of shape (height, width), got an image of shape {shape}: omit cfa"
+                )
             channel = checks.choice("channel", channel or "Y", ("R", "G", "B", "Y"))
         elif mosaic is None:
             if channel not in (None, "grey"):
-                raise ArgumentError(f"channel must not be {channel!r} for a grey image: give cfa if it is a mosaic")
+                raise ArgumentError(
+                    f"channel must not be {channel!r} for a grey image: give cfa if the image is a mosaic"
+                )
             channel = "grey"
         else:
             sites_of(mosaic, channel)  # raises an error for an invalid channel before the image is linearised
@@ -239,12 +246,14 @@ def usable_region(region: LinearImage) -> LinearImage:
     """
     height, width = region.shape
     if min(height, width) < SMALLEST:
-        raise ArgumentError(f"roi must be at least {SMALLEST} x {SMALLEST} px, got {width} x {height}")
+        raise ArgumentError(
+            f"the region must be at least {SMALLEST} x {SMALLEST} px, got {width} x {height}: choose a larger region"
+        )
     if region.saturated is not None:
         share = region.saturated.sum() / max(np.isfinite(region.values).sum(), 1)
         if share > SATURATED:
             raise FitError(
-                f"region is saturated: {share:.0%} of its samples are at {region.saturation:g}, the end of their range; "
+                f"the region is saturated: {share:.0%} of its samples are at {region.saturation:g}, the end of their range; "
                 "reduce the exposure"
             )
     return region
@@ -260,10 +269,10 @@ def flaw(values: np.ndarray) -> Remark | None:
     """Create a remark if a region cannot be measured, else return None. `values`: (height, width)."""
     used = values[np.isfinite(values)]
     if used.size < SMALLEST**2 / 4:
-        return Remark("too-few-samples", f"region contains only {used.size} usable samples: choose a larger region")
+        return Remark("too-few-samples", f"the region contains only {used.size} usable samples: choose a larger region")
     low, high = used.min(), used.max()
     if not low < high:
-        return Remark("flat", f"region has only one value, {low:g}: it contains no edge")
+        return Remark("flat", f"the region has only one value, {low:g}: choose a region that contains the target")
     if (used == high).mean() > _FLAT_TOP:
         # Noisy pixels have equal values only at the end of a range. Without noise, the dark side is equally flat.
         middle = (low + high) / 2
@@ -273,13 +282,13 @@ def flaw(values: np.ndarray) -> Remark | None:
         below = index[used <= middle]
         spread = robust_std(below - np.median(below))
         if count[dark].max() / count[dark].sum() < flat / 2 and spread > _SPREAD:
-            text = f"region is saturated: {flat:.0%} of its bright samples have the same value, {high:g}; reduce the exposure"
+            text = f"the region is saturated: {flat:.0%} of its bright samples have the value {high:g}; reduce the exposure"
             return Remark("saturated", text)
     return None
 
 
 def local_mean(values: FloatArray, width: float) -> FloatArray:
-    """Compute local means of an image (height, width), weighted by a Gaussian of `width` px. NaN are ignored."""
+    """Compute local means of an image (height, width), weighted by a Gaussian of `width` px. NaN is ignored."""
     known = np.isfinite(values)
     if known.all():
         return ndimage.gaussian_filter(values, width)
@@ -310,7 +319,8 @@ def planes_of(
         there = ("grey",)
     for channel in channels or ():
         if channel not in there and not (channel == "Y" and photograph.values.ndim == 3):
-            raise ArgumentError(f"channel {channel!r} is not in this image; it has {', '.join(there)}")
+            allowed = (*there, "Y") if photograph.values.ndim == 3 else there
+            raise ArgumentError(f"channel must be one of {', '.join(allowed)} for this image, got {channel!r}")
     names = there if channels is None else channels
     return (LinearImage.of(photograph, name, cfa, tone, f_number=f_number, source=source) for name in names)
 
@@ -320,8 +330,8 @@ def as_photograph(
 ) -> Photograph:
     """Convert an array of linear values to a photograph without a file.
 
-    An ArgumentError is raised if the array is not an image. `what`: beginning of the message. `colours`: allowed numbers of
-    colours.
+    An ArgumentError is raised if the array is not an image. `what`: beginning of the error message. `colours`: allowed
+    numbers of colour channels; only the first three are used.
     """
     values = checks.plain_array("image", image)
     if (

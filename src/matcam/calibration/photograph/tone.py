@@ -28,7 +28,7 @@ def is_named(tone: Tone, *names: str) -> bool:
 
 
 def assumed_tone(photograph: Photograph, *, mosaic: bool = False) -> tuple[str, tuple[Remark, ...]]:
-    """Select the tone curve for "auto", with a remark that states the assumption.
+    """Select the tone curve for "auto", and create a remark if the tone curve is assumed.
 
     `mosaic`: whether the image is a mosaic, which is linear, because tone curves are applied after demosaicing.
     """
@@ -36,7 +36,8 @@ def assumed_tone(photograph: Photograph, *, mosaic: bool = False) -> tuple[str, 
         return "linear", ()
     bits = 8 * photograph.values.dtype.itemsize
     tone, name = ("srgb", "sRGB") if bits == 8 else ("linear", "linear")
-    return tone, (Remark("tone-assumed", f"no tone curve is specified: {name} is assumed for {bits} bits (--tone)"),)
+    text = f"no tone curve is specified: {name} is assumed for {bits} bits; give the tone curve (--tone)"
+    return tone, (Remark("tone-assumed", text),)
 
 
 def linear_values(codes: np.ndarray, tone: Tone, channel: int | None = None) -> np.ndarray:
@@ -60,7 +61,7 @@ def linear_values(codes: np.ndarray, tone: Tone, channel: int | None = None) -> 
         return _by_code(codes, lambda share: np.maximum(share, 0) ** gamma)
     table = checked_curve(np.asarray(tone, dtype=np.float64))
     if codes.dtype.kind not in "ui":
-        raise ArgumentError(f"tone as a table needs an image of whole numbers, got {codes.dtype}")
+        raise ArgumentError(f"tone as a table requires an image of whole numbers, got {codes.dtype}")
     if codes.size and codes.max() >= len(table):
         raise ArgumentError(
             f"tone has {len(table)} entries, but the largest code of the image is {codes.max()}: add entries"
@@ -70,7 +71,7 @@ def linear_values(codes: np.ndarray, tone: Tone, channel: int | None = None) -> 
     if channel is not None:
         return table[codes, channel]
     if codes.ndim < 3 or codes.shape[-1] != 3:
-        raise ArgumentError("tone has three columns, but the image has one channel: give one column")
+        raise ArgumentError("tone has three columns, but the image has one channel: give a table with one column")
     return np.stack([table[codes[..., i], i] for i in range(3)], axis=-1)
 
 
@@ -89,7 +90,8 @@ def tone_from_patches(
     """Measure a tone curve from patches of known linear values (ISO 14524).
 
     The result contains linear values by code, (codes,). The curve passes through the mean codes of the patches without
-    overshoot, and is extrapolated linearly above the brightest patch. An ArgumentError is raised if it is not monotone.
+    overshoot, and is extrapolated linearly above the brightest patch. An ArgumentError is raised if the curve is not
+    monotone, or an argument is invalid.
 
     `image`: integers, (height, width) or (height, width, 3). `patches`: at least 3 regions (x, y, width, height), px.
     `light`: (n,) linear values of the patches, any unit. `channel`: channel of a colour image; None for the mean of all.
@@ -112,7 +114,8 @@ def tone_from_patches(
     for x, y, width, height in patches:
         if min(x, y) < 0 or min(width, height) < 2 or x + width > codes.shape[1] or y + height > codes.shape[0]:
             raise ArgumentError(
-                f"patch {(x, y, width, height)} must lie inside the image of {codes.shape[1]} x {codes.shape[0]} px"
+                f"patch {(x, y, width, height)} must have at least 2 x 2 px and lie inside the image of "
+                f"{codes.shape[1]} x {codes.shape[0]} px"
             )
         part = codes[y : y + height, x : x + width]
         means.append(part[..., channel].mean() if part.ndim == 3 and channel is not None else part.mean())
@@ -120,7 +123,9 @@ def tone_from_patches(
     code, value = np.array(means)[order], values[order]
     if (np.diff(code) < 0.5).any():
         first = int(np.argmax(np.diff(code) < 0.5))
-        raise ArgumentError(f"two patches have the same code, {code[first]:.1f}: give patches of different codes")
+        raise ArgumentError(
+            f"two patches have nearly the same code, {code[first]:.1f}: give patches of different codes"
+        )
     full = np.iinfo(codes.dtype).max
     slope = (value[-1] - value[-2]) / (code[-1] - code[-2])
     if code[-1] < full:
@@ -131,14 +136,14 @@ def tone_from_patches(
 def patch_tone_curve(picture: str | Path, patches: str | Path) -> np.ndarray:
     """Measure the tone curve of each channel of a file.
 
-    `patches`: file with lines "x y width height light"; "#" begins a comment. A FileFormatError is raised if a line
-    is invalid, or no curve can be computed.
+    `patches`: file with lines "x y width height light"; the region is in px, the light is linear, and "#" begins a
+    comment. A FileFormatError is raised if a line is invalid, or no curve can be computed.
     """
     rows = read_numbers(patches, 5)
     image = read_photograph(picture)
     if not np.isfinite(rows).all() or (rows[:, :4] % 1 != 0).any():
         raise FileFormatError(
-            f"{patches}: x, y, width and height of a patch must be whole numbers of px, and its light a finite number"
+            f"{patches}: x, y, width and height of a patch must be whole numbers of px, and its light must be finite"
         )
     positions = rows[:, :4].astype(int).tolist()
     try:

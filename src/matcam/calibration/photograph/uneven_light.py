@@ -1,10 +1,11 @@
 """Gaussian process model of uneven light over the flat sides of an edge, and its comparison with glare.
 
-The model describes light that is not a polynomial of low order. Each side of the edge is averaged over bins of several px.
-The deviation of the bins from two levels times a polynomial of third order is modelled as light that multiplies the scene
-(banding, a penumbra, a near lamp), light that is added to the scene (a glint), or glare of the lens, which depends on the
-distance from the edge only. All are terms of one Gaussian model. Their scales and the probability of glare follow from its
-marginal likelihood (Rasmussen & Williams, Gaussian Processes for Machine Learning, 2006, ch. 5).
+The model describes light that is not a polynomial of low order. Each side of the edge is averaged over bins of several
+px. The bins deviate from two levels times a polynomial of third order. The deviation is light that multiplies the scene
+(banding, a penumbra, a near lamp), light that is added to the scene (a glint), or glare of the lens. Glare depends only
+on the distance from the edge. All three are terms of one Gaussian model. The marginal likelihood of the model
+determines their scales and the probability of glare (Rasmussen & Williams, Gaussian Processes for Machine Learning,
+2006, ch. 5).
 """
 
 from __future__ import annotations
@@ -73,9 +74,9 @@ class _Bins(NamedTuple):
     Attributes:
         x: (n,) mean x, px.
         y: (n,) mean y, px.
-        distance: (n,) distance from the edge, px; positive on the bright side.
+        distance: (n,) mean distance from the edge, px; positive on the bright side.
         value: (n,) mean value.
-        level: (n,) level of the side.
+        level: (n,) level of the side of the edge on which the bin lies.
         std: (n,) standard deviation of `value`.
     """
 
@@ -148,7 +149,7 @@ def light_field(
     blur: float,
     glare: bool,
 ) -> LightField | None:
-    """Estimate the residual uneven light of a region; None if a polynomial explains the light.
+    """Estimate the residual uneven light of a region.
 
     Args:
         value: region (rows, columns), linear, any unit; NaN for missing pixels.
@@ -160,7 +161,7 @@ def light_field(
         glare: whether the fit of the edge has found glare, which must then be compared with uneven light.
 
     Returns:
-        The most probable light.
+        The most probable light; None if a polynomial explains the light, or if the region has too few usable bins.
     """
     bins = _bins(value, x, y, distance, noise, EXCLUDED_WIDTHS * blur + 1.5)
     if bins is None:

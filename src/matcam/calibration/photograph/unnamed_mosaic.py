@@ -1,7 +1,7 @@
 """Detection of mosaics that are declared as grey images.
 
-The columns and rows of a mosaic alternate, because the pixels of one colour are brighter than those of another. In other
-images, alternate pixels do not differ systematically over the whole image.
+The columns and rows of a mosaic alternate in brightness, because the pixels of one colour are brighter than those of
+another. In other images, alternate pixels do not differ systematically over the whole image.
 """
 
 from __future__ import annotations

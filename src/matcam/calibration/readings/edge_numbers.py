@@ -41,7 +41,7 @@ def level_frequency(edge: EdgeMTF, level: float) -> EdgeNumber:
         level: level of the MTF, in (0, 1) (no unit).
 
     Returns:
-        Lowest such frequency and its standard deviation, cycles/px; NaN if the MTF does not reach the level.
+        Lowest such frequency and its standard deviation, cycles/px; NaN if the MTF does not fall to the level.
 
     Raises:
         ArgumentError: `edge` is not a result of `edge_mtf`, or `level` is out of range.
@@ -97,13 +97,13 @@ def rise_distance(edge: EdgeMTF) -> EdgeNumber:
         edge: result of `edge_mtf`.
 
     Returns:
-        Distance along the normal and its standard deviation, px.
+        Distance along the normal and its standard deviation, px; NaN if the edge response does not reach 10 % and 90 %.
 
     Raises:
         ArgumentError: `edge` is not a result of `edge_mtf`.
 
     Source:
-        ISO 12233, which reports this distance as an alternative to the e-SFR.
+        ISO 12233, which reports this distance as an alternative to the edge-based spatial frequency response.
 
     Example:
         >>> y, x = np.mgrid[-80:80, -40:40]
@@ -137,7 +137,8 @@ def _passage(position: FloatArray, response: SampledCurve, level: float, side: i
 def rise(position: FloatArray, response: SampledCurve) -> EdgeNumber:
     """Measure the 10 % to 90 % rise distance of an edge response.
 
-    The result is in the unit of the positions. It is NaN if a level is not reached.
+    The result and its standard deviation are in the unit of the positions. They are NaN if the response does not reach
+    10 % and 90 %.
 
     Args:
         position: positions (n,), ascending.
@@ -155,8 +156,8 @@ def readings(edge: EdgeMTF, frequencies: FloatArray | tuple[float, ...] = ()) ->
         frequencies: frequencies at which the MTF is computed, cycles/px. Default: (), no frequencies.
 
     Returns:
-        Values by name, with units in the names: frequencies of MTF50, MTF30, MTF20 and MTF10, rise distance, and MTF at
-        `frequencies`, each with its standard deviation.
+        Values by name, with units in the names: MTF50, MTF30, MTF20, MTF10, the rise distance, and the MTF at
+        `frequencies`. Each value has a standard deviation of the same unit.
     """
     found: dict[str, Any] = {}
     for level in LEVELS:

@@ -25,8 +25,8 @@ class SeriesEdge(NamedTuple):
 
     Attributes:
         file: name of the photograph.
-        region: name of the region.
-        channel: "R", "G", "B", "Y" or "grey".
+        region: name of the region; empty if the photograph cannot be read.
+        channel: "R", "G", "B", "Y" or "grey"; empty if the photograph cannot be read.
         found: values by name; empty if the edge could not be measured.
         problem: reason why the edge could not be measured; empty if it was measured.
     """
@@ -70,10 +70,10 @@ def measure_series(
         regions: regions (x, y, width, height) in px by name; None for the whole photograph.
         channel: a colour, "all", or None for luminance or a grey photograph.
         cfa: colours of the first 2 x 2 px of mosaics whose files do not specify them; None for other photographs.
-        measure: function that measures one edge.
+        measure: function that measures the edge in a region and channel of a photograph, and returns values by name.
 
     Returns:
-        One row for each edge.
+        One row for each edge, and one for each photograph that cannot be read.
     """
     rows: list[SeriesEdge] = []
     for name, read in photographs:
@@ -120,7 +120,7 @@ def focus_of_series(
         positions: focus position of each photograph by name, any unit.
 
     Returns:
-        The best focus, or the reason why there is none, by region and channel.
+        The best focus, or the error that gives the reason why there is none, by region and channel.
     """
     found: dict[tuple[str, str], BestFocus | FitError] = {}
     for key in dict.fromkeys((row.region, row.channel) for row in rows if row.found):

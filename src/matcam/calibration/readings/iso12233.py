@@ -79,9 +79,9 @@ class ISOEdge:
 
     @property
     def rise(self) -> float:
-        """Rise distance (10 % to 90 %) of the ESF, px.
+        """Rise distance (10 % to 90 %) of the edge, px.
 
-        It is NaN if a level is not reached.
+        The distance is NaN if the edge spread function does not reach 10 % and 90 %.
         """
         end = max(self.esf.size // 8, 1)
         dark, bright = self.esf[:end].mean(), self.esf[-end:].mean()
@@ -93,7 +93,7 @@ class ISOEdge:
         """Convert the result to a JSON object.
 
         Returns:
-            Values by name, with units in the names.
+            Values by name, with units in the names; the angle is in degrees.
         """
         return plain(
             {
@@ -120,9 +120,10 @@ def iso12233_sfr(
 ) -> ISOEdge:
     """Measure the e-SFR of an edge by the steps of ISO 12233:2023.
 
-    In each row, the position of the edge is the centroid of the windowed derivative. A polynomial through these positions
-    aligns the rows. The edge spread function is averaged in four bins per sample. Its derivative is multiplied by a Tukey
-    window and Fourier transformed. Finally, the response of the difference filter is corrected.
+    The e-SFR is the edge-based spatial frequency response. In each row, the position of the edge is the centroid of the
+    windowed derivative. A polynomial through these positions aligns the rows. The edge spread function is averaged in
+    four bins per sample. Its derivative is multiplied by a Tukey window and Fourier transformed. Finally, the result is
+    corrected for the response of the difference filter.
 
     Args:
         image: `LinearImage`, `Photograph`, or array, as in `edge_mtf`.
@@ -137,7 +138,7 @@ def iso12233_sfr(
 
     Raises:
         ArgumentError: an argument is invalid.
-        FitError: the region contains no edge, or the pixels do not sample all phases of the edge.
+        FitError: the region contains no edge or has missing pixels, or the pixels do not sample all phases of the edge.
 
     Source:
         ISO 12233:2023, annex D; P. D. Burns, sfrmat5.
@@ -164,7 +165,7 @@ def iso12233_sfr(
     straight = np.polynomial.Polynomial.fit(number, place, 1).convert().coef[1]
     if abs(straight) * len(value) < _LEAST_TURNS:
         raise FitError(
-            "the edge is parallel to the pixel grid, which samples too few distances from the edge: rotate the "
+            "the edge is nearly parallel to the pixel grid, which samples too few distances from the edge: rotate the "
             "target by a few degrees"
         )
     # A whole number of phase cycles gives all phases equal weight.

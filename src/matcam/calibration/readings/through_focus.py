@@ -1,8 +1,8 @@
 """Best focus of a series of photographs of one edge at several focus positions.
 
-Defocus adds a blur whose standard deviation is proportional to the distance z - z0 from the best focus. Variances of blurs
-add, and MTF50 is inversely proportional to the width of a blur, so MTF50^-2 is a parabola in z. It is fitted by weighted least
-squares.
+Defocus adds a blur whose standard deviation is proportional to the distance z - z0 of the focus position z from the
+best focus z0. Variances of blurs add, and MTF50 is inversely proportional to the width of a blur. Therefore MTF50^-2 is
+a parabola in z. The parabola is fitted by weighted least squares.
 """
 
 from __future__ import annotations
@@ -65,8 +65,8 @@ class BestFocus(NamedTuple):
 def best_focus(position: ArrayLike, mtf50: ArrayLike, mtf50_std: ArrayLike) -> BestFocus:
     """Find the best focus of a series.
 
-    Positions where MTF50 is less than half its largest value are not used. If the scatter of the values exceeds their standard
-    deviations, the standard deviations of the result are increased by the same factor.
+    Positions where MTF50 is less than half its largest value are not used. If chi-square per degree of freedom exceeds
+    1, the standard deviations of the result are multiplied by its square root.
 
     Args:
         position: focus positions, (n,), any unit.
@@ -97,8 +97,8 @@ def best_focus(position: ArrayLike, mtf50: ArrayLike, mtf50_std: ArrayLike) -> B
     near = m >= _NEAR * np.max(m, initial=0.0)
     if np.unique(z[near]).size < _FEWEST:
         raise FitError(
-            f"the best focus requires at least {_FEWEST} positions where MTF50 is at least half its largest value, but the "
-            f"number of such positions is {np.unique(z[near]).size}: add positions near the best focus"
+            f"the best focus requires at least {_FEWEST} different positions where MTF50 is at least half its largest "
+            f"value, but the number of such positions is {np.unique(z[near]).size}: add positions near the best focus"
         )
     low, high = float(z[near].min()), float(z[near].max())
     middle, half = (low + high) / 2, (high - low) / 2

@@ -53,7 +53,7 @@ class EdgePositions(NamedTuple):
     Attributes:
         x: (n,) x of the middle, px.
         y: (n,) y of the middle, px.
-        angle: (n,) direction of the normal towards the bright side, from x to y, rad.
+        angle: (n,) angle from the x axis to the normal that points to the bright side, positive towards y, rad.
         length: (n,) length without corners, px.
         clear: (n,) distance on both sides to which the levels are even, px.
     """
@@ -126,7 +126,7 @@ def _reduced(picture: np.ndarray, factor: int) -> np.ndarray:
 def _ribbons(small: np.ndarray) -> np.ndarray:
     """Find n sets of connected pixels with similar gradient directions.
 
-    The columns of the result (n, 4) are x, y, angle of the normal and length.
+    The columns of the result (n, 4) are x, y, angle of the normal (rad) and length; the others are in px.
     """
     gx, gy = (ndimage.gaussian_filter(small, 1.0, order=order, mode="nearest") for order in ((0, 1), (1, 0)))
     size = np.hypot(gx, gy)
@@ -156,8 +156,8 @@ def _moments(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Compute the moments of components, and their mean gradient directions.
 
-    The columns of the moments (count, 5) are x, y, angle of the normal, length and width. `one`: index of the component of
-    each pixel. `gx`, `gy`: gradient of each pixel. `size`: weight of each pixel.
+    The columns of the moments (count, 5) are x, y, angle of the normal (rad), length and width; the others are in px.
+    `one`: index of the component of each pixel. `gx`, `gy`: gradient of each pixel. `size`: weight of each pixel.
     """
     total = lambda values: np.bincount(one, values, count)  # noqa: E731
     weight = np.maximum(total(size), 1e-30)

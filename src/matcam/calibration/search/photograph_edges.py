@@ -75,7 +75,7 @@ def plane_edge_stack(
 ) -> EdgeStack:
     """Measure edges in one colour plane.
 
-    Long edges are divided into several strips. `half_width`: half width of the pixel, px.
+    Long edges are divided into several strips. `half_width`: half the side of the sensitive area of a pixel, px.
 
     Raises:
         FitError: no edge can be measured; the message gives the most frequent reason.
@@ -83,8 +83,8 @@ def plane_edge_stack(
     strips = strips_along(edges, plane.shape)
     if not strips.u.size:
         raise FitError(
-            f"no slanted edge was found (edges without enough free space around them: {edges.x.size}): "
-            "photograph a chart of slanted squares (matcam chart)"
+            f"no slanted edge was found that can be measured (edges that are too short or lack free space around them: "
+            f"{edges.x.size}): photograph a chart of slanted squares (matcam chart)"
         )
     regions, saturated = zip(*strip_regions(strips, plane, AT_ONCE), strict=True)
     known = [
@@ -113,7 +113,9 @@ def _crushed(value: np.ndarray) -> Remark | None:
     bright = used > (used.min() + used.max()) / 2
     share = crushed_share(*(np.unique(used[side], return_counts=True)[1] for side in (~bright, bright)))
     return (
-        Remark("crushed", f"blacks are crushed: {share:.0%} of the dark side has the lowest value") if share else None
+        Remark("crushed", f"blacks are crushed: {share:.0%} of the dark side has the lowest value; expose more")
+        if share
+        else None
     )
 
 
@@ -268,7 +270,7 @@ def _bright(value: np.ndarray) -> np.ndarray:
 
 
 def _directional_blur(result: EdgeStack) -> str:
-    """Describe a dependence of the blur on direction, as caused by motion; empty if the dependence is not significant."""
+    """Describe the dependence of the blur on direction, for example by motion; empty if it is not significant."""
     good = result.good
     if good.size < _FEW:
         return ""

@@ -63,8 +63,8 @@ def characterise_sensor(
 
     Raises:
         FileFormatError: the source contains no series, a frame is damaged, or frames differ in shape or data type.
-        ArgumentError: no exposure has two frames, or an argument is invalid.
-        FitError: too few exposures are linear.
+        ArgumentError: no lit exposure or no dark exposure has two frames, or an argument is invalid.
+        FitError: too few exposures can be used, or the codes of the frames are not linear.
 
     Source:
         EMVA Standard 1288, release 4.0 linear (2021); docs/sensor.md.
@@ -120,7 +120,8 @@ def characterise_sensor(
     shade = max(dark, key=lambda one: (-abs(one.exposure.time - bright.exposure.time), len(one.exposure.files)))
     patterns = _fixed_patterns(reader, bright, shade, gain)
     if patterns["dsnu"].value == 0:
-        remarks.append(Remark("dsnu-not-seen", "the dark signals of the pixels do not differ significantly"))
+        text = "the dark signals of the pixels do not differ significantly: the DSNU is set to 0"
+        remarks.append(Remark("dsnu-not-seen", text))
     judged = np.concatenate([plane.departure[plane.judged] for plane in planes])
     full_well = saturation
     if saturated:
@@ -215,8 +216,8 @@ def _chosen(lit: Sequence[ExposureStatistics], planes: Sequence[Transfer]) -> Ex
 def _dark_nonuniformity(reader: FrameReader, dark: Sequence[ExposureStatistics], current: Stated) -> Stated:
     """Estimate the relative standard deviation of the dark currents of the pixels.
 
-    Two differences of a long and a short exposure are used. Their temporal noise is independent, so that their covariance is
-    the variance of the dark signals.
+    Two differences of a long and a short exposure are used. Their temporal noise is independent, so that their
+    covariance is the variance of the dark signals. The result is NaN if the dark current is not significant.
     """
     short, long = (pick(dark, key=lambda one: one.exposure.time) for pick in (min, max))
     if not current.value > SIGNIFICANT * current.std:
@@ -241,7 +242,7 @@ def _fixed_patterns(
     planes = [reader.planes(mean) for mean in means]
 
     def variances(own: bool) -> np.ndarray:
-        """Compute the variances of the pixels and their errors, DN^2. The shape is (exposures, planes, 2)."""
+        """Compute the variances between pixels and the errors of the variances, (exposures, planes, 2) DN^2."""
         parts = [
             [_variance(p, of, k, own) for k, p in enumerate(some)] for some, of in zip(planes, exposures, strict=True)
         ]
@@ -269,7 +270,7 @@ def _fixed_patterns(
 
 
 def _variance(pixels: np.ndarray, of: ExposureStatistics, plane: int, own: bool) -> Stated:
-    """Compute the variance of the mean pixels of a plane, DN^2.
+    """Compute the variance between the temporal means of the pixels of a plane, without temporal noise, DN^2.
 
     If `own` is True, the variance of the row means and column means is excluded.
     """

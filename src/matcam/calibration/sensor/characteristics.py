@@ -21,19 +21,22 @@ from matcam.files.capture_settings import Stated
 class SensorCharacteristics(Summarised):
     """Characteristics of a sensor according to EMVA Standard 1288.
 
-    Each value has a standard deviation.
+    A measured value is a `Stated`, which contains the value and its standard deviation in the same unit.
 
     Attributes:
         gain: system gain K, DN per e-.
-        read_noise: temporal noise of a dark pixel without rounding, e-; an upper limit if `read_noise_hidden`.
+        read_noise: temporal noise of a dark pixel, without the noise of rounding, e-; an upper limit if
+            `read_noise_hidden`.
         read_noise_hidden: whether rounding hides the read noise.
         black_level: mean dark code at exposure time 0, DN; at the shortest exposure if there are fewer than three times.
         dark_current: increase of the dark signal with time, e-/s; NaN for fewer than three exposure times.
         dark_current_by_variance: increase of the dark variance with time, e-/s; NaN for fewer than three exposure times.
-        dark_nonuniformity: relative standard deviation of the dark currents of the pixels, no unit; NaN if not determined.
+        dark_nonuniformity: relative standard deviation of the dark currents of the pixels, no unit; NaN if the dark
+            current is not significant.
         saturation: saturation capacity, e-: signal at the largest temporal variance; a lower limit if not `saturated`.
         saturated: whether the series contains an exposure beyond saturation.
-        full_well: largest mean signal of an exposure beyond saturation, e-; without one, the saturation capacity.
+        full_well: largest mean signal of an exposure, e-, if the series contains an exposure beyond saturation;
+            otherwise the saturation capacity.
         prnu: photo-response non-uniformity: relative standard deviation of the sensitivities of the pixels, including the
             variation of the illumination, no unit.
         prnu_pixel: as `prnu`, but without the variation that the pixels of a row or a column have in common, no unit.
@@ -41,13 +44,13 @@ class SensorCharacteristics(Summarised):
         dsnu_time: exposure time of the dark frames from which `dsnu` was determined, s.
         linearity_error: smallest and largest deviation from a straight line between 5 and 95 % of saturation, no unit.
         quantum_efficiency: electrons per photon, no unit; NaN if the number of photons is not specified.
-        bits: bit depth of the codes; None for floats.
+        bits: bit depth of the codes; None if the codes are not rounded.
         cfa: colours of the first 2 x 2 px; None if there is no mosaic.
         prnu_map: sensitivity of each pixel relative to the mean of its colour, dark signal subtracted, (height, width).
         dsnu_map: dark signal of each pixel minus the mean of its colour, e-, (height, width).
         transfers: signal, variance and deviation from linearity of every exposure, for each plane of the mosaic.
         light_unit: unit of the light of the exposures, "photons" or "s".
-        remarks: remarks on the result, such as the exposures that were not used. Default: none.
+        remarks: remarks on the result, such as the exposures that were not used. Default: (), no remarks.
 
     Source:
         EMVA Standard 1288, release 4.0 linear (2021).
@@ -116,7 +119,7 @@ class SensorCharacteristics(Summarised):
             pitch: pixel pitch, m.
 
         Raises:
-            ArgumentError: the pitch is out of range.
+            ArgumentError: the pitch or a measured value is out of the range of `Sensor`.
         """
         return Sensor(
             pitch,

@@ -63,7 +63,7 @@ class FrameReader:
             if values.ndim == 3:
                 if not (values[..., :1] == values).all():
                     raise FileFormatError(
-                        f"{path}: the frame is a full-colour image that was processed from a mosaic: give raw or grey frames"
+                        f"{path}: the frame is a colour image, whose noise was changed by processing: give raw or grey frames"
                     )
                 values = values[..., 0]
             kind = (values.shape, str(values.dtype))

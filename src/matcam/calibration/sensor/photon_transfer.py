@@ -1,9 +1,10 @@
 """Gain, responsivity, saturation and linearity from means and variances of exposures (EMVA Standard 1288, release 4).
 
-The temporal variance of a pixel increases with its mean: s^2 - s_dark^2 = K (mean - dark), where K is the gain. The mean
-increases with the light: mean - dark = R light, where R is the responsivity. As the standard requires (sections 6 to 8),
-both lines pass through the origin, and are fitted by ordinary least squares up to 70 % of saturation. Exposures that are
-clipped, or that deviate from the line of the others, are excluded from both fits.
+The temporal variance s^2 of a pixel increases with its mean: s^2 - s_dark^2 = K (mean - dark). Here s_dark^2 and dark
+are the variance and the mean of the dark frames, and K is the gain. The mean increases with the light: mean - dark = R
+light, where R is the responsivity. As the standard requires (sections 6 to 8), both lines pass through the origin, and
+are fitted by ordinary least squares up to 70 % of saturation. Exposures that are clipped, or that deviate from the line
+of the others, are excluded from both fits.
 """
 
 from __future__ import annotations
@@ -47,7 +48,7 @@ A straight line fits any two exposures, so that their nonlinearity is not detect
 
 
 class Transfer(NamedTuple):
-    """Signals of the lit exposures of one plane of the mosaic in ascending order, and the results of their fit.
+    """Signals of the lit exposures of one plane of the mosaic in ascending order, and the results of the fit.
 
     Attributes:
         light: photons per pixel, or exposure time, s, (n,).
@@ -103,7 +104,7 @@ def is_clipped(one: ExposureStatistics, lit: Sequence[ExposureStatistics]) -> bo
 def measure_transfer(
     lit: Sequence[ExposureStatistics], dark: Sequence[ExposureStatistics], plane: int
 ) -> tuple[Transfer, list[Remark]]:
-    """Compute the transfer of one plane of the mosaic.
+    """Compute the photon transfer of one plane of the mosaic.
 
     Args:
         lit: exposures of an evenly lit field.
@@ -114,7 +115,7 @@ def measure_transfer(
         The transfer, and remarks on the exposures that were not used.
 
     Raises:
-        FitError: fewer than three exposures can be used.
+        FitError: fewer than three exposures can be used, most exposures are not linear, or a tone curve was applied.
     """
     # The exposures are sorted by signal, because the specified light of an exposure may be wrong.
     lit = sorted(lit, key=lambda one: (round(float(one.mean[plane])), one.light))
@@ -148,10 +149,12 @@ def measure_transfer(
     remarks = _remarks(lit, beyond | clipped, outside, departure)
     if used.sum() < _FEWEST or (outside.sum() > 0.5 * inside.sum()):
         left = "; ".join(str(remark) for remark in remarks) or f"lit exposures: {len(lit)}"
-        raise FitError(
-            f"{lit[0].exposure.files[0].parent}: the number of exposures that are linear and below 70 % of saturation is "
-            f"{used.sum()}, but at least {_FEWEST} are needed: {left}"
-        )
+        text = f"{outside.sum()} of {inside.sum()} exposures between 5 and 95 % of saturation deviate from a line"
+        text += ": give raw frames"
+        if used.sum() < _FEWEST:
+            text = "the number of exposures that are linear and below 70 % of saturation is "
+            text += f"{used.sum()}, but at least {_FEWEST} are needed: add exposures"
+        raise FitError(f"{lit[0].exposure.files[0].parent}: {text} ({left})")
     responsivity = _through_origin(light[used], signal[used])
     transfer = Transfer(
         light=light,
@@ -244,11 +247,12 @@ def _remarks(
     names = [one.exposure.name for one in lit]
     if clipped.any():
         which = some_of([names[i] for i in np.flatnonzero(clipped)], 3)
-        found.append(Remark("clipped", f"{which}: beyond saturation or clipped, and therefore not used"))
+        found.append(Remark("clipped", f"exposures that are beyond saturation or clipped were not used: {which}"))
     found += [
         Remark(
             "not-linear",
-            f"{names[i]}: not used, because its signal deviates by {departure[i]:+.1%} from the line of the other exposures",
+            f"{names[i]}: this exposure was not used, because its signal deviates by {departure[i]:+.1%} from the line of "
+            "the other exposures",
         )
         for i in np.flatnonzero(outside)
     ]

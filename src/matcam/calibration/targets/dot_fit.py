@@ -1,10 +1,10 @@
 """Detection of the dots of a grid in a region, their assignment to a lattice, and the fit of every dot.
 
-A dot is modelled as the convolution of a disc, a Gaussian and a square pixel. Its size follows from the lattice. The pixel
-values are computed by quadrature over the disc. Gaussian and square are separable, so that each node of the disc
-contributes a product of two differences of normal distribution functions. Derivatives with respect to the position are
-those of the Gaussian, and the derivative with respect to the variance is half the sum of its second derivatives. All are
-computed from one table of derivatives along x and y.
+A dot is modelled as the convolution of a disc, a Gaussian and a square pixel. The size of the disc follows from the
+lattice. The pixel values are computed by quadrature over the disc. Gaussian and square are separable, so that each node
+of the disc contributes a product of two differences of normal distribution functions. Derivatives with respect to the
+position are those of the Gaussian, and the derivative with respect to the variance is half the sum of its second
+derivatives. All are computed from one table of derivatives along x and y.
 """
 
 from __future__ import annotations
@@ -108,8 +108,8 @@ class DotFit:
 
     Attributes:
         lattice: initial positions of the dots.
-        parameters: (n, 7) background, its two slopes, content (sum of the deviation of the pixels from the background),
-            x, y, sigma^2.
+        parameters: (n, 7) background, slopes of the background along x and y (per px), content (sum of the deviation of
+            the pixels from the background), x and y (px), and sigma^2 (px^2).
         std: (n, 7) standard deviations of `parameters`.
         design: (n, pixels, 7) derivatives with respect to `parameters`.
         shared: (n, pixels, 5) derivatives of `SHARED`, times the contents.
@@ -117,7 +117,7 @@ class DotFit:
         weight: (n, pixels) inverse variances.
         radius: mean radius of the dots in the image without blur, px.
         gain: variance of a pixel divided by its value, without read noise.
-        read_variance: variance of a dark pixel.
+        read_variance: variance of a dark pixel, in squared units of the values.
     """
 
     lattice: DotLattice
@@ -159,7 +159,7 @@ def fit_dots(values: FloatArray, lattice: DotLattice, size: float, half_width: f
     whole &= rows[:, -1] < values.shape[0]
     if whole.sum() < FEWEST:
         raise FitError(
-            f"the region contains only {whole.sum()} of the {len(whole)} dots entirely, but {FEWEST} are needed: "
+            f"only {whole.sum()} of the {len(whole)} dots lie entirely inside the region, but at least {FEWEST} are needed: "
             "give a larger region"
         )
     lattice, shape, columns, rows = lattice.subset(whole), shape[whole], columns[whole], rows[whole]
@@ -232,7 +232,8 @@ def find_dots(values: FloatArray) -> tuple[FloatArray, FloatArray]:
     label, count = ndimage.label(sign * off > max(_CLEAR * spread, 0.25 * float(np.quantile(sign * off, 0.999))))
     if count < FEWEST:
         raise FitError(
-            f"region contains no grid of dots: the number of spots is {count}, but at least {FEWEST} are needed"
+            f"the region contains no grid of dots: the number of spots is {count}, but at least {FEWEST} are needed; "
+            "give a region of dots alone"
         )
     every = np.arange(1, count + 1)
     flux = ndimage.sum_labels(sign * off, label, every)
@@ -241,7 +242,7 @@ def find_dots(values: FloatArray) -> tuple[FloatArray, FloatArray]:
     whole = (flux > _SIMILAR_FLUX[0] * usual) & (flux < _SIMILAR_FLUX[1] * usual)
     if whole.sum() < FEWEST:
         raise FitError(
-            "region contains no grid of dots: the spots differ too much in brightness; give a region of dots alone"
+            "the region contains no grid of dots: the spots differ too much in brightness; give a region of dots alone"
         )
     return x[whole], y[whole]
 
@@ -284,7 +285,7 @@ def square_lattice(x: FloatArray, y: FloatArray) -> DotLattice:
     where_all = np.array([position[i] for i in index], dtype=float)
     if len(index) < FEWEST or len({tuple(w) for w in where_all}) != len(index):
         raise FitError(
-            f"the spots in the region do not form a square grid: {len(index)} of {len(points)} fit a lattice; "
+            f"the spots in the region do not form a square grid: only {len(index)} of {len(points)} fit a lattice; "
             "give a region of dots alone"
         )
     return DotLattice(x[index], y[index], where_all[:, 0], where_all[:, 1])
@@ -295,9 +296,10 @@ def dot_derivatives(
 ) -> FloatArray:
     """Compute derivatives with respect to (x, y) of the pixel values of n dots with unit content.
 
-    The result has the shape (orders, n, height, width). `x`, `y`: (n, width) and (n, height) distances from the centres of
-    the dots to those of the pixels, px. `shape`: (n, 2, 2) linear maps from the unit disc to the dots, px. `sigma`: (n,)
-    lens widths, px. `half_width`: half width of the pixel, px. `orders`: orders of the derivatives.
+    The result has the shape (orders, n, height, width). `x`, `y`: (n, width) and (n, height) distances from the centres
+    of the dots to those of the pixels, px. `shape`: (n, 2, 2) linear maps from the unit disc to the dots, px. `sigma`:
+    (n,) lens widths, px. `half_width`: half the side of the sensitive area of a pixel, px. `orders`: orders of the
+    derivatives.
     """
     if len(x) > _AT_ONCE:
         parts = [slice(i, i + _AT_ONCE) for i in range(0, len(x), _AT_ONCE)]
@@ -357,6 +359,7 @@ def _without_outliers(fit: DotFit) -> DotFit:
     good &= np.isfinite(std) & (square > 1.01 * _RANGE[0] ** 2) & (np.abs(content) > SIGNIFICANT * fit.std[:, 3])
     if good.sum() < FEWEST:
         raise FitError(
-            f"only {good.sum()} of {len(good)} dots can be measured, but {FEWEST} are needed: give a sharper or larger image"
+            f"only {good.sum()} of {len(good)} dots can be measured, but at least {FEWEST} are needed: give a sharper or "
+            "larger image"
         )
     return fit.subset(good)

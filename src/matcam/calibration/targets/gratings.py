@@ -41,12 +41,13 @@ class GratingMTF:
 
     Attributes:
         samples: MTF at the harmonics that the image determines.
-        frequency: (fx, fy) of the grating at its centre, cycles/px.
+        frequency: mean frequency (fx, fy) of the grating, cycles/px.
         orders: orders of the fitted harmonics.
         modulation: amplitude of each harmonic relative to the mean; the sign is relative to the phase of the print
             (no unit).
-        modulation_std: standard deviations of `modulation`.
-        gain: gain estimated from the residuals; the variance of a pixel is gain * value + read_variance.
+        modulation_std: standard deviations of `modulation` (no unit).
+        gain: gain estimated from the residuals, in the units of the values; the variance of a pixel is gain * value +
+            read_variance.
         read_variance: variance of a dark pixel, in squared units of the values.
 
     Example:
@@ -112,8 +113,8 @@ def grating_mtf(
         profile: "bars", "sine" or "lines" (no unit). Default: "bars".
         contrast: (bright - dark) / (bright + dark) of the print, linear (no unit); required without `grating`. Default: None.
         duty: bright share of a period of lines (no unit). Default: 0.5.
-        near: approximate frequency (fx, fy), cycles/px; required for a grating beyond the Nyquist frequency. Default: None,
-            the frequency is below Nyquist.
+        near: approximate frequency (fx, fy), cycles/px; required for a grating beyond the Nyquist frequency. Default:
+            None, the frequency is below the Nyquist frequency of 0.5 cycles/px.
         cfa: colours of the first 2 x 2 px of a mosaic, as in `LinearImage.of` (no unit). Default: None.
         channel: colour, as in `LinearImage.of` (no unit). Default: None.
         tone: tone curve, as in `LinearImage.of` (no unit). Default: "linear".
@@ -163,19 +164,20 @@ def grating_mtf(
 def coltman(frequency: ArrayLike, contrast: ArrayLike) -> FloatArray:
     """Convert square-wave contrasts to the sine-wave MTF.
 
-    The contrast is interpolated between the frequencies, starting from 1 at frequency 0. It is assumed to be 0 beyond the
-    last frequency.
+    The contrast is interpolated between the frequencies, starting from 1 at frequency 0. Beyond the last frequency, the
+    contrast is assumed to be 0.
 
     Args:
         frequency: (n,) ascending frequencies, cycles/px.
-        contrast: (n,) contrast between the centres of bright and dark bars, relative to that of the print (no unit). The
-            last value should be close to 0.
+        contrast: (n,) contrast between the centres of bright and dark bars, relative to the contrast of the print (no
+            unit). The last value should be close to 0.
 
     Returns:
-        The MTF (n,) at `frequency`.
+        The MTF (n,) at `frequency` (no unit).
 
     Raises:
-        ArgumentError: if frequencies are not positive and ascending, or a contrast is not finite.
+        ArgumentError: if there are fewer than two frequencies, the frequencies are not positive and ascending, or the
+            contrasts are not n finite values.
 
     Source:
         J. W. Coltman, JOSA 44, 468 (1954).
@@ -188,7 +190,8 @@ def coltman(frequency: ArrayLike, contrast: ArrayLike) -> FloatArray:
     f, c = np.asarray(checks.number("frequency", frequency)), np.asarray(checks.number("contrast", contrast))
     if f.ndim != 1 or f.shape != c.shape or f.size < 2 or not (np.diff(f) > 0).all() or not f[0] > 0:
         raise ArgumentError(
-            f"frequency must be positive and ascending, with a finite contrast for each, got shapes {f.shape} and {c.shape}"
+            f"frequency must be a list of at least 2 positive values in ascending order, and contrast must have one value for "
+            f"each, got shapes {f.shape} and {c.shape}"
         )
     from scipy.interpolate import PchipInterpolator
 
@@ -252,11 +255,11 @@ def _fit_grating(
         )
     if not fit.signal > SIGNIFICANT:
         raise FitError(
-            f"region contains no grating that can be measured: the wave exceeds the noise by only {fit.signal:.1f} standard "
-            "deviations; give a region with more contrast"
+            f"the region contains no grating that can be measured: the wave exceeds the noise by only {fit.signal:.1f} "
+            f"standard deviations, but must exceed it by {SIGNIFICANT:g}; give a region with more contrast"
         )
     if other := _other_wave(pixels, fit, values.shape):
-        raise FitError(f"region contains no grating that can be measured: {other}")
+        raise FitError(f"the region contains no grating that can be measured: {other}")
     wave = local_wave(found.phase, fit.parameters, pixels.x, pixels.y)
     mean = (wave.frequency * np.exp(1j * wave.direction)).mean()
     return fit, orders, np.array([mean.real, mean.imag]), np.array([pixels.x.mean(), pixels.y.mean()])
@@ -272,11 +275,11 @@ def _other_wave(pixels: WavePixels, fit: WaveFit, shape: tuple[int, ...]) -> str
     power = np.abs(np.fft.rfft2(image)) ** 2
     if power.max() < _WHITE * np.median(power):
         return ""
-    return f"one wave leaves {left:.0%} of its variance unexplained; give a region of one grating"
+    return f"a single wave leaves {left:.0%} of the variance unexplained; give a region of one grating"
 
 
 def _constant(frequency: FloatArray, direction: FloatArray) -> FloatArray:
-    """Evaluate the basis of a grating, the constant 1, because its modulation is uniform."""
+    """Evaluate the basis of a grating: the constant 1, because the modulation of a grating is uniform."""
     return np.ones((len(frequency), 1))
 
 
@@ -295,8 +298,9 @@ def _grating_result(
     useful = np.flatnonzero(std / np.abs(size) < _USEFUL)
     if not useful.size:
         raise FitError(
-            f"the grating of {f:.3f} cycles/px does not determine the MTF: its standard deviation is "
-            f"{std[0] / abs(size[0]):.2g}, but must be below {_USEFUL:g}; give a coarser grating, or one with more contrast"
+            f"the grating of {f:.3f} cycles/px does not determine the MTF: the standard deviation of the MTF is "
+            f"{std[0] / abs(size[0]):.2g}, but must be below {_USEFUL:g}; give a coarser grating, or a grating with more "
+            "contrast"
         )
     scale = (signs / size)[useful]
     samples = MTFSamples.of_region(

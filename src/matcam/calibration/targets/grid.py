@@ -1,8 +1,9 @@
 """Grids of dots: the blur at every dot, its variation over the field, and the MTF.
 
-Each dot is modelled as disc x Gaussian x square pixel (`dot_fit`). Its size in the image follows from the lattice of all
-dots. The deviation from this model that the dots of a zone have in common is described by second and fourth derivatives.
-This deviation is included in the MTF of the zone, which is therefore not restricted to a Gaussian.
+Each dot is modelled as disc x Gaussian x square pixel (`dot_fit`). Its size in the image follows from the lattice of
+all dots. The deviation from this model that the dots of a zone have in common is described by second and fourth
+derivatives of the model with respect to the position. This deviation is included in the MTF of the zone, which is
+therefore not restricted to a Gaussian.
 """
 
 from __future__ import annotations
@@ -41,9 +42,9 @@ class BlurField:
     The variance is a polynomial of second order in the position.
 
     Attributes:
-        coefficients: (6,) coefficients of sigma^2 for 1, u, v, u^2, u v, v^2, px^2; u and v are distances from `middle`
-            in units of `half`.
-        covariance: (6, 6) covariance of `coefficients`.
+        coefficients: (6,) coefficients of the variance for 1, u, v, u^2, u v and v^2, px^2 each; u and v are the
+            distances from `middle` along x and y, in units of `half`.
+        covariance: (6, 6) covariance of `coefficients`, px^4.
         middle: (x, y) of the middle of the grid, px.
         half: half the extent of the grid, px.
 
@@ -65,7 +66,7 @@ class BlurField:
         Args:
             x: (n,) columns, px.
             y: (n,) rows, px.
-            variance: (n,) variance of the lens at each dot, px^2.
+            variance: (n,) variance of the lens blur at each dot, px^2.
             std: (n,) standard deviations of `variance`, px^2.
 
         Returns:
@@ -100,18 +101,20 @@ class BlurField:
 
 @dataclass(frozen=True, eq=False)
 class DotGrid:
-    """Blur at n dots and over the field, and MTF of its zones.
+    """Blur at n dots and over the field, and MTF in zones.
 
     Attributes:
         x: (n,) x of the dots in the image, px.
         y: (n,) y of the dots in the image, px.
-        sigma: (n,) lens width at each dot for the given half width of the pixel, px.
+        sigma: (n,) lens width (standard deviation of the Gaussian blur) at each dot, for the given half width of the
+            pixel, px.
         sigma_std: (n,) standard deviation of `sigma`, px.
         printed: (n, 2) positions (x, y) on the page, mm; in pitches if no chart describes the dots.
         samples: MTF of lens and pixel in zones of the field, not restricted to a Gaussian.
-        field: smooth blur over the field.
+        field: lens width as a smooth function over the field.
         radius: mean radius of the dots in the image without blur, px.
-        gain: gain estimated from the residuals; the variance of a pixel is gain * value + read_variance.
+        gain: gain estimated from the residuals, in the units of the values; the variance of a pixel is gain * value +
+            read_variance.
         read_variance: variance of a dark pixel, in squared units of the values.
 
     Example:
@@ -157,8 +160,8 @@ class DotGrid:
         """Convert the result to a JSON object.
 
         Returns:
-            All attributes, with units in the names of those that have one. The field is given as sigma at the middle of the
-            grid and at the corners of the square around it.
+            All attributes, with units in the names of those that have one. The field is given as sigma at the middle of
+            the grid and at the corners of the square around the grid.
         """
         middle, half = np.array(self.middle), self.field.half
         positions = middle + half * np.array([[0, 0], [-1, -1], [1, -1], [1, 1], [-1, 1]])
@@ -192,14 +195,14 @@ def dot_grid(
         projection: map from the page of the chart, mm, to the image, px: a `Registration`. Default: None.
         radius: radius of the dots relative to their pitch, in (0, 0.5) (no unit). It is required without `dots`, because
             blur and size of a dot cannot be distinguished. Default: None.
-        half_width: half the side of the sensitive area of a pixel, in (0, 0.5] px. Sigma depends on it; the MTF hardly
-            does. Default: 0.5.
+        half_width: half the side of the sensitive area of a pixel, in (0, 0.5] px. The lens width depends on this
+            value, but the MTF hardly does. Default: 0.5.
         cfa: colours of the first 2 x 2 px of a mosaic, as in `LinearImage.of` (no unit). Default: None.
         channel: colour, as in `LinearImage.of` (no unit). Default: None.
         tone: tone curve, as in `LinearImage.of` (no unit). Default: "linear".
 
     Returns:
-        Sigma at every dot and over the field, and the MTF in zones of the field.
+        The lens width sigma at every dot and over the field, and the MTF in zones of the field.
 
     Raises:
         ArgumentError: if an argument is out of range, or only one of `dots` and `projection` is given.
@@ -228,7 +231,7 @@ def dot_grid(
     else:
         if radius is None:
             raise ArgumentError(
-                "radius of the dots relative to their pitch must be given: it cannot be distinguished from the blur"
+                "radius must be given relative to the pitch of the dots, because radius and blur cannot be distinguished"
             )
         size = float(checks.scalar("radius", checks.within("radius", radius, 0, 0.5, open_low=True, open_high=True)))
         picture = measurable_region(LinearImage.of(image, channel, cfa, tone, roi))
@@ -241,7 +244,10 @@ def _expected_dots(whole: LinearImage, dots: Dots, projection: Projection) -> tu
     seen = projection(printed)
     inside = (seen > 2).all(1) & (seen < np.array(whole.shape[::-1]) - 3).all(1)
     if inside.sum() < FEWEST:
-        raise FitError("the grid of dots lies outside the image: give an image that contains the whole grid")
+        raise FitError(
+            f"only {inside.sum()} dots of the grid lie inside the image, but at least {FEWEST} are needed: give an image that "
+            "contains the whole grid"
+        )
     box = pixel_box(seen[inside], whole.shape, 8)
     x, y = (seen[inside] - box[:2]).T
     return usable_region(whole.cut(box)), DotLattice(x, y, *printed[inside].T)
@@ -273,8 +279,8 @@ def _grid_result(picture: LinearImage, fit: DotFit, half_width: float) -> DotGri
 def _zone_samples(picture: LinearImage, dots: DotFit, half_width: float) -> MTFSamples:
     """Compute the MTF of a zone of the field.
 
-    It is the MTF of the mean Gaussian and the pixel, times 1 + p. The polynomial p in the frequency is common to all dots of
-    the zone.
+    The result is the MTF of the mean Gaussian and the pixel, times 1 + p. The polynomial p in the frequency is common
+    to all dots of the zone.
     """
     own = dots.design[:, :, :6]
     pilot, root = dots.parameters[:, 6], np.sqrt(dots.weight)[..., None]

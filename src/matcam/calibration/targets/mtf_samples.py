@@ -32,11 +32,12 @@ class MTFSamples:
         mtf: (n,) MTF, no unit.
         covariance: (n, n) covariance of `mtf`; common errors (levels, contrast, position) cause off-diagonal entries.
         channel: "R", "G", "B", "Y" (luminance) or "grey". Default: "grey".
-        f_number: f-number of the image (no unit). Default: None, it is unknown.
+        f_number: f-number of the image (no unit). Default: None, the f-number is unknown.
         source: file and target, for messages and the provenance of a profile. Default: "".
 
     Raises:
-        ArgumentError: if shapes disagree, a value is not finite, or a variance is not positive.
+        ArgumentError: if `kind` is unknown, shapes disagree, a value is not finite, or a frequency or a variance is not
+            positive.
 
     Source:
         docs/targets.md.
@@ -63,7 +64,10 @@ class MTFSamples:
         for name in ("frequency", "direction", "mtf"):
             values = np.asarray(getattr(self, name), dtype=np.float64)
             if values.shape != (count,) or not np.isfinite(values).all() or not count:
-                raise ArgumentError(f"{name} must have {count or 'at least 1'} finite values, got shape {values.shape}")
+                raise ArgumentError(
+                    f"{name} must have {count or 'at least 1'} finite values, got {np.isfinite(values).sum()} finite values "
+                    f"in shape {values.shape}"
+                )
             object.__setattr__(self, name, values)
         if (self.frequency <= 0).any():
             raise ArgumentError(f"frequency must be positive, got {self.frequency.min():g} cycles/px")
@@ -97,7 +101,7 @@ class MTFSamples:
             covariance: (n, n) covariance of `mtf`.
 
         Returns:
-            The samples, with their position in the whole image.
+            The samples, with the position of the target in the whole image.
         """
         position = (float(middle[0] + region.corner[0]), float(middle[1] + region.corner[1]))
         return cls(

@@ -1,7 +1,7 @@
 """Sinusoidal Siemens star: MTF over a range of frequencies and in all directions from one target.
 
-The modulation is fitted to the pixels without resampling (`wave_fit`). It is a spline in the local frequency, times
-functions of the direction that describe a square pixel and an astigmatic lens.
+The modulation is fitted to the pixels without resampling (`wave_fit`). The modulation is a spline in the local
+frequency, times functions of the direction that describe a square pixel and an astigmatic lens.
 """
 
 from __future__ import annotations
@@ -55,9 +55,10 @@ class StarMTF:
         centre_std: standard deviations of `centre`, px.
         cycles: number of cycles of the star.
         contrast: contrast of the print, given or extrapolated to frequency 0 (no unit).
-        contrast_std: standard deviation of `contrast`; 0 if it was given.
+        contrast_std: standard deviation of `contrast`; 0 if the contrast was given.
         chi2: chi-square per degree of freedom (no unit); 1 if gain and read noise explain the residuals.
-        gain: gain estimated from the residuals; the variance of a pixel is gain * value + read_variance.
+        gain: gain estimated from the residuals, in the units of the values; the variance of a pixel is gain * value +
+            read_variance.
         read_variance: variance of a dark pixel, in squared units of the values.
 
     Example:
@@ -115,10 +116,11 @@ def star_mtf(
         star: description of the star from a chart, to be given with `projection` instead of `roi`. Default: None, the star
             is detected in the region.
         projection: map from the page of the chart, mm, to the image, px: a `Registration`. Default: None.
-        cycles: number of cycles of the star (no unit); to be given if the count fails. Default: None, the cycles are counted.
-        contrast: (bright - dark) / (bright + dark) of the print, linear (no unit). Default: None, that of the description.
-            Without a description, the MTF is extrapolated to 1 at frequency 0, which ignores the loss of contrast by a wide
-            halo.
+        cycles: number of cycles of the star (no unit); to be given if the count fails, and not used with `star`.
+            Default: None, the cycles are counted.
+        contrast: (bright - dark) / (bright + dark) of the print, linear (no unit). Default: None, the contrast in
+            `star`. Without `star`, the MTF is extrapolated to 1 at frequency 0, which ignores the loss of contrast by a
+            wide halo.
         cfa: colours of the first 2 x 2 px of a mosaic, as in `LinearImage.of` (no unit). Default: None.
         channel: colour, as in `LinearImage.of` (no unit). Default: None.
         tone: tone curve, as in `LinearImage.of` (no unit). Default: "linear".
@@ -163,7 +165,10 @@ def _expected_star(
     outer = projection(np.array(star.centre) + star.outer * rim)
     box = pixel_box(outer, shape, 2)
     if min(box[2:]) < SMALLEST or (outer.min(0) < -0.5).any() or (outer.max(0) > np.array(shape[::-1]) - 0.5).any():
-        raise FitError("the star lies outside the image: give an image that contains the whole star")
+        raise FitError(
+            f"the star lies partly outside the image, or is smaller than {SMALLEST} x {SMALLEST} px: give an image that "
+            "contains the whole star at a larger scale"
+        )
     low = np.array(box[:2])
     centre = projection(np.array([star.centre]))[0] - low
     radii = np.linspace(max(star.inner, 0.2 * star.outer), star.outer, 6)
@@ -212,12 +217,13 @@ def _fit_star(values: FloatArray, found: FoundStar) -> tuple[WaveFit, tuple[floa
         # At low frequencies the blur is small, and the wave explains nearly all of the variance.
         if highest == _FIRST and left > _LEFT:
             raise FitError(
-                f"region contains no Siemens star: a star leaves {left:.0%} of its variance unexplained; "
+                f"the region contains no Siemens star: the fitted star leaves {left:.0%} of the variance unexplained; "
                 "give a region of one star"
             )
     if fit is None or not fit.signal > _CLEAR or np.hypot(*(parameters[:2] - found.parameters[:2])) > phase.outer / 4:
         raise FitError(
-            "region contains no Siemens star that can be measured: photograph the star at a larger scale, or with more contrast"
+            "the region contains no Siemens star that can be measured: photograph the star at a larger scale, or with more "
+            "contrast"
         )
     return fit, edges
 
@@ -276,10 +282,11 @@ def _star_result(
 def _as_plane_waves(mtf: FloatArray, cycles: int) -> FloatArray:
     """Convert the contrast on rings of `cycles` cycles to the MTF.
 
-    The wave on a ring is not exactly a plane wave. exp(i m phi) contains the frequencies z / (2 pi r) with weights
-    m J_m(z) / z, whose even moments are m^2j prod(1 - 4 i^2 / m^2), i < j. To order 1 / m^2, the contrast is
-    K - (2 s^2 K'' + (4/3) s^3 K''') / m^2 with s = f^2. For K = exp(-x), x proportional to s, this is
-    K [1 - (2 x^2 - (4/3) x^3) / m^2].
+    The wave on a ring is not exactly a plane wave. Let m be the number of cycles, phi the azimuth, r the radius of the
+    ring, and J_m the Bessel function. The wave exp(i m phi) contains the frequencies z / (2 pi r) with weights m J_m(z)
+    / z, whose even moments are m^2j prod(1 - 4 i^2 / m^2), i < j. Let K(s) be the MTF as a function of s = f^2, where f
+    is the frequency. To order 1 / m^2, the contrast is K - (2 s^2 K'' + (4/3) s^3 K''') / m^2. For K = exp(-x) with x
+    proportional to s, the contrast is K [1 - (2 x^2 - (4/3) x^3) / m^2].
     """
     x = -np.log(np.clip(mtf, 1e-3, 1.0))
     return mtf * (1 + (2 * x**2 - 4 / 3 * x**3) / cycles**2)
@@ -294,7 +301,7 @@ def _extrapolated_contrast(frequency: FloatArray, amplitude: FloatArray, covaria
     if low.sum() < 3 * len(_DIRECTIONS) or frequency.min() > 0.15:
         raise FitError(
             "the star has too few significant values at low frequencies to extrapolate its contrast to frequency 0 "
-            f"(its lowest frequency is {frequency.min():.2f} cycles/px); give contrast"
+            f"(the lowest frequency of the star is {frequency.min():.2f} cycles/px); give contrast"
         )
     design = frequency[low, None] ** np.array([0, 2, 4])
     weight = np.linalg.inv(covariance[np.ix_(low, low)] / np.outer(amplitude[low], amplitude[low]))

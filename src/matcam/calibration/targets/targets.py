@@ -33,7 +33,8 @@ class Targets:
         grids: blur over the field from every grid of dots.
         problems: remarks on the targets that could not be measured, with the reasons.
         registration: map from the page to the image.
-        printed: printed levels of the chart, measured with its tone patches. Default: None, the patches are not visible.
+        printed: printed levels of the chart, measured with its tone patches. Default: None, too few patches can be
+            measured.
 
     Example:
         >>> chart = matcam.targets.design_chart(["dots"], pixels_across=300)
@@ -73,8 +74,8 @@ def measure_targets(
     """Find a chart, and measure its gratings, stars and dots.
 
     Squares are measured by `edge_mtf` and `calibrate`. Targets that cannot be measured are listed in `problems`. The
-    contrast of stars and gratings is that of the print, which is measured with the tone patches of the chart. If the patches
-    are covered, the contrast of the description is used.
+    contrast of stars and gratings is that of the print, which is measured with the tone patches of the chart. If too
+    few patches can be measured, the contrast of the description is used.
 
     Args:
         image: `LinearImage`, `Photograph`, or array as in `LinearImage.of`.
@@ -85,16 +86,16 @@ def measure_targets(
         cfa: colours of the first 2 x 2 px of a mosaic, as in `LinearImage.of` (no unit). Default: None.
         channel: colour, as in `LinearImage.of` (no unit). Default: None.
         tone: tone curve, as in `LinearImage.of` (no unit). Default: "linear".
-        f_number: f-number of the image (no unit). Default: None, that of the image.
-        source: name of the file, to which the sources of the samples append the target (no unit). Default: "", that of the
-            image.
+        f_number: f-number of the image (no unit). Default: None, the f-number in `image`.
+        source: name of the file; the source of a sample is this name and the target (no unit). Default: "", the source
+            in `image`.
 
     Returns:
         The MTF of every target, the blur over the field of every grid, and the targets that could not be measured.
 
     Raises:
         ArgumentError: if an argument is out of range.
-        FitError: if the chart is not found.
+        FitError: if the chart is not found, or the image in which it is searched for is saturated.
 
     Source:
         docs/targets.md.

@@ -2,9 +2,11 @@
 
 A pixel at (x, y) is modelled as  L(x, y) [1 + sum_k c_k b_k(f, a) cos(h_k Phi(x, y; p))].  L is a polynomial (uneven
 illumination). Phi is the phase with a few parameters p (position, perspective, distortion). f and a are the local
-frequency and direction of the phase, and b_k are smooth functions of them. The camera multiplies a wave of frequency f in
-direction a by its MTF (docs/model.md 2): c b / contrast is this MTF, including its sign. The pixels are not resampled or
-windowed, and may be missing (mosaics). Aliased frequencies are identified correctly, because their phase is known.
+frequency and direction of the phase, and b_k are smooth functions of f and a. c_k are the fitted coefficients, and h_k
+are the orders of the harmonics. The camera multiplies a wave of frequency f in direction a by the MTF (docs/model.md
+2). Therefore the sum of c_k b_k for one harmonic, divided by the contrast of the print, is this MTF, including its
+sign. The pixels are not resampled or windowed, and may be missing (mosaics). Aliased frequencies are identified
+correctly, because their phase is known.
 
 The Gauss-Newton method is used with variances from the model (docs/model.md 8). Gain and read noise are estimated from the
 residuals.
@@ -60,7 +62,7 @@ class WavePixels(NamedTuple):
     def where(cls, values: FloatArray, mask: np.ndarray, most: int | None = None) -> WavePixels:
         """Select the known pixels of a region inside a mask.
 
-        If there are more than `most`, a reproducible random subset is selected.
+        If there are more than `most` pixels, a reproducible random subset is selected.
         """
         at, most = np.flatnonzero(mask & np.isfinite(values)), most or _MOST
         if at.size > most:
@@ -79,7 +81,7 @@ class WaveFit:
         parameters: (m,) parameters of the phase.
         parameters_std: (m,) standard deviations of `parameters`.
         gain: variance of a pixel divided by its value, without read noise.
-        read_variance: variance of a dark pixel.
+        read_variance: variance of a dark pixel, in squared units of the values.
         chi2: chi-square per degree of freedom for the weights of the last step; 1 if noise explains the residuals.
         values: (n,) model at every pixel.
         signal: significance of the modulation in standard deviations. Below 5, no wave is detected.
@@ -121,8 +123,8 @@ def fit_wave(
 ) -> WaveFit | None:
     """Fit a wave to pixels; None if the pixels do not determine the wave.
 
-    `start`: initial parameters of the phase. `basis`: functions b_k. `orders`: orders h_k of the harmonics. `steps`: largest
-    number of steps with a free phase.
+    `start`: initial parameters of the phase. `basis`: functions b_k of frequency and direction. `orders`: orders h_k of
+    the harmonics. `steps`: largest number of steps with a free phase.
     """
     (value, x, y), scale = pixels, phase.scale
     u, v = ((c - c.mean()) / max(float(np.ptp(c)) / 2, 1.0) for c in (x, y))

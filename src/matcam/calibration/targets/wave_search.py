@@ -120,15 +120,15 @@ def find_star(values: FloatArray, cycles: int | None = None) -> FoundStar:
     centre = _centre(filled)
     rings = _rings(filled, centre)
     if not rings:
-        raise FitError("region contains no Siemens star: no ring shows a regular wave; give a region of one star")
+        raise FitError("the region contains no Siemens star: no ring shows a regular wave; give a region of one star")
     votes = np.bincount([max(ring.cycles, 0) for ring in rings], [ring.share for ring in rings])
     winner = int(votes.argmax()) if cycles is None else cycles
     agreeing = [ring for ring in rings if ring.cycles == winner]
     if len(agreeing) < 4 or winner < 8:
         raise FitError(
-            f"region contains no Siemens star{f' of {cycles} cycles' if cycles else ''}: "
-            f"of {len(rings)} rings with a regular wave, {len(agreeing)} have {winner} cycles; "
-            "at least 4 rings of at least 8 cycles are needed"
+            f"the region contains no Siemens star{f' of {cycles} cycles' if cycles else ''}: "
+            f"of {len(rings)} rings with a regular wave, {len(agreeing)} have {winner} cycles, but at least 4 rings with at "
+            "least 8 cycles are needed; give a region of one star"
         )
     # Beyond the rim, the amplitude of the wave on a ring is small.
     strong = _KEPT * float(np.median([ring.amplitude for ring in agreeing[len(agreeing) // 2 :]]))
@@ -177,13 +177,13 @@ def _centre(filled: FloatArray) -> tuple[float, float]:
         normal = (normals * weight) @ normals.T
         if np.linalg.det(normal) <= 1e-12 * np.trace(normal) ** 2:
             raise FitError(
-                "region contains no Siemens star: the brightness changes in one direction only; give a region of one star"
+                "the region contains no Siemens star: the brightness changes in one direction only; give a region of one star"
             )
         at = np.linalg.solve(normal, normals @ (weight * found))
         scale = max(scale * 0.7, 3.0)
     if not (0 <= at[0] < filled.shape[1] and 0 <= at[1] < filled.shape[0]):
         raise FitError(
-            "region contains no Siemens star: the rays do not meet inside the region; give a region of one star"
+            "the region contains no Siemens star: the rays do not meet inside the region; give a region of one star"
         )
     return float(at[0]), float(at[1])
 
@@ -292,14 +292,14 @@ def find_grating(values: FloatArray, near: tuple[float, float] | None = None) ->
     size = np.abs(envelope)
     label, count = ndimage.label(size > _ENVELOPE * np.quantile(size, 0.98))
     if not count:
-        raise FitError("region contains no grating: the brightness does not vary; give a region of one grating")
+        raise FitError("the region contains no grating: the brightness does not vary; give a region of one grating")
     largest = 1 + int(np.argmax(ndimage.sum_labels(np.ones_like(size), label, np.arange(1, count + 1))))
     inside = ndimage.binary_erosion(
         ndimage.binary_fill_holes(label == largest), iterations=round(MARGIN), border_value=1
     )
     if inside.sum() < 256:
         raise FitError(
-            "region contains no grating: no area of 16 x 16 px has a regular wave; give a region of one grating"
+            "the region contains no grating: fewer than 256 connected px have a regular wave; give a region of one grating"
         )
     start = float(np.angle(envelope[inside].mean()))
     phase = start + 2 * np.pi * (frequency[0] * x + frequency[1] * y)
@@ -331,5 +331,7 @@ def _strongest(filled: FloatArray, near: tuple[float, float] | None) -> FloatArr
         power[np.minimum(*off) > max(_NEAR * float(np.hypot(*near)), 2 * _LONGEST / min(height, width))] = 0
     row, column = np.unravel_index(np.argmax(power), power.shape)
     if not power[row, column] > _CLEAR_IN_SPECTRUM * everywhere:
-        raise FitError("region contains no grating: no amplitude exceeds the noise; give a region of one grating")
+        raise FitError(
+            "the region contains no grating: no regular wave exceeds the noise; give a region of one grating"
+        )
     return np.array([fx[0, column], fy[row, 0]])

@@ -1,4 +1,4 @@
-"""Separate lenses for red, green and blue, because glass is dispersive."""
+"""Lens with separate optics for red, green and blue, because glass is dispersive."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ _FARTHEST = 100.0  # largest plausible shift of a channel, px
 
 
 class ColourOptics(VaryingOptics):
-    """Separate blur and shift of each of three channels.
+    """Lens with a separate blur and shift for each colour channel.
 
-    `picture` supports this lens: channel k of the image is recorded through lens k. A material with one channel gives
-    an image with three.
+    `picture` supports this lens: channel k of the image is recorded through lens k. The image has three channels, even
+    if the material has one.
 
     Args:
         red: lens of the first channel.
@@ -32,7 +32,7 @@ class ColourOptics(VaryingOptics):
         blue_shift: shift of the third channel, px. Default: (0, 0).
 
     Raises:
-        ArgumentError: a lens is not Optics, or is a ColourOptics; a shift is not a pair within 100 px.
+        ArgumentError: a lens is not Optics, or is a ColourOptics; or a shift is not a pair of numbers in [-100, 100] px.
 
     Source:
         Kingslake & Johnson, Lens Design Fundamentals, chapter 5 (lateral colour).
@@ -72,7 +72,7 @@ class ColourOptics(VaryingOptics):
     ):
         for name, lens in (("red", red), ("green", green), ("blue", blue)):
             if not isinstance(lens, Optics) or isinstance(lens, ColourOptics):
-                raise ArgumentError(f"{name} must be Optics of one colour, got {type(lens).__name__}")
+                raise ArgumentError(f"{name} must be Optics other than ColourOptics, got {type(lens).__name__}")
         self.red, self.green, self.blue = red, green, blue
         self.red_shift = _shift("red_shift", red_shift)
         self.green_shift = _shift("green_shift", green_shift)
@@ -80,14 +80,14 @@ class ColourOptics(VaryingOptics):
 
     @property
     def lenses(self) -> tuple[Optics, Optics, Optics]:
-        """Lenses of the channels."""
+        """Lenses of the red, green and blue channel, in this order."""
         return self.red, self.green, self.blue
 
     @property
     def named_lenses(self) -> dict[str, Optics]:
-        """Lenses by colour.
+        """Single lenses by name: "red", "green" and "blue".
 
-        A lens that varies over the image is represented by single lenses.
+        A channel whose lens varies over the image has names such as "red, centre".
         """
         named: dict[str, Optics] = {}
         for colour, lens in zip(("red", "green", "blue"), self.lenses, strict=True):
@@ -99,7 +99,7 @@ class ColourOptics(VaryingOptics):
 
     @property
     def shifts(self) -> tuple[jax.Array, jax.Array, jax.Array]:
-        """Shifts of the channels, each (right, up), px."""
+        """Shifts of the red, green and blue channel, each (right, up), px."""
         return self.red_shift, self.green_shift, self.blue_shift
 
     def band(self) -> float:
@@ -107,7 +107,7 @@ class ColourOptics(VaryingOptics):
         return max(lens.band() for lens in self.lenses)
 
     def instead(self) -> str:
-        """Describe an alternative, for a message."""
+        """Describe how to select a single lens, for an error message."""
         return "use Camera(optics.red, pixel), or optics.green or optics.blue"
 
 

@@ -1,10 +1,17 @@
-"""Gaussian optics, a lens with one parameter, and approximation of any lens by a signed sum of Gaussians.
+"""Gaussian optics, and approximation of any lens by a signed sum of Gaussians.
 
-With mtf(f) = sum_j w_j exp(-2 pi^2 sigma_j^2 f^2) the kernels have closed forms. The sum is exact for Gaussians, also
-with halos. For a lens whose MTF ends at a cutoff, the accuracy of a sum is limited. With sum |w_j| <= 50, the smallest
-error for a perfect lens at 550 nm with a full pixel of 4.73 um is 1.5e-4 / 6e-4 / 2.4e-3 at f/2.8 / 8 / 16.
-tests/camera/test_gaussian_sum.py finds this limit by linear programming. The least-squares fit with 24 terms has errors
-of 8e-4 / 1.9e-3 / 5.2e-3. For higher accuracy, integrate over frequencies (`optics.py`).
+The kernels of a lens have closed forms if its MTF is a sum of Gaussians, mtf(f) = sum_j w_j exp(-2 pi^2 sigma_j^2 f^2).
+The weights w_j have no unit; the widths sigma_j are in px. The sum is exact for Gaussian lenses, with or without halos.
+
+For a lens whose MTF ends at a cutoff, the accuracy of the sum is limited. The following errors are the largest errors of
+the MTF of lens and pixel for a diffraction-limited lens at 550 nm, a full pixel of 4.73 um and sum_j |w_j| <= 50:
+
+    f-number                                     2.8      8        16
+    smallest possible error                      1.5e-4   6e-4     2.4e-3
+    error of the least-squares fit, 24 terms     8e-4     1.9e-3   5.2e-3
+
+tests/camera/test_gaussian_sum.py computes the smallest possible errors by linear programming. For higher accuracy,
+integrate over frequencies (`optics.py`).
 """
 
 from __future__ import annotations
@@ -75,7 +82,7 @@ class GaussianOptics(Optics):
         self.sigma = checks.scalar("sigma", checks.positive("sigma", sigma, "px"))
 
     def psf(self, x: ArrayLike, y: ArrayLike) -> jax.Array:
-        """Compute the Gaussian lsf(x) lsf(y), 1/px^2, without the pixel."""
+        """Compute the product lsf(x) lsf(y), 1/px^2, without the pixel."""
         return self.lsf(x) * self.lsf(y)
 
     def lsf(self, x: ArrayLike) -> jax.Array:
@@ -87,25 +94,31 @@ class GaussianOptics(Optics):
         return xp.exp(-2 * xp.square(xp.pi * self.sigma * checks.number("f", f)))
 
     def band(self) -> float:
-        """Compute the frequency at which the MTF decreases to 2e-17, cycles/px."""
+        """Compute the frequency at which the MTF is 2e-17, cycles/px.
+
+        For a traced lens, 16 cycles/px are assumed.
+        """
         return _BAND_TIMES_SIGMA / float(self.sigma) if is_concrete(self.sigma) else _TRACED_BAND
 
     def rule_on(self, borders: np.ndarray) -> Rule:
-        """Build Gauss-Legendre panels up to 1.4 / sigma, cycles/px."""
+        """Build a Gauss-Legendre quadrature up to 1.4 / sigma, cycles/px."""
         unit = piecewise_rule(borders)
         band = _BAND_TIMES_SIGMA / self.sigma
         return Rule(unit.frequency * band, unit.weight * band)
 
 
 class GaussianSum(Module):
-    """Lens as a sum of Gaussians.
+    """Approximation of a lens by a sum of Gaussians.
+
+    The errors have no unit. For a lens with several components, each error is a bound: the sum over the components of the
+    error of the component times the modulus of its weight.
 
     Attributes:
-        weights: signed weights, whose sum is 1, shape (n,).
-        sigmas: standard deviations, px, shape (n,).
-        error: largest difference between the MTFs of sum and lens, over all frequencies.
-        total_error: largest difference after both MTFs are multiplied by the MTF of a full pixel, in the direction with
-            the largest transfer. Errors of fitted components add up.
+        weights: signed weights of the Gaussians, no unit, whose sum is 1, shape (n,).
+        sigmas: standard deviations of the Gaussians, px, shape (n,).
+        error: largest difference between the MTF of the sum and the MTF of the lens over all frequencies.
+        total_error: largest difference after both MTFs are multiplied by the MTF of a full pixel. At each frequency this
+            is the MTF of the pixel in the direction in which it is largest.
     """
 
     weights: jax.Array
@@ -119,15 +132,16 @@ class GaussianSum(Module):
 
 
 def gaussian_sum(optics: Optics, terms: int = 24) -> GaussianSum:
-    """Approximate a lens by Gaussians.
+    """Approximate an isotropic lens by a signed sum of Gaussians.
 
-    Gaussian components are kept; every other component is replaced by `terms` Gaussians. The result is differentiable
-    in the parameters of the lens: the weights solve a linear least-squares problem for its sampled MTF, and the widths
-    are fixed multiples of 1 / band.
+    Gaussian components are kept; every other component is replaced by `terms` Gaussians. The weights solve a linear
+    least-squares problem for the sampled MTF of the component. The widths form a geometric sequence. The smallest width is
+    0.3 / band, px, where band is the resolved band, cycles/px. The largest width is 100 px, or 100 times the smallest
+    width if that is larger. The result is differentiable in the parameters of the lens.
 
     Args:
         optics: the lens.
-        terms: number of Gaussians per component, 8 to 64. Default: 24.
+        terms: number of Gaussians for each component that is not Gaussian, 8 to 64. Default: 24.
 
     Raises:
         ArgumentError: `terms` is out of range, a measured MTF does not end at 0, or the lens is not isotropic.
@@ -139,7 +153,7 @@ def gaussian_sum(optics: Optics, terms: int = 24) -> GaussianSum:
 def round_gaussians(optics: Optics, terms: int = 24) -> GaussianSum:
     """Approximate the azimuthally averaged PSF of a lens by Gaussians.
 
-    For an isotropic lens the result is the same as for `gaussian_sum`.
+    For an isotropic lens the result is that of `gaussian_sum`.
     """
     if not 8 <= terms <= 64:
         raise ArgumentError(f"terms must lie in [8, 64], got {terms}")
@@ -147,7 +161,7 @@ def round_gaussians(optics: Optics, terms: int = 24) -> GaussianSum:
 
 
 def finest_width(optics: Optics) -> float:
-    """Compute the standard deviation of the narrowest Gaussian of a lens, px."""
+    """Compute the standard deviation of the narrowest Gaussian in the approximation of a lens, px."""
     widths = [
         constant(part.sigma) if isinstance(part, GaussianOptics) else _NARROWEST / (part.resolved_share() * part.band())
         for _, part in optics.components()
@@ -158,8 +172,8 @@ def finest_width(optics: Optics) -> float:
 def few_gaussians(optics: Optics) -> GaussianSum:
     """Approximate the azimuthally averaged PSF of a lens by a few Gaussians.
 
-    The sum is accurate only far from the centre of the PSF. Its residual must be added
-    (`forward/integral/kernel_residual.py`).
+    The sum is accurate only far from the centre of the PSF. The difference between lens and sum near the centre must be
+    added (`forward/integral/kernel_residual.py`).
     """
     return _of_all_pieces(optics, lambda band: (_FEW_NARROWEST / band, _FEW, _TAIL))
 
@@ -207,7 +221,7 @@ def _of_one_piece(optics: Optics, widths: _Widths) -> GaussianSum:
 
 
 def _mean_transfer(optics: Optics, frequency: jax.Array) -> jax.Array:
-    """Compute the azimuthal mean of a transfer function, which is real."""
+    """Compute the azimuthal mean of the transfer function of a lens. The mean is real."""
     if optics.isotropic:
         return optics.mtf(frequency)
     # half a turn suffices, because the values in the other half are complex conjugates
@@ -220,6 +234,9 @@ def _spectra(f: jax.Array, sigmas: jax.Array) -> jax.Array:
 
 
 def _through_full_pixel(f: jax.Array) -> jax.Array:
-    """Compute the transfer function of a square of side 1 px in the direction with the largest transfer."""
+    """Compute the modulus of the transfer function of a square of side 1 px, in the direction in which it is largest.
+
+    f: frequency, cycles/px, (n,).
+    """
     angle = np.linspace(0, np.pi / 4, 33)
     return xp.max(xp.abs(xp.sinc(f[:, None] * np.cos(angle)) * xp.sinc(f[:, None] * np.sin(angle))), axis=1)

@@ -1,4 +1,4 @@
-"""Veiling glare: the light that a lens scatters far from its image (docs/model.md 2)."""
+"""Lens with veiling glare, which is light scattered far from the image of a point (docs/model.md 2)."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ if TYPE_CHECKING:
 
 
 class HaloOptics(Optics):
-    """Veiling glare: a share of the light in a wide Gaussian.
+    """Lens with veiling glare: a wide Gaussian halo around its PSF.
 
-    PSF = (1 - fraction) core + fraction halo. Highlights are 1e3 to 1e6 times brighter than their surroundings, so a
-    fraction of 1e-3 is visible as haze.
+    The PSF is (1 - fraction) times the PSF of the core, plus fraction times the Gaussian PSF of the halo. Highlights are
+    1e3 to 1e6 times brighter than their surroundings, so a fraction of 1e-3 is visible as haze.
 
-    The core may itself have a halo, because stray light of several ranges is a sum of Gaussians. The fraction of the
-    outer halo then reduces the inner lens including its halo.
+    The core may be another HaloOptics, because stray light of several ranges is described by a sum of Gaussians. The
+    factor 1 - fraction of the outer lens then applies to the whole PSF of the inner lens, including the inner halo.
 
     Args:
         core: the lens without glare.
-        fraction: share of the light in the halo, no unit, [0, 1).
+        fraction: fraction of the light in the halo, no unit, [0, 1).
         radius: standard deviation of the halo, px, positive.
 
     Raises:
-        ArgumentError: a parameter is out of range, or the core is not a lens.
+        ArgumentError: a parameter is out of range or not a single number, or the core is not Optics.
 
     Source:
         ISO 9358 (veiling glare); docs/model.md 2.
@@ -67,14 +67,14 @@ class HaloOptics(Optics):
     def psf(self, x: ArrayLike, y: ArrayLike) -> jax.Array:
         """Compute the point spread function, 1/px^2, without the pixel.
 
-        It is (1 - fraction) core + fraction halo.
+        It is (1 - fraction) core.psf(x, y) + fraction halo.psf(x, y).
         """
         return (1 - self.fraction) * self.core.psf(x, y) + self.fraction * self.halo.psf(x, y)
 
     def lsf(self, x: ArrayLike) -> jax.Array:
         """Compute the line spread function, 1/px, without the pixel.
 
-        It is (1 - fraction) core + fraction halo.
+        It is (1 - fraction) core.lsf(x) + fraction halo.lsf(x).
 
         Raises:
             ArgumentError: the core is not isotropic; use `Camera.lsf` with an angle.
@@ -83,10 +83,10 @@ class HaloOptics(Optics):
         return (1 - self.fraction) * core.lsf(x) + self.fraction * self.halo.lsf(x)
 
     def mtf(self, f: ArrayLike) -> jax.Array:
-        """Compute the transfer function, without the pixel.
+        """Compute the signed transfer function, without the pixel.
 
-        It is (1 - fraction) core + fraction halo. The MTF of the halo is a spike of standard deviation 1 / (2 pi radius)
-        at frequency 0.
+        It is (1 - fraction) core.mtf(f) + fraction halo.mtf(f). The MTF of the halo is a narrow Gaussian around frequency 0
+        with the standard deviation 1 / (2 pi radius), cycles/px.
 
         Raises:
             ArgumentError: the core is not isotropic; use `otf`.
@@ -95,7 +95,10 @@ class HaloOptics(Optics):
         return (1 - self.fraction) * core.mtf(f) + self.fraction * self.halo.mtf(f)
 
     def otf(self, fx: ArrayLike, fy: ArrayLike) -> jax.Array:
-        """Compute the transfer function in the plane, without the pixel."""
+        """Compute the transfer function in the plane, without the pixel.
+
+        It is (1 - fraction) core.otf(fx, fy) + fraction halo.otf(fx, fy).
+        """
         return (1 - self.fraction) * self.core.otf(fx, fy) + self.fraction * self.halo.otf(fx, fy)
 
     @property
@@ -104,20 +107,21 @@ class HaloOptics(Optics):
         return self.core.isotropic
 
     def band(self) -> float:
-        """Compute the larger band of core and halo, cycles/px."""
+        """Compute the larger of the bands of core and halo, cycles/px."""
         return max(self.core.band(), self.halo.band())
 
     def resolved_share(self) -> float:
         """Compute the share of the band that the lens resolves, no unit.
 
-        It is the share of the core, or 1 if the band of the halo is larger.
+        It is the share of the core, or 1 if the band of the halo is larger than the band of the core.
         """
         return self.core.resolved_share() if self.halo.band() <= self.core.band() else 1.0
 
     def rule_on(self, borders: np.ndarray) -> Rule:
-        """Build the quadrature of the core on panels graded towards 0.
+        """Build the quadrature of the core on panels graded towards frequency 0.
 
-        The widths of the panels halve towards 0, so that they resolve the spike of the halo.
+        Each panel is half as wide as the next, so that the panels resolve the narrow MTF of the halo. If the band of the
+        halo is larger than the band of the core, the quadrature is extended to the band of the halo.
         """
         known = all(map(is_concrete, leaves_of(self)))
         # for traced parameters, 18 octaves resolve the spike of a halo of 1000 px in a band of 40 cycles/px
@@ -135,6 +139,6 @@ class HaloOptics(Optics):
         )
 
     def components(self) -> tuple[tuple[jax.Array, Optics], ...]:
-        """List the components of the core and the halo, with their weights."""
+        """List the components of core and halo, each with its weight."""
         core = tuple(((1 - self.fraction) * weight, part) for weight, part in self.core.components())
         return (*core, (self.fraction, self.halo))

@@ -22,20 +22,21 @@ if TYPE_CHECKING:
 class MeasuredOptics(Optics):
     """Isotropic lens with a measured MTF.
 
-    The MTF is a cubic spline through the samples; the image of a point is not shifted.
+    The MTF is a cubic spline through the samples. The image of a point is not shifted.
 
-    Beyond the last sample the MTF is 0 if the curve ends at 0. Otherwise it is unknown there, and an evaluation beyond
-    the last sample raises an error. The PSF also raises an error, because it requires all frequencies. In this case
-    append the frequency at which the curve reaches 0. The MTF is always 0 at the diffraction cutoff pitch / (wavelength
-    f_number).
+    Beyond the last sample the MTF is 0 if the last sample is 0. Otherwise it is unknown there, and an evaluation beyond
+    the last sample raises an ArgumentError. Kernels such as the PSF also raise it, because they require all frequencies.
+    In this case append a sample of 0 at the frequency at which the MTF reaches 0. No lens transfers frequencies above
+    the diffraction cutoff, which is pixel pitch / (wavelength times f-number), cycles/px.
 
     Args:
         frequency: frequencies of the samples, cycles/px, increasing from 0, shape (n,), n >= 4.
-        mtf: MTF of the optics at these frequencies, no unit, 1 at frequency 0, at most 1.05, shape (n,). It must not
-            include the pixel: divide a total MTF by the MTF of the pixel first.
+        mtf: MTF of the optics at these frequencies, no unit, 1 at frequency 0, modulus at most 1.05, shape (n,). It must
+            not include the pixel: divide a total MTF by the MTF of the pixel first.
 
     Raises:
-        ArgumentError: shapes do not match, frequencies do not increase from 0, or the curve is not an MTF.
+        ArgumentError: the shapes differ, there are fewer than 4 samples, the frequencies do not increase from 0, or the
+            MTF is not 1 at frequency 0 or its modulus exceeds 1.05.
 
     Source:
         ISO 12233 (measurement of the curve).
@@ -58,7 +59,8 @@ class MeasuredOptics(Optics):
         values = checks.number("mtf", mtf)
         if f.ndim != 1 or f.size < 4 or values.shape != f.shape:
             raise ArgumentError(
-                f"frequency and mtf must be lists of equal length, at least 4, got shapes {f.shape} and {values.shape}"
+                f"frequency and mtf must be lists of equal length with at least 4 numbers, got shapes {f.shape} and "
+                f"{values.shape}"
             )
         if f[0] != 0 or np.any(np.diff(f) <= 0):
             raise ArgumentError("frequency must start at 0 cycles/px and increase strictly")
@@ -72,7 +74,8 @@ class MeasuredOptics(Optics):
             largest = np.max(np.abs(samples))
             if largest > 1.05:
                 raise ArgumentError(
-                    f"mtf must not exceed 1 (1.05 with noise), got {largest:g}: use an image without sharpening"
+                    f"the modulus of mtf must not exceed 1 (1.05 with noise), got {largest:g}: measure the MTF in an image "
+                    "without sharpening"
                 )
             # a last sample of at most 1e-9 is 0 to rounding
             ends_at_zero = bool(abs(samples[-1]) <= 1e-9)
@@ -94,7 +97,7 @@ class MeasuredOptics(Optics):
         if is_concrete(at) and not self.ends_at_zero and at.size and float(xp.max(at)) > last:
             raise ArgumentError(
                 f"the measured MTF ends at {last:g} cycles/px with a value of {float(self.values[-1]):g}, but is required at "
-                f"{float(xp.max(at)):g}: append samples up to the frequency where it reaches 0"
+                f"{float(xp.max(at)):g} cycles/px: append samples up to the frequency where the MTF reaches 0"
             )
         return xp.where(at > last, 0.0, _spline(xp.asarray(self.frequency), self.values, at))
 
@@ -106,17 +109,20 @@ class MeasuredOptics(Optics):
         """
         if not self.ends_at_zero:
             raise ArgumentError(
-                f"the measured MTF ends at {self.frequency[-1]:g} cycles/px with a value of {float(self.values[-1]):g}: a "
-                "point spread function needs all frequencies; append samples up to the frequency where the MTF reaches 0"
+                f"the measured MTF ends at {self.frequency[-1]:g} cycles/px with a value of {float(self.values[-1]):g}, but "
+                "kernels require it at all frequencies: append samples up to the frequency where the MTF reaches 0"
             )
         return self.frequency[-1]
 
     def resolved_share(self) -> float:
-        """Compute the share of the band that the lens resolves, no unit."""
+        """Compute the share of the band that the lens resolves, no unit.
+
+        It ends at the sample after the last sample with a modulus above 1e-4.
+        """
         return self.resolved / self.frequency[-1]
 
     def rule_on(self, borders: np.ndarray) -> Rule:
-        """Build a quadrature on panels between neighbouring samples.
+        """Build a quadrature on panels that are split at the samples.
 
         The third derivative of the MTF is discontinuous at a sample.
         """
@@ -128,10 +134,11 @@ class MeasuredOptics(Optics):
 
 @compiled_by_jax
 def _spline(x: jax.Array, y: jax.Array, at: jax.Array) -> jax.Array:
-    """Evaluate the cubic spline through (x, y), shape (n,), n >= 4, at positions `at`.
+    """Evaluate the cubic spline through the points (x, y) at positions `at`.
 
-    Its third derivative is continuous next to the ends ("not-a-knot", de Boor 1978, chapter IV). The slopes solve a
-    tridiagonal system, so that memory is linear in n. The solution is linear in y, and therefore differentiable.
+    x and y have the shape (n,), n >= 4. The third derivative of the spline is continuous at the second and at the last
+    but one point ("not-a-knot", de Boor 1978, chapter IV). The slopes solve a tridiagonal system, so that memory is
+    linear in n. The spline is linear in y and therefore differentiable in y.
     """
     width, rise = xp.diff(x), xp.diff(y) / xp.diff(x)
     first, last = x[2] - x[0], x[-1] - x[-3]
@@ -151,7 +158,7 @@ def _spline(x: jax.Array, y: jax.Array, at: jax.Array) -> jax.Array:
 
 
 def _tridiagonal_solution(lower: jax.Array, diagonal: jax.Array, upper: jax.Array, right: jax.Array) -> jax.Array:
-    """Solve a tridiagonal system; the first of `lower` and the last of `upper` are not used."""
+    """Solve a tridiagonal system. The first element of `lower` and the last element of `upper` are not used."""
     if has_jax(lower, diagonal, upper, right):
         from matcam.core.jax import jax, jnp
 

@@ -1,8 +1,9 @@
-"""Lens: its point spread function, before integration over a pixel (docs/model.md 2).
+"""Lenses: point spread functions before integration over a pixel (docs/model.md 2).
 
-A kernel without a closed form is the inverse Fourier transform of a band-limited transfer function, by Gauss-Legendre
-quadrature on panels. Kernels are real, so the positive half of the frequencies suffices; for isotropic lenses they are
-even, and cosines suffice. With 16 nodes for at most one period, the error is below 1e-12 of the peak of the kernel.
+A kernel without a closed form is the inverse Fourier transform of a band-limited transfer function. It is computed by
+Gauss-Legendre quadrature on panels. Kernels are real, so the positive half of the frequencies suffices. The kernels of
+isotropic lenses are also even, so cosines suffice. With 16 nodes per panel and at most one period per panel, the error is
+below 1e-12 of the peak of the kernel.
 """
 
 from __future__ import annotations
@@ -36,7 +37,10 @@ Transfer = Callable[["jax.Array", "jax.Array"], "jax.Array"]
 
 
 class Wave(NamedTuple):
-    """Contributions of the real and the imaginary part of a transfer function at f to a kernel at x."""
+    """Factors with which the real part (`even`) and the imaginary part (`odd`) of a transfer function enter a kernel.
+
+    Both are functions of the frequency, cycles/px, and of the position, px.
+    """
 
     even: Callable[[jax.Array, jax.Array], jax.Array]
     odd: Callable[[jax.Array, jax.Array], jax.Array]
@@ -55,9 +59,9 @@ def piecewise_rule(edges: np.ndarray) -> Rule:
 
 
 def split_rule(borders: np.ndarray, knots: np.ndarray) -> Rule:
-    """Build `piecewise_rule` on panels that are split at knots.
+    """Build a Gauss-Legendre rule on panels that are split at knots.
 
-    The number of nodes of a piece is proportional to its share of the panel.
+    The number of nodes of a piece is `ORDER` times its share of the panel, rounded up, plus 3, but at most `ORDER`.
     """
     edges = np.union1d(borders, knots)
     left, right, widths = edges[:-1], edges[1:], np.diff(edges)
@@ -76,9 +80,9 @@ def panels_for(reach: float, band: float) -> int:
 
 
 def reach_of(*positions: jax.Array) -> float:
-    """Compute the largest distance of positions, px.
+    """Compute the largest modulus of coordinates, px.
 
-    Traced positions are assumed to lie within 64 px.
+    It is assumed to be 64 px if a coordinate is traced.
     """
     if not all(is_concrete(p) for p in positions):
         return 64.0
@@ -88,21 +92,22 @@ def reach_of(*positions: jax.Array) -> float:
 def line_kernel(rule: Rule, transfer: Transfer, x: jax.Array, angle: jax.Array) -> jax.Array:
     """Compute the kernel on a line, 1/px.
 
-    It is the integral of transfer(f, angle) exp(2 pi i f x) df. x: positions, px; broadcasts with angle. angle:
-    directions, rad.
+    It is the integral of transfer(f, angle) exp(2 pi i f x) df over all frequencies f. x: positions, px; broadcasts with
+    angle. angle: directions, rad.
     """
     return _over_frequencies(_LINE, rule, transfer, x, angle)
 
 
 def step_response(rule: Rule, transfer: Transfer, x: jax.Array, angle: jax.Array) -> jax.Array:
-    """Integrate the line kernel from -infinity to x."""
+    """Integrate `line_kernel` from -infinity to x, no unit."""
     return 0.5 + _over_frequencies(_STEP, rule, transfer, x, angle)
 
 
 def plane_kernel(rule: Rule, transfer: Transfer, x: jax.Array, y: jax.Array, turns: int) -> jax.Array:
     """Compute an even kernel in the plane, 1/px^2.
 
-    transfer(f, angle) must be even in fx and fy. The nodes are polar, with `turns` angles in a quarter turn.
+    transfer(f, angle) must be even in both components of the frequency. The nodes form a polar grid with `turns` angles in
+    a quarter turn.
     """
     # the trapezoidal rule on a full period is exact to rounding; over a quarter its two ends have half the weight
     angle = xp.linspace(0, xp.pi / 2, turns + 1)
@@ -115,9 +120,9 @@ def plane_kernel(rule: Rule, transfer: Transfer, x: jax.Array, y: jax.Array, tur
 
 
 def directed_plane_kernel(rule: Rule, transfer: Transfer, x: jax.Array, y: jax.Array, turns: int) -> jax.Array:
-    """Compute any real kernel in the plane, 1/px^2.
+    """Compute a real kernel in the plane, which need not be even, 1/px^2.
 
-    transfer(f, angle) need not be even. The arguments are those of `plane_kernel`.
+    The arguments are those of `plane_kernel`, but transfer(f, angle) need not be even.
     """
     angle = xp.arange(2 * turns) * (xp.pi / 2 / turns)  # half a turn; the other half is its complex conjugate
     frequency = xp.asarray(rule.frequency)[:, None]
@@ -130,7 +135,7 @@ def turns_for(reach: float, band: float) -> int:
     """Compute the number of angles per quarter turn that resolve a kernel.
 
     reach: largest distance of a position, px. band: band of the lens, cycles/px. According to the Jacobi-Anger
-    expansion, the order must exceed 2 pi f r.
+    expansion, the number of angles in a full turn must exceed 2 pi band reach.
     """
     return 16 + int(np.ceil((2 * np.pi * band * reach) / 4 * 1.1))
 
@@ -156,9 +161,10 @@ def _over_frequencies(wave: Wave, rule: Rule, transfer: Transfer, x: jax.Array, 
 
 
 def _summed(wave: Wave, frequency: jax.Array, amplitude: jax.Array, x: jax.Array) -> jax.Array:
-    """Sum over frequencies at positions x, px, (n,).
+    """Sum the contributions of all frequencies to a kernel at positions x, px, (n,).
 
-    amplitude: amplitude in one direction, (frequencies,), or in a direction for each position, (n, frequencies).
+    amplitude: weighted transfer function in one direction, (frequencies,), or in a direction for each position,
+    (n, frequencies).
     """
     total = xp.sum(wave.even(frequency, x[:, None]) * amplitude.real, axis=-1)
     if not xp.iscomplexobj(amplitude):
@@ -193,7 +199,7 @@ def _directed_plane_sum(fx: jax.Array, fy: jax.Array, amplitude: jax.Array, x: j
 
 
 def _at_each(function: Callable[..., jax.Array], *positions: jax.Array) -> jax.Array:
-    """Apply a function of positions (n,) to positions of any shape."""
+    """Apply a function whose positions have the shape (n,) to positions of any shape."""
     flat = tuple(p.ravel() for p in positions)
     # 64 positions are evaluated at once, which limits memory
     return first_axis_map(function, flat, 64).reshape(positions[0].shape)
@@ -210,8 +216,8 @@ class Optics(Module):
     combination, the *effective* kernel (`Camera`). They are different types so that no blur can be applied twice.
 
     Attributes:
-        profile_fields: {name with its unit in a camera profile: attribute}, in the order of the constructor's
-            arguments.
+        profile_fields: path of the attribute for each field in a camera profile, such as {"radius_px": "halo.sigma"}.
+            The fields are in the order of the constructor's arguments.
     """
 
     profile_fields: ClassVar[Mapping[str, str]]
@@ -219,12 +225,12 @@ class Optics(Module):
     def psf(self, x: ArrayLike, y: ArrayLike) -> jax.Array:
         """Compute the optical point spread function, 1/px^2, without the pixel.
 
-        It is the irradiance on the sensor of a point source of unit flux, and integrates to 1. `Camera.psf` includes
-        the pixel. It is computed by quadrature, unless the lens has a closed form.
+        It is the irradiance on the sensor due to a point source of unit flux, and integrates to 1. It is computed by
+        quadrature, unless the lens has a closed form. `Camera.psf` includes the pixel.
 
         Args:
-            x: distance from the image of the point along the rows, px; broadcasts with y.
-            y: distance across the rows, px.
+            x: position to the right of the image of the point, px; broadcasts with y.
+            y: position above the image of the point, px.
 
         Raises:
             ArgumentError: a position is not finite.
@@ -255,7 +261,7 @@ class Optics(Module):
         """Compute the signed optical transfer function, without the pixel.
 
         Args:
-            f: frequency, cycles/px, any shape; the value at 0 is 1.
+            f: frequency, cycles/px, any shape. At f = 0 the transfer function is 1.
 
         Raises:
             ArgumentError: f is not finite.
@@ -272,8 +278,8 @@ class Optics(Module):
         It is complex for anisotropic lenses, and otherwise `mtf` at the modulus of the frequency.
 
         Args:
-            fx: frequency along the rows, cycles/px; broadcasts with fy.
-            fy: frequency across the rows, upwards, cycles/px.
+            fx: component of the frequency to the right, cycles/px; broadcasts with fy.
+            fy: component of the frequency upwards, cycles/px.
 
         Raises:
             ArgumentError: a frequency is not finite.
@@ -287,7 +293,7 @@ class Optics(Module):
     def resolved_share(self) -> float:
         """Compute the share of the band that the lens resolves, no unit.
 
-        Above this share the MTF is below 1e-4. The share determines the scale of the PSF.
+        Above this share the MTF is below 1e-4. The scale of the PSF is inversely proportional to the resolved band.
         """
         return 1.0
 
@@ -295,25 +301,28 @@ class Optics(Module):
     def rule_on(self, borders: np.ndarray) -> Rule:
         """Build a quadrature over the band.
 
-        The MTF is smooth on each panel.
+        The MTF is smooth on each panel of the quadrature.
 
         Args:
-            borders: limits of panels, shares of the band, increasing from 0 to 1. No panel of the quadrature is wider
-                than these.
+            borders: limits of panels as shares of the band, no unit, increasing from 0 to 1. The quadrature may divide
+                these panels further.
         """
 
     def components(self) -> tuple[tuple[jax.Array, Optics], ...]:
-        """List the weights and lenses of the components of this lens.
+        """List the components of this lens, each as (weight, lens).
 
-        The only component of a simple lens is the lens itself, with weight 1.
+        The kernel of this lens is the weighted sum of the kernels of its components. A lens without components is
+        represented by itself, with weight 1.
         """
         return ((xp.ones(()), self),)
 
     def frequency_rule(self, panels: int) -> Rule:
         """Build a quadrature over [0, band] on panels of equal width.
 
+        The lens may divide these panels further.
+
         Args:
-            panels: smallest number of panels.
+            panels: number of panels before they are divided.
         """
         return self.rule_on(np.linspace(0, 1, panels + 1))
 

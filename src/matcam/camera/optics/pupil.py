@@ -75,7 +75,8 @@ class DiffractionOptics(Optics):
     def psf(self, x: ArrayLike, y: ArrayLike) -> jax.Array:
         """Compute the Airy pattern, 1/px^2, without the pixel.
 
-        It is (pi cutoff^2 / 4) [2 J1(v) / v]^2, v = pi cutoff r.
+        It is (pi cutoff^2 / 4) [2 J1(v) / v]^2 with the Bessel function J1, v = pi cutoff r, and the distance from the image
+        of the point r = sqrt(x^2 + y^2), px.
         """
         r = plane_length(*checks.broadcastable(x=x, y=y))
         return xp.pi / 4 * self.cutoff**2 * jinc(xp.pi * self.cutoff * r, np.pi * reach_of(r) * self.band()) ** 2
@@ -96,9 +97,10 @@ class DiffractionOptics(Optics):
         return float(self.cutoff) if is_concrete(self.cutoff) else 8.0
 
     def rule_on(self, borders: np.ndarray) -> Rule:
-        """Build a quadrature on panels in t.
+        """Build a quadrature on panels of a variable t.
 
-        The frequency is f = cutoff t (2 - t). Near the cutoff the MTF varies as (1 - nu)^(3/2), which is a polynomial in t.
+        The frequency is f = cutoff t (2 - t). Near the cutoff the MTF varies as (1 - f / cutoff)^(3/2) = (1 - t)^3, which
+        is a polynomial in t.
         """
         unit = piecewise_rule(1 - np.sqrt(1 - borders))
         t = unit.frequency
@@ -108,9 +110,9 @@ class DiffractionOptics(Optics):
 class DefocusOptics(Optics):
     """Lens with diffraction and defocus, without other aberrations.
 
-    A sensor at a distance dz, m, from the focus has a circle of confusion of blur_diameter = dz / (f_number
-    pixel_pitch), px. The wavefront error at the edge of the pupil is then W020 = dz / (8 f_number^2) = blur_diameter
-    pixel_pitch / (8 f_number), m.
+    If the distance between sensor and focus is dz, m, the diameter of the circle of confusion is
+    blur_diameter = dz / (f_number pixel_pitch), px. The wavefront error at the edge of the pupil is then
+    W020 = dz / (8 f_number^2) = blur_diameter pixel_pitch / (8 f_number), m.
 
     The MTF is signed: where it is negative, bright and dark are exchanged (spurious resolution).
 
@@ -156,12 +158,13 @@ class DefocusOptics(Optics):
     def mtf(self, f: ArrayLike) -> jax.Array:
         """Compute the signed transfer function, without the pixel.
 
-        It is (4 / pi) times the integral from nu to 1 of cos(pi c f (u - nu)) sqrt(1 - u^2) du, nu = f / cutoff, c =
-        blur_diameter. This is the autocorrelation of the pupil: the phase of the product of the pupil with itself,
-        shifted by 2 nu, is the linear term 8 pi W020 nu u / wavelength = pi c f u.
+        It is (4 / pi) times the integral from nu to 1 of cos(pi c f (u - nu)) sqrt(1 - u^2) du, where nu = f / cutoff and
+        c = blur_diameter. This is the normalised autocorrelation of the pupil function at a shift of 2 nu pupil radii.
+        The phase difference of the two shifted pupils is pi c f u at the position u along the shift, in radii of the
+        pupil.
 
-        It is NaN for traced parameters whose c * cutoff exceeds 256, because the size of the quadrature is fixed in
-        advance.
+        If a parameter is traced, the size of the quadrature is fixed in advance, and the result is NaN where
+        blur_diameter * cutoff exceeds 256.
         """
         frequency = xp.abs(checks.number("f", f))
         cutoff = self.focused.cutoff
@@ -179,7 +182,7 @@ class DefocusOptics(Optics):
     def rule_on(self, borders: np.ndarray) -> Rule:
         """Build the quadrature of the focused lens on finer panels.
 
-        The panels resolve the oscillations exp(i pi c f) of the circle of confusion.
+        The panels resolve the oscillations exp(i pi blur_diameter f) of the transfer function.
         """
         known = is_concrete(self.blur_diameter)
         circle = float(self.blur_diameter) * self.band() if known else _TRACED_CIRCLE

@@ -1,4 +1,4 @@
-"""Lens that varies over the field: Seidel aberrations, each a Zernike term that grows from the optical axis."""
+"""Lens that varies over the field: Zernike terms that depend on the distance from the optical axis (Seidel aberrations)."""
 
 from __future__ import annotations
 
@@ -22,10 +22,12 @@ if TYPE_CHECKING:
 class SeidelOptics(VaryingOptics):
     """Lens with aberrations that grow with the distance from the axis.
 
-    At a distance of h units from the axis, coma is h times its coefficient, and astigmatism and field curvature are h^2
-    times theirs. Coma and astigmatism point away from the axis. Spherical aberration and defocus are uniform. `at`
-    evaluates the lens at one position. `picture` supports this lens: each surface element is blurred by the lens at its
-    position.
+    At a distance of h times `unit` from the optical axis, the coefficients of the Zernike terms are: coma h `coma`,
+    astigmatism h^2 `astigmatism`, defocus `defocus` + h^2 `curvature`, and spherical aberration `spherical`. Coma and
+    astigmatism are oriented along the line to the axis.
+
+    `at` evaluates the lens at one position. `picture` supports this lens: the image of each surface element is blurred
+    by the lens at the position of that image.
 
     Args:
         f_number: working f-number, no unit, positive.
@@ -35,13 +37,14 @@ class SeidelOptics(VaryingOptics):
             the image.
         defocus: defocus on the axis, waves rms, as in `ZernikeOptics`. Default: 0.
         astigmatism: astigmatism at `unit`, waves rms; positive along the line to the axis. Default: 0.
-        coma: coma at `unit`, waves rms; positive if the centroid is nearer to the axis than the sharpest part.
-            Default: 0.
+        coma: coma at `unit`, waves rms. It is positive if the centroid of the image of a point is nearer to the axis than
+            the sharpest part of that image. Default: 0.
         curvature: difference between the defocus at `unit` and on the axis, waves rms. Default: 0.
         spherical: spherical aberration, waves rms. Default: 0.
 
     Raises:
-        ArgumentError: a parameter is out of range or not finite, or coefficients look like metres.
+        ArgumentError: a parameter is out of range or not finite, coefficients seem to be in metres, or the aberrations are
+            too large for `ZernikeOptics`.
 
     Source:
         Born & Wolf, Principles of Optics, 5.3, with Zernike terms (9.2).
@@ -96,18 +99,18 @@ class SeidelOptics(VaryingOptics):
 
     @property
     def focused(self) -> DiffractionOptics:
-        """Lens without aberrations."""
+        """Diffraction-limited lens with the same pupil."""
         return self.axial.focused
 
     def at(self, x: ArrayLike, y: ArrayLike) -> ZernikeOptics:
         """Evaluate the lens at a position.
 
         Args:
-            x: position from the optical axis, to the right, px.
-            y: position from the optical axis, upwards, px.
+            x: position to the right of the optical axis, px.
+            y: position above the optical axis, px.
 
         Raises:
-            ArgumentError: the aberrations are too large at this position, or the position is not finite.
+            ArgumentError: the aberrations are too large at this position, or x or y is not a single finite number.
         """
         terms = checks.broadcastable(x=x, y=y)
         found = self.terms_at(*(checks.scalar(name, one) for name, one in zip("xy", terms, strict=True)))
@@ -117,15 +120,17 @@ class SeidelOptics(VaryingOptics):
 
     @property
     def named_lenses(self) -> dict[str, Optics]:
-        """Lens on the optical axis, by the name "centre"."""
+        """Lens on the optical axis, with the key "centre"."""
         return {"centre": self.at(0.0, 0.0)}
 
     def terms_at(self, x: ArrayLike, y: ArrayLike) -> jax.Array:
-        """Compute the coefficients of `ZernikeOptics.terms` at positions, (..., 8), waves rms.
+        """Compute the coefficients of the Zernike terms at positions, waves rms.
+
+        The result has the shape (..., 8); the terms are in the order of `ZernikeOptics.terms`.
 
         Args:
-            x: positions from the optical axis, to the right, px; broadcasts with y.
-            y: positions from the optical axis, upwards, px.
+            x: positions to the right of the optical axis, px; broadcasts with y.
+            y: positions above the optical axis, px.
         """
         right, up = (xp.asarray(a) / self.unit for a in (x, y))
         defocus = self.axial.defocus + self.curvature * (right**2 + up**2)
@@ -141,5 +146,5 @@ class SeidelOptics(VaryingOptics):
         return self.axial.band()
 
     def instead(self) -> str:
-        """Describe an alternative, for a message."""
+        """Describe how to select a single lens, for an error message."""
         return "use Camera(optics.at(x, y), pixel)"

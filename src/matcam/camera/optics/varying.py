@@ -26,7 +26,7 @@ class VaryingOptics(Optics):
 
     @abstractmethod
     def instead(self) -> str:
-        """Describe an alternative, for a message."""
+        """Describe how to select a single lens, for an error message."""
 
     @property
     @abstractmethod
@@ -37,8 +37,8 @@ class VaryingOptics(Optics):
         """Raise ArgumentError, because each lens has its own kernel.
 
         Args:
-            x: distance along the rows, px.
-            y: distance across the rows, px.
+            x: position to the right of the image of the point, px.
+            y: position above the image of the point, px.
         """
         raise self._refused("psf")
 
@@ -46,7 +46,7 @@ class VaryingOptics(Optics):
         """Raise ArgumentError, because each lens has its own kernel.
 
         Args:
-            x: distance, px.
+            x: distance from the image of the line, px.
         """
         raise self._refused("lsf")
 
@@ -62,8 +62,8 @@ class VaryingOptics(Optics):
         """Raise ArgumentError, because each lens has its own transfer function.
 
         Args:
-            fx: frequency along the rows, cycles/px.
-            fy: frequency across the rows, cycles/px.
+            fx: component of the frequency to the right, cycles/px.
+            fy: component of the frequency upwards, cycles/px.
         """
         raise self._refused("otf")
 
@@ -71,15 +71,15 @@ class VaryingOptics(Optics):
         """Raise ArgumentError, because each lens has its own quadrature.
 
         Args:
-            borders: limits of panels, shares of the band.
+            borders: limits of panels as shares of the band, no unit.
         """
         raise self._refused("a quadrature")
 
     def components(self) -> tuple[tuple[jax.Array, Optics], ...]:
-        """Raise ArgumentError, because the kernel is not a sum over the lenses."""
+        """Raise ArgumentError, because no single kernel describes the lens."""
         raise self._refused("a kernel")
 
     def _refused(self, what: str) -> ArgumentError:
         return ArgumentError(
-            f"{what} requires a single lens, but {type(self).__name__} consists of several: {self.instead()}"
+            f"{what} requires a single lens, but {type(self).__name__} consists of several lenses: {self.instead()}"
         )

@@ -1,14 +1,15 @@
 """Image of a point through a pupil with a wavefront error: amplitude on the sensor, and transfer function.
 
-The error is a sum of Zernike terms, orthonormal on the unit disc (Noll 1976), so that a coefficient is the rms of its term.
-The transfer function is the autocorrelation of exp(2 pi i W) over the overlap of two shifted discs (Goodman 6.3.3).
-Positions in the overlap are parameterised by two angles, in which integrand and borders are entire functions:
+The wavefront error W, waves, is a sum of Zernike terms that are orthonormal on the unit disc (Noll 1976). A coefficient is
+therefore the rms of its term. The transfer function is the autocorrelation of exp(2 pi i W), which is an integral over the
+overlap of two shifted discs (Goodman, Introduction to Fourier Optics, 6.3.3). At a frequency of cos(end) times the cutoff,
+the position in the overlap is, in radii of the pupil,
 
-    nu = cos(end),  across the shift  v = sin(end s),  along it  u = (cos(end s) - nu) t,  s, t in [-1, 1].
+    v = sin(end s) across the shift,  u = (cos(end s) - cos(end)) t along the shift,  with s and t in [-1, 1].
 
-Gauss-Legendre quadrature therefore converges faster than any power of the number of nodes. The transfer function is
-also an entire function of `end` and of the direction. It may be interpolated across frequency 0 and the cutoff, where
-it has kinks as a function of frequency.
+The integrand is an entire function of s and t, so Gauss-Legendre quadrature converges faster than any power of the number
+of nodes. The transfer function is also an entire function of `end` and of the direction. Interpolation in `end` is therefore
+accurate near frequency 0 and near the cutoff, where the transfer function has kinks as a function of frequency.
 """
 
 from __future__ import annotations
@@ -38,7 +39,8 @@ _BEYOND = _POINTS // 2
 def wavefront(terms: AnyArray, x: jax.Array, y: jax.Array) -> jax.Array:
     """Evaluate the wavefront error, waves.
 
-    terms: coefficients of the terms, (8,), waves rms. x, y: positions in the pupil, in radii of the pupil.
+    terms: coefficients in the order of `ZernikeOptics.terms`, (8,), waves rms. x, y: positions in the pupil, in radii of the
+    pupil.
     """
     square = x**2 + y**2
     defocus, astig, astig_45, coma_x, coma_y, trefoil, trefoil_y, spherical = terms
@@ -54,7 +56,8 @@ def wavefront(terms: AnyArray, x: jax.Array, y: jax.Array) -> jax.Array:
 def phase_of(terms: np.ndarray) -> int:
     """Compute an upper bound of the wavefront error, rad.
 
-    The bound determines the size of the quadratures. It has few possible values, because each size requires a compilation.
+    The bound determines the size of the quadratures. Up to `LARGEST_PHASE` it is rounded up to one of few values, because
+    each size requires a compilation.
     """
     defocus, *pairs, spherical = np.abs(terms)
     norms = np.hypot(pairs[::2], pairs[1::2]) * np.sqrt([6, 8, 8])
@@ -64,10 +67,13 @@ def phase_of(terms: np.ndarray) -> int:
 
 @partial(compiled_by_jax, static=(3,))
 def amplitude(terms: jax.Array, x: jax.Array, y: jax.Array, sizes: tuple[int, int]) -> jax.Array:
-    """Compute the mean over the pupil of exp(2 pi i (W + p . x)).
+    """Compute the complex amplitude on the sensor relative to the peak of a perfect lens, (positions,).
+
+    It is the mean of exp(2 pi i (W + p . x)) over the pupil. W is the wavefront error, waves, at the position p in the
+    pupil, in radii of the pupil.
 
     Args:
-        terms: terms of the wavefront, (8,), waves rms.
+        terms: coefficients in the order of `ZernikeOptics.terms`, (8,), waves rms.
         x: horizontal positions on the sensor, (positions,), in units of 2 / (cutoff frequency).
         y: vertical positions, same shape and unit.
         sizes: numbers of nodes along the radius and the circumference.
@@ -97,7 +103,7 @@ def pupil_sizes(phase: int, reach: float) -> tuple[int, int]:
 
 
 def overlap_order(phase: int) -> int:
-    """Compute the number of nodes that resolve an overlap.
+    """Compute the number of quadrature nodes per axis that resolve an overlap.
 
     phase: bound of the wavefront error, rad.
     """
@@ -106,10 +112,11 @@ def overlap_order(phase: int) -> int:
 
 @partial(compiled_by_jax, static=(3,))
 def overlap(terms: AnyArray, end: AnyArray, angle: AnyArray, order: int) -> jax.Array:
-    """Compute the complex transfer function, (n,).
+    """Compute the complex transfer function by quadrature, (n,).
 
-    end: arccosine of the frequency divided by the cutoff, rad, (n,); outside [0, pi/2] the result is the entire
-    continuation. angle: direction of the frequency, rad, (n,). order: number of nodes.
+    terms: coefficients in the order of `ZernikeOptics.terms`, (8,), waves rms. end: arccosine of the frequency divided by
+    the cutoff, rad, (n,); outside [0, pi/2] the result is the analytic continuation. angle: direction of the frequency,
+    rad, (n,). order: number of nodes per axis.
     """
     node, weight = np.polynomial.legendre.leggauss(order)
     s, t = xp.asarray(node[:, None]), xp.asarray(node)
@@ -133,10 +140,13 @@ def overlap(terms: AnyArray, end: AnyArray, angle: AnyArray, order: int) -> jax.
 
 @partial(compiled_by_jax, static=(1,))
 def overlap_table(terms: jax.Array, phase: int) -> jax.Array:
-    """Tabulate `overlap` for `from_table`, complex, (ends, angles).
+    """Tabulate the complex result of `overlap` for `from_table`, shape (values of `end`, angles).
 
-    `overlap` is computed for few values of `end` and few angles, and interpolated by Chebyshev polynomials of `end` and
-    a Fourier series of the angle. The grid extends a few steps beyond its ends.
+    `overlap` is computed for few values of `end` and few angles. It is interpolated by Chebyshev polynomials of `end` and
+    a Fourier series of the angle. The table extends a few steps beyond `end` = 0 and pi/2 and beyond a full turn of the
+    angle.
+
+    terms: coefficients in the order of `ZernikeOptics.terms`, (8,), waves rms. phase: bound of the wavefront error, rad.
     """
     lines, half = 40 + 4 * phase, 20 + 8 * phase
     cheb = np.cos(np.pi * (np.arange(lines) + 0.5) / lines)
@@ -159,7 +169,10 @@ def overlap_table(terms: jax.Array, phase: int) -> jax.Array:
 
 
 def _fineness(phase: int) -> tuple[int, int]:
-    """Compute the numbers of steps of a table: in `end` from 0 to pi/2, and in the angle over a full turn."""
+    """Compute the numbers of steps of a table: in `end` from 0 to pi/2, and in the angle over a full turn.
+
+    phase: bound of the wavefront error, rad.
+    """
     return 96 + 12 * phase, 128 + 48 * phase
 
 
@@ -167,7 +180,8 @@ def _fineness(phase: int) -> tuple[int, int]:
 def from_table(table: jax.Array, phase: int, end: jax.Array, angle: jax.Array) -> jax.Array:
     """Interpolate the complex transfer function in a table, (n,).
 
-    end: arccosine of the frequency divided by the cutoff, rad, in [0, pi/2], (n,). angle: direction, rad, (n,).
+    table: result of `overlap_table` for the same `phase`. end: arccosine of the frequency divided by the cutoff, rad, in
+    [0, pi/2], (n,). angle: direction of the frequency, rad, (n,).
     """
     fine, round_fine = _fineness(phase)
     flat, width, steps = table.ravel(), table.shape[1], np.arange(_POINTS)

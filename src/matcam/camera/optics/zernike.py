@@ -1,6 +1,6 @@
 """Lens with aberrations as Zernike terms: defocus, astigmatism, coma, trefoil, spherical aberration.
 
-The axes of images are used: x to the right, y upwards. The transfer function is complex and depends on the direction.
+As in images, x points to the right and y upwards. The transfer function is complex and depends on the direction.
 """
 
 from __future__ import annotations
@@ -41,18 +41,21 @@ _FARTHEST = 200.0  # largest distance at which the PSF is integrated, in units o
 class ZernikeOptics(Optics):
     """Lens with diffraction and low-order aberrations of a circular pupil.
 
-    Coefficients are the rms of their terms over the pupil, in waves of `wavelength`. The terms are numbered and
-    normalised according to Noll; OSA and ISO 24157 use the same normalisation. The image of a point is shifted by -2
-    f_number wavelength times the slope of the wavefront. Piston and tilt are omitted, because they do not blur. Coma
-    includes its balancing tilt: the sharpest part of the image of a point stays at the point, and the centroid is at
-    -4 sqrt(2) coma wavelength f_number.
+    A coefficient is the rms of its term over the pupil, in waves of `wavelength`. The terms are numbered and normalised
+    according to Noll; OSA and ISO 24157 use the same normalisation. The terms are functions of rho, the distance from
+    the centre of the pupil in radii of the pupil, and of t, the angle from +x towards +y.
+
+    Light from a part of the pupil where the wavefront has a slope of g waves per pupil radius is displaced by
+    -2 f_number wavelength g, m. Piston and tilt are omitted, because they do not blur. Coma includes its balancing tilt:
+    the sharpest part of the image of a point is not shifted, and the centroid is shifted by
+    -4 sqrt(2) coma f_number wavelength, m.
 
     Args:
         f_number: working f-number, no unit, positive.
         wavelength: wavelength of the light, m, 1e-9 to 1e-3.
         pixel_pitch: distance between neighbouring pixels, m, 1e-8 to 1e-2.
-        defocus: coefficient of sqrt(3) (2 rho^2 - 1), term 4, waves rms. Default: 0. A sensor at a distance dz, m,
-            behind the focus has a defocus of dz / (16 sqrt(3) f_number^2), m.
+        defocus: coefficient of sqrt(3) (2 rho^2 - 1), term 4, waves rms. Default: 0. If the sensor is a distance dz, m,
+            behind the focus, the coefficient is dz / (16 sqrt(3) f_number^2 wavelength).
         astigmatism: (along x, along the diagonal), coefficients of sqrt(6) rho^2 (cos 2t, sin 2t), terms 6 and 5, waves
             rms. Default: (0, 0).
         coma: (x, y), coefficients of sqrt(8) (3 rho^3 - 2 rho) (cos t, sin t), terms 8 and 7, waves rms.
@@ -61,8 +64,8 @@ class ZernikeOptics(Optics):
         spherical: coefficient of sqrt(5) (6 rho^4 - 6 rho^2 + 1), term 11, waves rms. Default: 0.
 
     Raises:
-        ArgumentError: a parameter is out of range or not finite, coefficients look like metres, or the total wavefront
-            error exceeds 2.5 waves.
+        ArgumentError: a parameter is out of range or not finite, coefficients seem to be in metres, or the total wavefront
+            error may exceed 2.5 waves at a point of the pupil.
 
     Source:
         Noll (1976), J. Opt. Soc. Am. 66, 207; Goodman, Introduction to Fourier Optics, 6.4.
@@ -120,12 +123,16 @@ class ZernikeOptics(Optics):
 
     @property
     def isotropic(self) -> bool:
-        """False, because aberrations depend on the direction."""
+        """False, because the blur of most aberrations depends on the direction."""
         return False
 
     @property
     def terms(self) -> jax.Array:
-        """Coefficients of defocus, astigmatism, coma, trefoil and spherical aberration, (8,), waves rms."""
+        """Coefficients of the Zernike terms, waves rms, shape (8,).
+
+        The order is defocus, astigmatism, coma, trefoil, spherical aberration. Astigmatism, coma and trefoil have two
+        coefficients each.
+        """
         alone = self.defocus[None], self.spherical[None]
         return xp.concatenate([alone[0], self.astigmatism, self.coma, self.trefoil, alone[1]])
 
@@ -144,11 +151,13 @@ class ZernikeOptics(Optics):
     def psf(self, x: ArrayLike, y: ArrayLike) -> jax.Array:
         """Compute the point spread function, 1/px^2, without the pixel.
 
-        It is (pi cutoff^2 / 4) |mean over the pupil of exp(2 pi i (W + cutoff p . x / 2))|^2, which is non-negative.
+        It is (pi cutoff^2 / 4) |a|^2. The amplitude a is the mean of exp(2 pi i (W + cutoff p . (x, y) / 2)) over the pupil,
+        where W is the wavefront error, waves, at the position p in the pupil, in radii of the pupil.
 
         Args:
-            x: distance from the image of the point to the right, at most 400 / cutoff, px; broadcasts with y.
-            y: distance upwards, at most 400 / cutoff, px.
+            x: position to the right of the image of the point, px; broadcasts with y. Its modulus is at most
+                400 / cutoff.
+            y: position above the image of the point, px. Its modulus is at most 400 / cutoff.
 
         Raises:
             ArgumentError: a position is not finite, or too distant.
@@ -158,8 +167,8 @@ class ZernikeOptics(Optics):
         reach = reach_of(right, up) * self.band() / 2
         if reach > _FARTHEST:
             raise ArgumentError(
-                f"x and y must lie within {2 * _FARTHEST / self.band():.0f} px of the point, the range of the "
-                f"quadrature, got {reach_of(right, up):g} px"
+                f"x and y must lie within {2 * _FARTHEST / self.band():.0f} px of the image of the point, which is the range "
+                f"of the quadrature, got {reach_of(right, up):g} px"
             )
         sizes = pupil_sizes(self._phase(), np.sqrt(2) * reach)
         wave = amplitude(self.terms, scale * right.ravel(), scale * up.ravel(), sizes)
@@ -181,16 +190,16 @@ class ZernikeOptics(Optics):
 
         Args:
             f: frequency, cycles/px; broadcasts with angle.
-            angle: direction of the wave, from +x towards +y, rad. Default: 0.
+            angle: direction of the frequency, from +x towards +y, rad. Default: 0.
         """
         return xp.abs(self._along(*checks.broadcastable(f=f, angle=angle)))
 
     def otf(self, fx: ArrayLike, fy: ArrayLike) -> jax.Array:
         """Compute the complex transfer function in the plane, without the pixel.
 
-        It is the integral of psf(x, y) exp(-2 pi i (fx x + fy y)), computed as the autocorrelation of the pupil
-        function. Gauss-Legendre quadrature is used over the overlap of two shifted discs. The error is below 1e-8, or
-        below 1e-6 for more than 4096 frequencies, which are interpolated.
+        It is the integral of psf(x, y) exp(-2 pi i (fx x + fy y)) over x and y. It is computed as the autocorrelation of
+        the pupil function, by Gauss-Legendre quadrature over the overlap of two shifted discs. The error is below 1e-8. If
+        there are more than 4096 frequencies, the transfer function is interpolated, and the error is below 1e-6.
         """
         right, up = xp.broadcast_arrays(*checks.broadcastable(fx=fx, fy=fy))
         nu = xp.hypot(right, up) / self.cutoff
@@ -209,7 +218,7 @@ class ZernikeOptics(Optics):
         return self.focused.band()
 
     def rule_on(self, borders: np.ndarray) -> Rule:
-        """Build the quadrature of the perfect lens on finer panels.
+        """Build the quadrature of the diffraction-limited lens on finer panels.
 
         The panels resolve the phase of the aberrations.
         """
@@ -233,7 +242,7 @@ def _pair(name: str, value: Any) -> jax.Array:
         value = xp.stack([xp.asarray(one, dtype=xp.float64) for one in value])
     pair = _waves(name, value)
     if pair.shape != (2,):
-        raise ArgumentError(f"{name} must be two numbers, waves rms, got an array of shape {pair.shape}")
+        raise ArgumentError(f"{name} must be two numbers in waves rms, got an array of shape {pair.shape}")
     return pair
 
 
@@ -245,22 +254,23 @@ def _refuse_metres(terms: jax.Array, wavelength: jax.Array) -> None:
     if 0 < largest < 1e-5:
         waves = f": {largest:g} m are {largest / float(wavelength):.3g} waves" if is_concrete(wavelength) else ""
         raise ArgumentError(
-            f"coefficients must be waves rms, not metres, but the largest is {largest:g}{waves}; give 0 for no aberration"
+            f"coefficients must be waves rms, not metres, but the largest modulus is {largest:g}{waves}; "
+            "give 0 for no aberration"
         )
 
 
 def check_phase(terms: AnyArray) -> None:
-    """Check that aberrations are within the range of the quadratures.
+    """Check that the quadratures are accurate for given aberrations.
 
     Args:
-        terms: terms of the wavefront, (8,), waves rms.
+        terms: coefficients in the order of `ZernikeOptics.terms`, (8,), waves rms.
 
     Raises:
-        ArgumentError: the wavefront error may be too large.
+        ArgumentError: the bound of the wavefront error exceeds `LARGEST_PHASE`.
     """
     phase = phase_of(np.asarray(terms)) if is_concrete(terms) else 0
     if phase > LARGEST_PHASE:
         raise ArgumentError(
-            f"the wavefront error is up to {phase / 2 / np.pi:.1f} waves, more than "
+            f"the wavefront error is up to {phase / 2 / np.pi:.1f} waves, more than the limit of "
             f"{LARGEST_PHASE / 2 / np.pi:.1f}: for defocus alone use DefocusOptics, otherwise give smaller coefficients"
         )

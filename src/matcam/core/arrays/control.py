@@ -21,9 +21,9 @@ def first_axis_map(function: Callable[..., Any], arrays: tuple[Any, ...], togeth
     The pieces limit the size of intermediate results.
 
     Args:
-        function: function of a piece of each array that returns an array of the same length along the first axis.
+        function: function of one piece of each array. It returns an array whose first axis is as long as that of the pieces.
         arrays: arrays whose first axes have the same length.
-        together: number of elements of a piece along the first axis.
+        together: largest length of a piece along the first axis.
     """
     if has_jax(arrays):
         one = lambda piece: function(*(array[None] for array in piece))[0]  # noqa: E731
@@ -34,7 +34,7 @@ def first_axis_map(function: Callable[..., Any], arrays: tuple[Any, ...], togeth
 
 
 def repeated(count: int, step: Callable[[T], T], state: T) -> T:
-    """Apply a step to a tuple of arrays several times.
+    """Apply a step `count` times to an array or a tuple of arrays.
 
     If one of the arrays is an array of JAX, the results are arrays of JAX.
     """
@@ -46,16 +46,16 @@ def repeated(count: int, step: Callable[[T], T], state: T) -> T:
 
 
 def either(condition: Any, some: Callable[..., T], others: Callable[..., T], *args: Any) -> T:
-    """Call `some` if a condition is true, and `others` otherwise. The condition may be traced."""
+    """Call `some` with `args` if a condition is true, and `others` otherwise. The condition may be traced."""
     if has_jax(condition):
         return import_module("jax").lax.cond(condition, some, others, *args)
     return some(*args) if condition else others(*args)
 
 
 def last_of(step: Callable[[Any, Any], tuple[Any, T]], state: Any, inputs: Any) -> T:
-    """Loop over inputs with a state, and return the last result.
+    """Call a step for each input in turn, and return the last result.
 
-    `step` is a function of state and input. It returns the new state and a result.
+    `step` is a function of the state and one input. It returns the new state and a result.
     """
     if has_jax(state):
         jax = import_module("jax")
@@ -106,7 +106,8 @@ def jacobian(function: Callable[[Any], Any], at: Any) -> Any:
     """Compute the derivatives of a function with respect to a vector.
 
     The function returns an array or a tuple of arrays. The derivatives of each array have an additional last axis for
-    the elements of the vector. For arrays of NumPy they are finite differences.
+    the elements of the vector. For arrays of NumPy, the derivatives are finite differences, and the function must be smooth
+    on a scale of 1.
     """
     if has_jax(at):
         return import_module("jax").jacfwd(function)(at)
@@ -118,9 +119,10 @@ def jacobian(function: Callable[[Any], Any], at: Any) -> Any:
 
 
 def slope_along(function: Callable[[Any], Any], at: Any, direction: Any) -> Any:
-    """Compute the derivative of a function along a direction.
+    """Compute the derivative of function(at + s direction) with respect to s at s = 0.
 
-    The length of the direction is the scale on which the function is smooth.
+    For arrays of NumPy, it is a finite difference. The length of `direction` must then be at most the scale on which the
+    function is smooth.
     """
     if has_jax(at, direction):
         jax = import_module("jax")
@@ -137,11 +139,11 @@ def slope_along(function: Callable[[Any], Any], at: Any, direction: Any) -> Any:
 
 
 def compiled_by_jax(function: Callable[P, T], *, static: tuple[int, ...] = ()) -> Callable[P, T]:
-    """Compile a function for arrays of JAX, but not for NumPy.
+    """Compile a function with `jax.jit` for calls with arrays of JAX. Other calls are evaluated by NumPy.
 
     Args:
         function: a function of positional arguments.
-        static: indices of arguments that are not arrays. Default: none.
+        static: indices of arguments that are not arrays. Default: ().
     """
     programs: list[Callable[P, T]] = []
 
@@ -162,8 +164,8 @@ def with_derivatives(function: Callable[P, T], *derivatives: Callable[..., Any])
 
     Args:
         function: a function of positional arguments.
-        derivatives: for each argument, a function that computes the tangent of the result. Its arguments are the tangent
-            of this argument, the result, and all arguments.
+        derivatives: one function for each argument of `function`, which computes the tangent of the result. It is called
+            with the tangent of this argument, the result, and all arguments of `function`.
     """
     known: list[Any] = []
 

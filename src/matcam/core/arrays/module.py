@@ -1,6 +1,7 @@
 """Immutable objects whose parameters are arrays: cameras, lobes, samples.
 
-They are pytrees of JAX like the modules of Equinox, but do not import JAX: they are registered when JAX is imported.
+They are pytrees of JAX, as the modules of Equinox are. This module does not import JAX: the classes are registered as pytrees
+when JAX is imported.
 """
 
 from __future__ import annotations
@@ -20,16 +21,16 @@ M = TypeVar("M", bound="Module")
 def static_field(**options: Any) -> Any:
     """Declare a field that is not an array, as `equinox.field(static=True)` does.
 
-    Its value is part of the structure of the pytree.
+    The value of the field is part of the structure of the pytree.
     """
     return dataclasses.field(metadata={"static": True}, **options)
 
 
 @dataclass_transform(eq_default=False, field_specifiers=(static_field,))
 class Module(ABC):  # noqa: B024  # subclasses have abstract methods
-    """Base of immutable objects whose annotated attributes are arrays, other such objects, or static.
+    """Base class of immutable objects. Their annotated attributes are arrays, other modules, or static fields.
 
-    A class without a constructor gets that of a dataclass. An attribute can be set once, in the constructor.
+    A class without a constructor gets the constructor of a dataclass. An attribute can be set only once, in the constructor.
     """
 
     def __init_subclass__(cls, **options: Any):
@@ -64,7 +65,7 @@ def constructor_call(thing: Any, arguments: Mapping[str, Any] | None = None) -> 
 
     Args:
         thing: instance of a dataclass, such as a module.
-        arguments: arguments of the call. Default: None, the fields of the dataclass.
+        arguments: values of the arguments by name. Default: None, the fields of the dataclass.
 
     Example:
         >>> constructor_call(matcam.Conductor([0.2, 0.3], [3.5, 4.0]))
@@ -91,7 +92,7 @@ def _in_words(value: Any) -> str:
 
 
 def replaced(module: M, path: str, value: Any) -> M:
-    """Copy an object with one attribute replaced, without the constructor's checks.
+    """Copy an object with one attribute replaced. The checks of the constructor are omitted.
 
     Args:
         module: the object.

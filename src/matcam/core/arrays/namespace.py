@@ -1,11 +1,11 @@
 """Namespaces for formulas on arrays of NumPy and of JAX.
 
-`xp` is the namespace of NumPy. Each of its functions calls the function of JAX instead if an argument is an array of
-JAX. This is the case inside `jax.grad` and `jax.jit`, or if the caller passes such an array. A formula therefore
-requires JAX only for derivatives and compiled programs, and the evaluation of a single number does not import JAX.
-`special` is the same for special functions.
+`xp` contains the functions of NumPy. Each function calls the function of JAX instead if an argument is an array of JAX. This
+is the case inside `jax.grad` and `jax.jit`, or if the caller passes such an array. A formula therefore requires JAX only for
+derivatives and compiled programs, and the evaluation of a single number does not import JAX. `special`, `linalg` and `fft`
+are the corresponding namespaces of special functions, linear algebra and Fourier transforms.
 
-Annotations name `jax.Array` for both kinds.
+The annotation `jax.Array` stands for arrays of both kinds.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _PLAIN = frozenset(
 
 
 def has_jax(*values: Any) -> bool:
-    """Check whether any value is an array of JAX, or contains one."""
+    """Check whether any value is an array of JAX, or a tuple or list that contains one."""
     jax = sys.modules.get("jax")
     if jax is None:
         return False
@@ -55,7 +55,7 @@ def is_concrete(value: object) -> bool:
 
 
 def constant(value: T) -> T:
-    """Treat a value as a constant in derivatives."""
+    """Return a value unchanged, but treat it as a constant in derivatives."""
     return import_module("jax").lax.stop_gradient(value) if has_jax(value) else value
 
 
@@ -77,7 +77,10 @@ def without_warnings() -> Iterator[None]:
 
 
 class _Namespace:
-    """Functions of NumPy or SciPy. If an argument is an array of JAX, the function of JAX is called instead."""
+    """Functions of NumPy or SciPy. If an argument is an array of JAX, the function of JAX is called instead.
+
+    As in JAX, the result for a singular matrix is NaN.
+    """
 
     def __init__(self, numpy_home: str, jax_home: str):
         self._homes = numpy_home, jax_home
@@ -117,9 +120,9 @@ _awaiting: list[Callable[[Any], None]] = []
 
 
 def when_jax_is_there(action: Callable[[Any], None]) -> None:
-    """Run an action that requires JAX, as soon as JAX is imported.
+    """Call a function as soon as JAX is imported, or immediately if JAX is already imported.
 
-    `action` is a function of the module `jax`. It is called immediately if JAX is already imported.
+    The argument of `action` is the module `jax`.
     """
     jax = sys.modules.get("jax")
     if hasattr(jax, "tree_util"):
@@ -134,7 +137,7 @@ def jax_is_there(jax: Any) -> None:
 
 
 class _JaxWatcher(MetaPathFinder):
-    """Import hook that sets JAX to float64, and registers the existing classes as pytrees."""
+    """Import hook for JAX. It sets JAX to float64, and registers the existing subclasses of `Module` as pytrees."""
 
     def find_spec(self, fullname: str, path: Any = None, target: Any = None) -> ModuleSpec | None:
         if fullname != "jax":

@@ -1,6 +1,7 @@
 """Encoding of the answers of reading processes.
 
-An answer is a length and JSON, in which arrays are numbered, followed by the bytes of each array.
+An answer consists of the length of a JSON document, the document, and the bytes of each array. The document refers to the
+arrays by number.
 """
 
 from __future__ import annotations
@@ -22,7 +23,10 @@ _KINDS = "biufcSU"
 
 
 def packed(value: Any, arrays: list[np.ndarray]) -> Any:
-    """Convert an answer to types of JSON; its arrays are appended to `arrays`."""
+    """Convert an answer to types of JSON, and append the arrays in the answer to `arrays`.
+
+    A TypeError is raised for other types than those of `read_apart`.
+    """
     if isinstance(value, np.ndarray | np.generic):
         array = np.asarray(value)
         if array.dtype.kind in "OT":  # strings of variable length
@@ -63,12 +67,15 @@ def _layout(value: Any) -> list[tuple[np.dtype, tuple[int, ...]]]:
 def read_answer(take: Callable[[int], bytearray], path: Path, memory: int) -> Any:
     """Read an answer piece by piece.
 
-    `take` returns the given number of further bytes. `memory` is the largest total size of the arrays, bytes.
+    take(count) returns the next `count` bytes. `memory` is the largest allowed total size of the arrays, bytes. Errors of
+    matcam in the reading process are raised again. A FileFormatError is raised if the answer is too large or invalid.
     """
     (length,) = struct.unpack("<Q", take(8))
     # more than 64 MiB of JSON indicate damage
     if length > (64 << 20):
-        raise FileFormatError(f"{path}: the file is damaged: its metadata take {length} bytes, more than 64 MiB")
+        raise FileFormatError(
+            f"{path}: the metadata take {length} bytes, more than 64 MiB: the file is damaged; create it again"
+        )
     message = json.loads(bytes(take(length)))
     if "error" in message:
         kind = getattr(errors, message["error"], FileFormatError)
@@ -77,12 +84,14 @@ def read_answer(take: Callable[[int], bytearray], path: Path, memory: int) -> An
     layout = _layout(message["answer"])
     if sum(dtype.itemsize * math.prod(shape) for dtype, shape in layout) > memory:
         raise FileFormatError(
-            f"{path}: its content exceeds the available memory of {memory / 2**20:.0f} MiB: free memory, or give a smaller "
-            "file"
+            f"{path}: the content exceeds the memory limit of {memory / 2**20:.0f} MiB for this file: free memory, or give "
+            "a smaller file"
         )
     for dtype, shape in layout:
         if dtype.kind not in _KINDS:
-            raise FileFormatError(f"{path}: values of type {dtype} are not supported: give a file with numbers or text")
+            raise FileFormatError(
+                f"{path}: values of type {dtype} are not supported: give a file that contains only numbers and text"
+            )
         arrays.append(np.frombuffer(take(dtype.itemsize * math.prod(shape)), dtype).reshape(shape))
     return _unpacked(message["answer"], arrays)
 

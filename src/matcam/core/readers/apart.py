@@ -48,10 +48,10 @@ class Limits(NamedTuple):
     """Limits of the resources for reading one file.
 
     Attributes:
-        seconds: processor time; None: 2 s, and 1 s for every 5 MB of the file. Default: None.
-        memory: bytes in addition to the memory of the process at its start; None: 512 MiB and 32 times the file, but at
-            most half of the available memory. Default: None.
-        wall: wall-clock time, s; None: 30 times the processor time. Default: None.
+        seconds: processor time, s. Default: None, 2 s plus 1 s for every 5 MB of the file.
+        memory: memory in addition to that of the process at its start, bytes. Default: None, 512 MiB plus 32 times the size
+            of the file, but at most half of the available memory.
+        wall: wall-clock time, s. Default: None, 30 times the processor time.
     """
 
     seconds: float | None = None
@@ -67,7 +67,7 @@ _limits: ContextVar[Limits | None] = ContextVar("limits", default=_NORMAL)
 def reading_limits(limits: Limits | None) -> Iterator[None]:
     """Use other limits for files that are opened in the block.
 
-    None: the files are trusted, and are decoded in this process.
+    If `limits` is None, the files are trusted and are decoded in this process.
     """
     token = _limits.set(limits)
     try:
@@ -100,7 +100,7 @@ def read_apart(
     """Call a decoder on a file in a separate process.
 
     Args:
-        decoder: function, "package.module:function".
+        decoder: function that reads the file, "package.module:function".
         path: the file.
         what: expected content, such as "an image". Default: "", the path may be a folder.
         libraries: modules that the decoder imports. Default: none.
@@ -114,8 +114,9 @@ def read_apart(
         The return value of the decoder: None, truth values, numbers, strings, lists, dicts with string keys, and NumPy arrays.
 
     Raises:
-        FileFormatError: the file is missing or exceeds a limit, or its decoder crashes or raises an error of another
-            package. Errors of matcam are passed on unchanged.
+        FileFormatError: the file is missing or exceeds a limit, or the decoder crashes or raises an error that is not an
+            error of matcam.
+        MatcamError: errors of matcam that the decoder raises are raised unchanged.
     """
     limits = _limits.get()
     module, name = decoder.split(":")
@@ -123,7 +124,9 @@ def read_apart(
         try:
             return decoded(module, name, path, options, what)
         except MemoryError:
-            raise FileFormatError(f"{path}: reading needs more memory than is available: free memory") from None
+            raise FileFormatError(
+                f"{path}: reading needs more memory than is available: free memory, or give a smaller file"
+            ) from None
     with reading(path, what):
         size = path.stat().st_size if size is None else size
         if small and size <= small:
@@ -161,8 +164,8 @@ def _answer_to(request: dict[str, Any], path: Path, memory: int, wall: float) ->
 class _EndedError(Exception):
     """End of the child before its answer was complete.
 
-    `by` is the number of the signal that ended the child, or 0 after a normal exit. None: the child or the fork server
-    is gone or stopped.
+    `by` is the number of the signal that ended the child, or 0 after a normal exit. It is None if the fork server has ended or
+    stopped, so that the reason is unknown.
     """
 
     def __init__(self, by: int | None):
@@ -225,7 +228,7 @@ def _from_socket(
 
 
 def _from_process(request: dict[str, Any]) -> Callable[[int], bytearray]:
-    """Decode in a new process for this file alone, on systems without fork."""
+    """Read a file in a new process for this file alone, on systems without fork. The result is `take` of `read_answer`."""
     code = f"from {_SERVING} import serve_standard_streams; serve_standard_streams()"
     try:
         done = subprocess.run(
@@ -270,9 +273,9 @@ class _Nursery:
         self.forget()
 
     def forget(self) -> None:
-        """Reset in a fork of this process.
+        """Reset this object after a fork of this process.
 
-        The fork must not share the fork server, or a lock that another thread may hold.
+        The new process must not share the fork server, or a lock that another thread may hold.
         """
         self.lock = threading.Lock()
         self.process: subprocess.Popen[bytes] | None = None
@@ -304,9 +307,9 @@ class _Nursery:
             self._stop()
 
     def send(self, request: dict[str, Any], *sockets: socket.socket) -> subprocess.Popen[bytes]:
-        """Send a request to the fork server, and return its process.
+        """Send a request to the fork server, and return the process of the fork server.
 
-        `sockets` are the sockets for the answer, and for the exit status of the child.
+        `sockets` are the socket for the answer and the socket for the signal that ended the child.
         """
         text = json.dumps(request).encode()
         with self.lock:

@@ -1,6 +1,6 @@
 """Checks of names of files and folders from callers and documents.
 
-A document of unknown origin may name only files of its own folder.
+A document of unknown origin may name only files in the folder of the document.
 """
 
 from __future__ import annotations
@@ -44,10 +44,10 @@ def is_link(path: Path) -> bool:
     return os.path.islink(path)  # noqa: PTH114
 
 
-def check_folder(path: Path, hint: str = "") -> None:
+def check_folder(path: Path, hint: str = ": give a folder") -> None:
     """Raise FileFormatError for a path that is not a folder.
 
-    `hint` is the end of the message, with an alternative. Default: "".
+    `hint` is the end of the message, with the remedy.
     """
     if is_there(path) and not is_folder(path):
         raise FileFormatError(f"{path}: the input is not a folder{hint}")
@@ -58,7 +58,7 @@ def check_folder(path: Path, hint: str = "") -> None:
     except OSError as error:
         raise FileFormatError(f"{path}: cannot be read: {error.strerror}") from None
     except ValueError:
-        raise FileFormatError(f"{printable(str(path))}: not a valid path") from None
+        raise FileFormatError(f"{printable(str(path))}: the path is not valid: remove the special characters") from None
 
 
 UNPRINTABLE = "[\x00-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069\ud800-\udfff]"
@@ -78,18 +78,18 @@ def check_name(path: Path) -> None:
 def check_within(path: Path, folder: Path) -> None:
     """Raise FileFormatError if `path` is a link to a file outside `folder`.
 
-    Otherwise the author of a folder could select any file of the user who opens it.
+    Otherwise the author of a folder could cause the reading of any file of the user who opens the folder.
     """
     if is_link(path) and not (target := path.resolve()).is_relative_to(folder.resolve()):
         raise FileFormatError(f"{path}: the file is a link to {target}, outside its folder: give the target instead")
 
 
 def listed_file(folder: Path, name: str, what: str) -> Path:
-    """Return the path of a file that a document of a folder names.
+    """Build the path of a file that is named in a document.
 
     Args:
         folder: folder of the document.
-        name: path relative to the folder, with parts separated by "/".
+        name: path of the file relative to the folder, with parts separated by "/".
         what: name of the folder, such as "the capture's folder".
 
     Raises:
@@ -107,6 +107,6 @@ def listed_file(folder: Path, name: str, what: str) -> Path:
         raise FileFormatError(f"{path}: the path leads out of {what}: give a file inside that folder")
     if not path.resolve().is_relative_to(folder.resolve()):
         raise FileFormatError(
-            f"{path}: the file is a link to a file outside {what}: replace the link by a copy of the file"
+            f"{path}: the path is a link to a file outside {what}: replace the link by a copy of the file"
         )
     return path

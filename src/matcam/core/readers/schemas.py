@@ -1,4 +1,4 @@
-"""Schemas of documents (pydantic)."""
+"""Validation of documents by schemas (pydantic)."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ M = TypeVar("M", bound=BaseModel)
 
 
 class Strict(BaseModel):
-    """Section of a document, without unknown fields or converted types."""
+    """Base of schemas that allow no unknown fields and convert no types."""
 
     model_config = ConfigDict(extra="forbid", strict=True)
 
@@ -23,8 +23,8 @@ class Strict(BaseModel):
 def validated(schema: type[M], document: Any, where: str | Path, unnamed: Collection[str] = ()) -> M:
     """Check a document by a schema.
 
-    The message of a FileFormatError contains the location `where` of the document, and the field. `unnamed` is
-    described in `first_problem`.
+    A FileFormatError is raised if the document is invalid. Its message contains `where`, the location of the document, and
+    the name of the field. `unnamed` is the argument of `first_problem`.
     """
     try:
         return schema.model_validate(document)

@@ -30,7 +30,8 @@ def called(module: str, name: str, path: Path, options: dict[str, Any]) -> Any:
 def decoded(module: str, name: str, path: Path, options: dict[str, Any], what: str) -> Any:
     """Call a decoder, and convert its errors to FileFormatError.
 
-    A decoder may raise any error for a damaged file. The message names the file, on one line.
+    A decoder may raise any error for a damaged file. Errors of matcam and a MemoryError are not converted. The message is one
+    line that names the file. `what` is the expected content, such as "an image".
     """
     with reading(path, what):
         try:
@@ -40,7 +41,9 @@ def decoded(module: str, name: str, path: Path, options: dict[str, Any], what: s
         except Exception as error:
             if isinstance(error, OSError) and error.errno:  # an error of the system, and not of a library
                 raise
-            raise FileFormatError(f"{path}: damaged{what and ', or not '}{what}: {one_line(error)}") from None
+            raise FileFormatError(
+                f"{path}: the file is damaged{what and ', or not '}{what}: {one_line(error)}"
+            ) from None
 
 
 def _serve(request: dict[str, Any], write: Callable[[Any], Any]) -> None:
@@ -54,10 +57,10 @@ def _serve(request: dict[str, Any], write: Callable[[Any], Any]) -> None:
     except errors.MatcamError as error:
         message, arrays = {"error": type(error).__name__, "text": str(error)}, []
     except MemoryError:
-        text = f"{request['path']}: reading needs more than {request['memory'] / 2**20:.0f} MiB"
+        text = f"{request['path']}: reading needs more than {request['memory'] / 2**20:.0f} MiB: give a smaller file"
         message, arrays = {"error": "FileFormatError", "text": text}, []
     except Exception as error:
-        text = f"{request['path']}: damaged: {one_line(error)}"  # the answer cannot be packed
+        text = f"{request['path']}: the file is damaged: {one_line(error)}"  # the answer cannot be packed
         message, arrays = {"error": "FileFormatError", "text": text}, []
     write_answer(write, message, arrays)
 
@@ -89,9 +92,9 @@ def serve_standard_streams() -> None:
 
 
 def serve_by_forking(number: int) -> None:
-    """Fork a child for every request, and report its end.
+    """Fork a child for every request, and report the end of each child.
 
-    The function returns if there are no more requests.
+    `number` is the file descriptor of the socket for the requests. The function returns when the caller closes this socket.
     """
     signal.signal(signal.SIGCHLD, lambda *_: None)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -132,7 +135,10 @@ def serve_by_forking(number: int) -> None:
 
 
 def _report_ends(children: dict[int, socket.socket]) -> None:
-    """Send, for each child that has ended, the number of the signal that ended it, or 0."""
+    """Send, for each child that has ended, the number of the signal that ended it, or 0 after a normal exit.
+
+    `children` contains the socket for this number, by process number.
+    """
     while children:
         child, status = os.waitpid(-1, os.WNOHANG)
         if not child:

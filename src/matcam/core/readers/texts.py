@@ -1,7 +1,8 @@
 """Reading of untrusted text files: JSON, TOML and lines, with limits that are checked before parsing.
 
-A parser takes memory and time for each value, key and line: a file of 9 MB may contain millions of each. All three are
-therefore limited in addition to the size. Documents of matcam's own formats have a version.
+A parser takes memory and time for each value and each line, and a file of 9 MB may contain millions of them. Therefore the
+numbers of values and lines and the length of a line are limited, in addition to the size of the file. Documents of matcam's
+own formats have a version.
 """
 
 from __future__ import annotations
@@ -59,8 +60,8 @@ def read_json(path: str | Path, what: str) -> Any:
 def read_toml(path: str | Path, what: str) -> dict[str, Any]:
     """Read settings in TOML.
 
-    `what` is the expected content, such as "a rig". A FileFormatError is raised if the file is not TOML, or has more than 64
-    KiB or lines of more than 1000 characters.
+    `what` is the expected content, such as "a rig". A FileFormatError is raised if the file is not TOML, or has more than
+    64 KiB or a line of more than 1000 bytes.
     """
     import tomllib
 
@@ -70,16 +71,16 @@ def read_toml(path: str | Path, what: str) -> dict[str, Any]:
             text = _checked_text(path, what, SMALL_TEXT).decode("utf-8-sig")
         return tomllib.loads(text)
     except UnicodeDecodeError as error:
-        raise FileFormatError(f"{path}: not TOML: {_not_utf8(error)}") from None
+        raise FileFormatError(f"{path}: the file is not TOML: {_not_utf8(error)}") from None
     except (ValueError, RecursionError) as error:  # an integer with too many digits does not raise TOMLDecodeError
-        raise FileFormatError(f"{path}: not TOML: {' '.join(str(error).split())}") from None
+        raise FileFormatError(f"{path}: the file is not TOML: {' '.join(str(error).split())}") from None
 
 
 def read_lines(path: str | Path, what: str) -> list[str]:
     """Read the lines of a text file, without line ends.
 
-    `what` is the expected content. Bytes that are not text are replaced. A FileFormatError is raised if the file has more than
-    4 MiB, 100,000 lines, or 1000 characters in a line.
+    `what` is the expected content, such as "a table". Bytes that are not UTF-8 are replaced by U+FFFD. A FileFormatError is
+    raised if the file has more than 4 MiB or 100,000 lines, or a line of more than 1000 bytes.
     """
     content = read_apart(f"{__name__}:decode_lines", Path(path), what, small=SMALL_TEXT, title=what)
     text = content.tobytes().decode("utf-8-sig", "replace")
@@ -100,9 +101,9 @@ def decode_json(path: Path, *, title: str) -> np.ndarray:
     try:
         json.loads(content.decode("utf-8"), parse_constant=refuse)
     except UnicodeDecodeError as error:
-        raise FileFormatError(f"{path}: not {title}: {_not_utf8(error)}") from None
+        raise FileFormatError(f"{path}: the file is not {title}: {_not_utf8(error)}") from None
     except (ValueError, RecursionError) as error:
-        raise FileFormatError(f"{path}: not {title}: {error}") from None
+        raise FileFormatError(f"{path}: the file is not {title}, because it is not valid JSON: {error}") from None
     return np.frombuffer(content, np.uint8)
 
 
@@ -119,7 +120,8 @@ def _bytes_of(path: Path, what: str, largest: int) -> bytes:
     size = path.stat().st_size
     if size > largest:
         raise FileFormatError(
-            f"{path}: {size} bytes exceed the limit of {largest} for {what}: check that it is {what}, or give a smaller file"
+            f"{path}: {size} bytes exceed the limit of {largest} for {what}: check that the file is {what}, or give a smaller "
+            "file"
         )
     with path.open("rb") as file:
         return file.read(size)  # the file may have grown since then
@@ -135,7 +137,7 @@ def _checked_text(path: Path, what: str, largest: int) -> bytes:
     for number, line in enumerate(lines, 1):
         if len(line) > _LONGEST_LINE:
             raise FileFormatError(
-                f"{path}: line {number} has {len(line)} characters; at most {_LONGEST_LINE} are allowed"
+                f"{path}: line {number} has {len(line)} bytes, but at most {_LONGEST_LINE} are allowed: shorten the line"
             )
     return content
 
@@ -143,17 +145,16 @@ def _checked_text(path: Path, what: str, largest: int) -> bytes:
 def checked_version(document: Any, where: str | Path, what: str, form: str, versions: Collection[int]) -> int:
     """Check the format and the version of a document of matcam, and return the version.
 
-    The document has the form {"format": form, "version": one of `versions`, ...}.
-
-    The message of a FileFormatError contains the location `where`, the expected content `what`, and the field.
+    The document must have the form {"format": form, "version": one of `versions`, ...}. Otherwise a FileFormatError is raised.
+    Its message contains `where`, the location of the document, and `what`, the expected content.
     """
     if not isinstance(document, dict) or document.get("format") != form:
-        raise FileFormatError(f'{where}: not {what}: field "format" must be "{form}"')
+        raise FileFormatError(f'{where}: the document is not {what}: field "format" must be "{form}"')
     version = document.get("version")
     if type(version) is not int or version not in versions:  # True == 1
         raise FileFormatError(
-            f"{where}: {form.split()[-1]} version {version!r:.60} is unknown; this matcam ({metadata.version('matcam')}) "
-            f"reads version{'s' * (len(versions) > 1)} {' and '.join(map(str, versions))}"
+            f"{where}: {form.split()[-1]} version {version!r:.60} is unknown; matcam {metadata.version('matcam')} "
+            f"reads version{'s' * (len(versions) > 1)} {', '.join(map(str, versions))}: update matcam, or write the file again"
         )
     return version
 
@@ -161,8 +162,8 @@ def checked_version(document: Any, where: str | Path, what: str, form: str, vers
 def first_problem(error: ValidationError, unnamed: Collection[str] = ()) -> str:
     """Format the first error of a schema on one line.
 
-    The line contains the name of the field. `unnamed` contains the parts of the field's path that are not names of
-    fields.
+    The line contains the path of the field. `unnamed` lists parts of paths that are omitted, because they are names of schemas
+    and not of fields.
     """
     first = error.errors()[0]
     field = ".".join(str(part) for part in first["loc"] if part not in unnamed)

@@ -1,7 +1,7 @@
-"""Labelled results: variables with unit and name, and the accessor `matcam` of their Datasets.
+"""Labelled results: attributes with name and unit of variables, and the accessor `matcam` of Datasets.
 
-For Datasets, `result.matcam.summary()` and `result.matcam.plot()` replace the methods `summary` and `plot` of other
-results. Importing this module registers the accessor with xarray.
+A result that is a Dataset has `result.matcam.summary()` and `result.matcam.plot()` instead of the methods `summary` and
+`plot` of other results. Importing this module registers the accessor with xarray.
 """
 
 from __future__ import annotations
@@ -36,10 +36,10 @@ _COORDINATES = {
 def named(data: D, texts: Mapping[str, str] | None = None) -> D:
     """Add the attributes `long_name` and `units` to variables and coordinates.
 
-    Plots of xarray, and NetCDF, use these attributes.
+    xarray uses these attributes in plots, and NetCDF files contain them.
 
     Args:
-        data: a new result. Its attributes are set in place; an existing `long_name` or `units` is kept.
+        data: a new result. The attributes are set in place; an existing `long_name` or `units` is kept.
         texts: long name and unit of each variable and coordinate, such as "BRDF [1/sr]". Without a unit, `units` is
             "1", as in the CF conventions. Default: None, only the coordinates that results share are named.
 
@@ -98,7 +98,8 @@ class DatasetAccessor(Summarised):
         found = [kind for kind, variables in _KINDS.items() if variables <= names]
         if not found:
             raise ArgumentError(
-                "a summary needs a result of fresnel, correct, limits or predict, but this Dataset is of another kind"
+                "summary and plot need a result of fresnel, correct, limits or predict, but this Dataset lacks the variables "
+                "of these results"
             )
         return found[0]
 

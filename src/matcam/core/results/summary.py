@@ -37,10 +37,11 @@ class Quantity(NamedTuple):
     Attributes:
         name: name of the quantity.
         value: the value, a number or a string.
-        std: standard deviation, in the unit of the value. Default: NaN, it is unknown.
-        unit: unit. Default: "", the quantity has no unit, or its name includes the unit.
-        relative: whether the standard deviation is also given in percent of the value, which has no meaning for a coordinate.
-            Default: True.
+        std: standard deviation, in the unit of the value. 0: the value is exact; infinity: the data do not determine the
+            value. Default: NaN, the standard deviation is unknown.
+        unit: unit of the value. Default: "", the quantity has no unit, or its name includes the unit.
+        relative: True if the text also contains the standard deviation in percent of the value. Such a percentage is
+            meaningless for a coordinate. Default: True.
     """
 
     name: str
@@ -53,7 +54,7 @@ class Quantity(NamedTuple):
     def text(self) -> str:
         """Value, standard deviation and unit as text.
 
-        The standard deviation determines the number of digits.
+        If the standard deviation is known, it determines the number of digits of the value.
         """
         if isinstance(self.value, str):
             return self.value
@@ -68,7 +69,7 @@ class Quantity(NamedTuple):
 
     @property
     def _share(self) -> str:
-        """Standard deviation in percent of the value."""
+        """Text of the standard deviation in percent of the value; "" if `relative` is False or the percentage is too large."""
         assert not isinstance(self.value, str)
         share = 100 * self.std / abs(self.value) if self.value and self.relative else math.inf
         return f" ({share:.2g} %)" if share < 99.5 else f" ({share:.0f} %)" if share < 1000 else ""
@@ -98,7 +99,7 @@ def with_std(value: float, std: float) -> str:
 
 
 def half_width(angle: float, std: float) -> Quantity:
-    """Half width of a lobe at half maximum in degrees.
+    """Build the quantity "half width at half maximum" of a lobe, in degrees.
 
     Args:
         angle: the half width, rad.
@@ -128,7 +129,7 @@ class Summary(NamedTuple):
 
     @property
     def text(self) -> str:
-        """Summary as plain text, formatted like lmfit's `fit_report`."""
+        """Summary as plain text in the format of `fit_report` of lmfit. Long sections are shortened."""
         lines = [f"[[{self.title}]]"]
         if self.verdict:
             lines += textwrap.wrap(self.verdict, _WIDTH, initial_indent="    ", subsequent_indent="    ")
@@ -145,7 +146,7 @@ class Summary(NamedTuple):
 
     @property
     def html(self) -> str:
-        """Summary as HTML without styles, so that a notebook displays it in its theme."""
+        """Summary as HTML. It has no styles, so that the theme of the notebook applies. Long sections are shortened."""
         parts = [f"<strong>{escape(self.title)}</strong>"]
         parts += [f"<p>{escape(self.verdict)}</p>"] if self.verdict else []
         for title, quantities in self.sections.items():
@@ -166,13 +167,14 @@ def parameters(values: Mapping[str, Any], std: Mapping[str, Any]) -> list[Quanti
 
     Args:
         values: value of each parameter by its name, which includes the unit.
-        std: standard deviation of each parameter by the same name; NaN or missing: unknown.
+        std: standard deviation of each parameter by the same name, in the unit in the name. If it is unknown, the value is
+            NaN, or the name is missing.
     """
     return [Quantity(name, float(value), float(std.get(name, math.nan))) for name, value in values.items()]
 
 
 def correlations(names: Iterable[str], covariance: np.ndarray) -> list[Quantity]:
-    """List the correlations of at least 0.1, the largest first.
+    """List the correlations with a modulus of at least 0.1, in the order of decreasing modulus.
 
     Args:
         names: names of the parameters.
@@ -192,7 +194,7 @@ def correlations(names: Iterable[str], covariance: np.ndarray) -> list[Quantity]
 
 
 class Summarised:
-    """Base of results that have a summary and a figure."""
+    """Base class of results that have a summary and a figure."""
 
     def _summary(self) -> Summary:
         raise NotImplementedError
@@ -201,8 +203,8 @@ class Summarised:
         """Summarise the result in plain text.
 
         Returns:
-            Sections with quantities, their standard deviations and units; the correlations of fitted parameters;
-            remarks. A notebook shows the same content as a table if a cell ends with the result.
+            Text with sections of quantities, standard deviations and units, with the correlations of fitted parameters, and
+            with remarks. A notebook shows the same content as a table if a cell ends with the result.
         """
         return self._summary().text
 
@@ -210,15 +212,16 @@ class Summarised:
         """Draw the result.
 
         Args:
-            ax: Matplotlib Axes to draw on. None: those of a new figure.
-            **options: options of the figure, by the kind of result: `channel`, the index of a channel; `theta_d`, rad,
-                of a correction; `metal`, a name as in `matcam.material.metals`, of a Fresnel term.
+            ax: Matplotlib Axes to draw on. Default: None, the Axes of a new figure.
+            **options: options of the figure, which depend on the kind of result. `channel` is the index of a channel. For
+                a correction, `theta_d` is the difference angle, rad. For a Fresnel term, `metal` is a name as in
+                `matcam.material.metals`.
 
         Returns:
             The Axes.
 
         Raises:
-            ArgumentError: an option is wrong, or this kind of result has no figure of one panel.
+            ArgumentError: an option is invalid, or this kind of result has no figure that consists of one panel.
         """
         return draw(type(self).__name__, self, ax, options)
 
@@ -233,9 +236,9 @@ def draw(kind: str, result: Any, ax: Axes | None, options: Mapping[str, Any]) ->
     """Draw a result.
 
     Args:
-        kind: kind of the result: the name of its class, or that of its kind of Dataset.
+        kind: name of the class of the result, or for a Dataset the kind of result, such as "Fresnel term".
         result: the result.
-        ax: Axes to draw on. None: those of a new figure.
+        ax: Axes to draw on. None: the Axes of a new figure.
         options: options of the figure.
     """
     return _FIGURES["draw"](kind, result, ax, options)

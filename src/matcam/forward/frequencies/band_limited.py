@@ -1,16 +1,17 @@
 """Images through a band-limited lens, without an approximation by sums of Gaussians.
 
 The transfer function of a diffraction-limited lens, with or without defocus and aberrations, is 0 above a limit B. A
-measured MTF that reaches 0 has such a limit, too. The image through such a lens is obtained by filtering picture_g, the
-image through a narrow Gaussian lens and a point-like pixel:
+measured MTF that reaches 0 has such a limit, too. Let picture_g be the image through a narrow Gaussian lens of standard
+deviation s and a point-like pixel. The image through the band-limited lens is obtained by filtering picture_g:
 
     picture = F^-1 [ lens(f) pixel(f) / g(f)  F picture_g ],    g(f) = exp(-2 pi^2 s^2 f^2).
 
-For a sphere in front of a distant camera, picture_g is computed from the radiance on a grid (`light_grid.py`). Otherwise
-picture_g is computed at `per_px` positions along the side of a pixel, by the operator for Gaussians. Frequencies above
-per_px - B alias to frequencies below B, but the Gaussian attenuates them. The standard deviation s is small, so the
-filter amplifies errors little. The filter is exact at all frequencies; aliasing determines the `error` of the transfer
-function of lens and pixel.
+F is the Fourier transform, f the frequency, and lens(f) and pixel(f) are transfer functions. For a sphere in front of a
+distant camera, picture_g is computed from the radiance on a grid (`light_grid.py`). Otherwise picture_g is computed at
+`per_px` positions along the side of a pixel, by the operator for Gaussians. Frequencies above per_px - B alias to
+frequencies below B, but the Gaussian attenuates them. s is small, so the filter amplifies errors little. The filter is
+exact at all frequencies. Aliasing is therefore the only error of the transfer function of lens and pixel
+(`BandLimit.error`).
 """
 
 from __future__ import annotations
@@ -48,7 +49,7 @@ class BandLimit(NamedTuple):
     """Sampling and filter of an image through a band-limited lens.
 
     Attributes:
-        per_px: number of positions along the side of a pixel.
+        per_px: number of positions along the side of a pixel, no unit.
         sigma: standard deviation of the Gaussian lens of the fine record, px.
         error: largest error of the transfer function of lens and pixel, no unit.
     """
@@ -61,8 +62,8 @@ class BandLimit(NamedTuple):
 def band_limit(camera: Camera, enough: float = EXACT) -> BandLimit | None:
     """Choose the sampling of images of a camera.
 
-    The result is None if a sum of Gaussians describes the lens at least as well, or if parameters are traced.
-    enough: error of a transfer function below which no finer sampling is used, no unit.
+    The result is None if a sum of Gaussians describes the lens at least as well, or if parameters are traced. `enough`
+    is the error of a transfer function below which no finer sampling is used, no unit. Default: `EXACT`.
     """
     if not concrete(camera):
         return None
@@ -75,7 +76,7 @@ def band_limit(camera: Camera, enough: float = EXACT) -> BandLimit | None:
 
 
 def concrete(camera: Camera) -> bool:
-    """Check that lens and pixel are concrete. Derivatives with respect to their parameters are allowed."""
+    """Check whether the parameters of lens and pixel are concrete. Derivatives with respect to them are allowed."""
     stopped = without_derivatives((camera.optics, camera.pixel))
     return all(is_concrete(leaf) for leaf in jax.tree.leaves(stopped))
 
@@ -91,9 +92,9 @@ def sampling_of(lenses: Sequence[Optics], pixel: PixelResponse, enough: float = 
 
 
 def _at_most(optics: Optics, frequency: np.ndarray) -> np.ndarray:
-    """Compute an upper bound of the modulus of the transfer function of a lens over all directions.
+    """Compute an upper bound of the modulus of the transfer function of a lens at `frequency`, cycles/px.
 
-    Aberrations only reduce the modulus. frequency: cycles/px.
+    The bound holds for all directions. It is that of the lens without aberrations, which only reduce the modulus.
     """
     if optics.isotropic:
         return np.abs(np.asarray(optics.mtf(frequency)))
@@ -109,8 +110,8 @@ def _at_most(optics: Optics, frequency: np.ndarray) -> np.ndarray:
 def _chosen(frequencies: tuple[float, ...], passed: tuple[tuple[float, ...], ...], enough: float) -> BandLimit:
     """Choose the coarsest sampling with a sufficiently small error, or else the sampling with the smallest error.
 
-    frequencies: cycles/px. passed: modulus of the transfer function of lens and pixel along `_ANGLES`, (angles,
-    frequencies).
+    `frequencies` are in cycles/px. `passed` is the modulus of the transfer function of lens and pixel along `_ANGLES`,
+    (angles, frequencies).
     """
     f, total = np.array(frequencies), np.array(passed)
     fx, fy = (f * part(_ANGLES[:, None]) for part in (np.cos, np.sin))
@@ -134,7 +135,7 @@ class FineLine(NamedTuple):
 
     Attributes:
         at: positions, px, in the order of the pixels, in steps of a fraction of a pixel.
-        first: index of the first pixel of the image.
+        first: index in `at` of the first pixel of the image.
         step: 1.0 if positions increase to the right or upwards, otherwise -1.0.
     """
 
@@ -146,7 +147,7 @@ class FineLine(NamedTuple):
 def fine_line(pixels: np.ndarray, low: float, high: float, per_px: int) -> FineLine:
     """Compute the positions of a fine record, px.
 
-    They cover the pixels of an image and the interval from `low` to `high`, px.
+    The positions cover the pixels of an image and the interval from `low` to `high`, px.
     """
     step = 1.0 if pixels.size < 2 else float(np.sign(pixels[1] - pixels[0]))
     ends = (low, high) if step > 0 else (high, low)
@@ -160,7 +161,7 @@ class FineRecord(NamedTuple):
     """Fourier transform of a fine record.
 
     Attributes:
-        spectrum: transform of the real values, (rows, columns of half the plane, channels), complex.
+        spectrum: transform of the real values, complex, (rows, columns / 2 + 1, channels), as computed by `rfft2`.
         fx: frequencies of the columns of the transform, to the right, cycles/px.
         fy: frequencies of the rows of the transform, upwards, cycles/px.
         padded: rows and columns of the record including the distance to its periodic copy.
@@ -178,7 +179,10 @@ class FineRecord(NamedTuple):
         return jnp.fft.irfft2(self.spectrum, self.padded, axes=(0, 1))[: self.size[0], : self.size[1]]
 
     def through(self, sigma: float | jax.Array) -> FineRecord:
-        """Filter radiance by a Gaussian lens and a pixel of half width `POINT`. sigma: standard deviation of the lens, px."""
+        """Filter radiance by a Gaussian lens and a pixel of half width `POINT`.
+
+        `sigma` is the standard deviation of the lens, px.
+        """
         return self._replace(spectrum=self.spectrum * recorded(sigma, self.fx, self.fy[:, None])[..., None])
 
     def derivative(self, along: int, across: int) -> jax.Array:
@@ -237,7 +241,7 @@ def filtered(record: FineRecord, optics: Optics, pixel: PixelResponse, limit: Ba
 def recorded(sigma: float | jax.Array, fx: np.ndarray, fy: np.ndarray) -> jax.Array:
     """Compute the transfer function of a Gaussian lens with a pixel of half width `POINT`.
 
-    sigma: standard deviation of the lens, px. fx, fy: frequencies, cycles/px.
+    `sigma` is the standard deviation of the lens, px. `fx` and `fy` are frequencies, cycles/px.
     """
     return jnp.exp(-2 * (jnp.pi * sigma) ** 2 * (fx**2 + fy**2)) * np.sinc(2 * POINT * fx) * np.sinc(2 * POINT * fy)
 

@@ -28,8 +28,8 @@ class PatchSize(NamedTuple):
 
     Attributes:
         panels: number of panels across the plane of incidence, to either side.
-        columns: number of grid points along a row.
-        rows: number of grid points along a column.
+        columns: number of grid points along a row of the patch.
+        rows: number of grid points along a column of the patch.
     """
 
     panels: int
@@ -121,7 +121,7 @@ def _start(line: jax.Array, middle: jax.Array, count: int) -> jax.Array:
 def _light(regions: Regions, v: jax.Array, width: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Compute x and y, px, and radiance times weight, px^2/sr, of the nodes of one latitude in the scene.
 
-    v: latitude, rad. width: weight of the latitude, rad.
+    `v` is the latitude, rad. `width` is the weight of the latitude, rad.
     """
     scene, around, peak = regions.scene, regions.widths.around, regions.peak
     radius = scene.sample.radius

@@ -1,8 +1,8 @@
 """Radiance of a sphere on a regular grid whose Fourier transform is accurate within the band of a lens.
 
-A sum over the points of a regular grid is exact except for frequencies that alias into the band of the lens: those
-above the sampling frequency minus the cutoff of the lens. The radiance has such frequencies only in three regions. Each
-region has a separate quadrature:
+A sum over the points of a regular grid is exact except for frequencies that alias into the band of the lens. These
+frequencies are above the sampling frequency minus the cutoff of the lens. The radiance has such frequencies only in
+three regions. Each region has a separate quadrature:
 
 - the limb, where the radiance ends (`limb_lines.py`);
 - the highlight, whose lobe may be narrower than a step (`highlight_patch.py`);
@@ -42,7 +42,9 @@ _HIGHEST = 3.3
 
 
 class Laying(NamedTuple):
-    """Sizes of the quadratures of limb and highlight. Each combination of sizes requires a program.
+    """Sizes of the quadratures of limb and highlight.
+
+    A separate program is compiled for each combination of sizes.
 
     Attributes:
         lines: rows or columns for each side of the limb.
@@ -58,7 +60,8 @@ class LightGrid(NamedTuple):
 
     Attributes:
         x: positions of the columns, at a constant step, px.
-        y: positions of the rows, px; if the radiance is symmetric, starting half a step above the axis.
+        y: positions of the rows, at a constant step, px. If the radiance is symmetric, the first row is half a step
+            above the axis.
         widths: widths of the regions.
         taps: weights that distribute a node over neighbouring points of the grid.
         symmetric: True if the radiance is symmetric about the x axis, and only the upper half is computed.
@@ -72,7 +75,7 @@ class LightGrid(NamedTuple):
 
     @classmethod
     def of(cls, x: np.ndarray, y: np.ndarray, highest: float, *, symmetric: bool = False) -> LightGrid:
-        """Build the grid for the cutoff of a lens, `highest`, cycles/px."""
+        """Build the grid for a lens. `highest` is the cutoff of the lens, cycles/px."""
         per_px = 1 / abs(x[1] - x[0])
         return cls(x, y, RegionWidths.above(per_px - highest), Taps.below(highest / per_px), symmetric)
 
@@ -96,7 +99,8 @@ class LightGrid(NamedTuple):
     def laid(self, scene: Scene, laying: Laying | None = None) -> jax.Array:
         """Compute the radiance of a scene on the grid, 1/sr, (rows, columns, channels).
 
-        laying: sizes of the quadratures. Default: None, they are chosen, which requires concrete parameters.
+        `laying` contains the sizes of the quadratures. Default: None, the sizes are chosen, which requires concrete
+        parameters.
         """
         return _laid(scene, self.x, self.y, (self.widths, self.taps, self.symmetric), laying or self.laying(scene))
 
@@ -119,7 +123,8 @@ def margin_of(per_px: int, highest: float) -> float:
 def serves(sample: Curved, elongation: float, highest: float) -> bool:
     """Check whether the radiance of a sample can be computed on a grid.
 
-    This requires a sphere in front of a distant camera, and an isotropic lobe.
+    This requires a sphere of at least 2.5 px radius in front of a distant camera, an isotropic lobe, and a cutoff of at
+    most 3.3 cycles/px.
 
     Args:
         sample: the sample.

@@ -1,9 +1,10 @@
 """Radiance at the limb on a grid, from nodes along rows and columns of the grid.
 
 Within a few px of the limb, the radiance varies as the square root of the distance from the limb, and ends there. Along
-a row or column, the radiance is a smooth function of the angle (`lines.py`). It ends at the limb, or at the terminator
-if the terminator is closer. A row or column that meets the limb at less than 45 degrees would cause aliasing. Therefore
-rows are used at the left and right limb and columns at the top and bottom, with a smooth transition.
+a row or column, the radiance is a smooth function of the angle (`lines.py`). The radiance ends at the limb, or at the
+terminator if the terminator is closer. A row or column that meets the limb at less than 45 degrees would cause
+aliasing. Rows are therefore used at the left and right limb, and columns at the top and bottom. The transition between
+them is smooth.
 """
 
 from __future__ import annotations
@@ -72,7 +73,7 @@ def lay_limb(
     Args:
         grid: radiance on the grid, 1/sr, (rows, columns, channels).
         regions: regions of the radiance.
-        served: lines of that side.
+        served: lines of this side.
         across: positions of all lines of the same direction, px.
         along: positions of the grid points on one line, px.
         taps: weights that distribute a node over neighbouring points of the grid.
@@ -112,7 +113,10 @@ def lay_limb(
 
 
 def _ends(lines: Lines, regions: Regions, side: int) -> tuple[jax.Array, jax.Array]:
-    """Compute the ends of the region of the limb on each line, as angles towards `side`, rad."""
+    """Compute the ends of the region of the limb on each line.
+
+    They are angles on the circle of the line (see `Lines`), which increase towards `side`, rad.
+    """
     middle, half = lines.lit()
     middle = side * middle
     middle = jnp.where(middle < -np.pi / 2, middle + 2 * np.pi, middle)  # the equivalent angle closest to the limb

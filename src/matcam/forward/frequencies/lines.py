@@ -1,6 +1,6 @@
 """Rows and columns of the sensor, as half circles on a sphere in front of a distant camera.
 
-Each half circle has one lit arc.
+Each half circle has at most one lit arc.
 """
 
 from __future__ import annotations
@@ -40,7 +40,10 @@ class Lines(NamedTuple):
         return jnp.sqrt(jnp.maximum(sphere**2 - self.fixed**2, _LEAST * sphere**2))
 
     def normal(self, angle: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-        """Compute the normals in the axes of the scene. angle: angles on the lines, shape (lines, positions), rad."""
+        """Compute the normals in the axes of the scene.
+
+        `angle` contains the angles on the lines, (lines, positions), rad.
+        """
         sphere = self.scene.sample.radius
         share, across = self.radius[:, None] / sphere, self.fixed[:, None] / sphere
         along, across = share * jnp.sin(angle), jnp.broadcast_to(across, angle.shape)
@@ -57,7 +60,10 @@ class Lines(NamedTuple):
         return *self.ordered(x, y), jnp.cos(angle)
 
     def lit(self) -> tuple[jax.Array, jax.Array]:
-        """Compute the middle, in [-pi, pi], and the half length of the lit arc on the circle of each line, rad."""
+        """Compute the lit arc on the circle of each line.
+
+        The result is the middle of the arc, in [-pi, pi], and half the length of the arc, rad.
+        """
         along, across, axis = self.lamp()
         sphere = self.scene.sample.radius
         needed = (horizon(self.scene) - across * self.fixed / sphere) * sphere / self.radius

@@ -20,7 +20,7 @@ class MirroredTransfer(NamedTuple):
     """Transfer function of a symmetric lens for the upper half of an image.
 
     Attributes:
-        own: factor of each frequency, (rows, columns of half the plane), no unit.
+        own: factor of each frequency, (rows, columns / 2 + 1), no unit.
         other: factor of the mirror image of each frequency along the columns, of the same shape, complex, no unit.
     """
 
@@ -31,8 +31,8 @@ class MirroredTransfer(NamedTuple):
     def of(cls, transfer: jax.Array) -> MirroredTransfer:
         """Build the transfer function for the upper half from the transfer function of a symmetric lens.
 
-        transfer: transfer function of the lens, with an even number of rows, at the frequencies 0, 1, 2, ... cycles per
-            height of the whole image.
+        `transfer` is the transfer function of the lens at the frequencies 0, 1, 2, ... cycles per height of the whole
+        image. It has an even number of rows.
         """
         rows = transfer.shape[0]
         mirrored = jnp.concatenate([jnp.zeros_like(transfer[:1]), transfer[:0:-1]])

@@ -75,9 +75,10 @@ class PictureLens(NamedTuple):
         return max(optics_band(lens) for colour in self.colours for lens in colour.lenses)
 
     def channels(self, material: int) -> int:
-        """Compute the number of channels of an image. material: number of channels of the material.
+        """Compute the number of channels of an image.
 
-        An ArgumentError is raised if the material does not match the colours of the lens.
+        `material` is the number of channels of the material. An ArgumentError is raised if the material does not match
+        the colours of the lens.
         """
         if len(self.colours) > 1 and material not in (1, len(self.colours)):
             raise ArgumentError(
@@ -147,7 +148,10 @@ def _colour(optics: Optics, shares: PositionShares | None, shift: jax.Array | No
 
 
 def _shares_for(optics: tuple[Optics, ...], radius: float) -> tuple[PositionShares | None, float]:
-    """Choose the smallest number of shares that interpolates the lenses accurately, and compute the error, no unit."""
+    """Choose the smallest number of shares that interpolates the lenses accurately.
+
+    The result is the shares, None if no lens varies over the field, and the error of a transfer function, no unit.
+    """
     varying = [jax.lax.stop_gradient(one) for one in optics if isinstance(one, SeidelOptics)]
     if not varying:
         return None, 0.0
@@ -176,9 +180,10 @@ def _shares_for(optics: tuple[Optics, ...], radius: float) -> tuple[PositionShar
 def _sampled(
     lenses: list[SeidelOptics], positions: np.ndarray, frequencies: tuple[tuple[float, ...], int]
 ) -> np.ndarray:
-    """Evaluate transfer functions, shape (n, lenses times frequencies).
+    """Evaluate transfer functions, (positions, lenses times frequencies).
 
-    positions: positions on the sensor, shape (n, 2), px. frequencies: shares of the cutoff, and number of directions.
+    `positions` are on the sensor, px, (positions, 2). `frequencies` contains frequencies as shares of the cutoff, and
+    the number of directions.
     """
     angle = 2 * np.pi * (np.arange(frequencies[1]) + 0.3) / frequencies[1]
     share = np.array(frequencies[0])[:, None]

@@ -2,12 +2,12 @@
 
 A kernel that varies smoothly with the position is approximated by a weighted sum of the kernels at few selected
 positions. The weights are polynomials in x and y. Pivoted QR selects the positions. The kernels on the disc of the
-sample are approximated by polynomials of the position. Their coefficients are linear combinations of the selected
-kernels, found by least squares.
+sample are approximated by polynomials of the position. The coefficients of these polynomials are linear combinations of
+the selected kernels, found by least squares.
 
 The radiance is given by its record R through a Gaussian of standard deviation s. Multiplication by x before the blur
-corresponds to x + s^2 d/dx after the blur. The record of the radiance multiplied by a weight w therefore follows from
-R:
+corresponds to the operator x + s^2 d/dx after the blur. The record of the radiance multiplied by a weight w therefore
+follows from R, as a sum over the orders a and b of derivatives in x and y (Laplace is the Laplace operator):
 
     sum over a, b of  s^(2a + 2b) / (a! b!)  d^(a+b)/dx^a dy^b [exp(s^2 Laplace / 2) w]  d^(a+b) R / dx^a dy^b.
 """
@@ -36,8 +36,8 @@ class PositionShares(NamedTuple):
     Attributes:
         side: radius of the disc about the optical axis in which the weights are valid, px.
         positions: positions of the selected kernels, (shares, 2), px.
-        coefficients: coefficients of Chebyshev's T_a(x / side) T_b(y / side) with a + b <= degree, (degree + 1, degree
-            + 1, shares).
+        coefficients: coefficients of the products T_a(x / side) T_b(y / side) of Chebyshev polynomials of the degrees a
+            and b, (a, b, shares). They are 0 if a + b exceeds the degree of the weights.
     """
 
     side: float
@@ -53,7 +53,8 @@ class PositionShares(NamedTuple):
         Args:
             degree: degree of the polynomials.
             side: radius of the disc, px.
-            values: function that returns values of the kernels at positions (n, 2), px: (n, values), complex.
+            values: function of positions, px, (positions, 2), that returns complex values of the kernels at these
+                positions, (positions, values).
             left_out: largest norm of the neglected part of the values of a kernel.
         """
         unit = _in_disc(degree + 3)
@@ -70,7 +71,10 @@ class PositionShares(NamedTuple):
         return cls(side, side * unit[chosen], coefficients.reshape(degree + 1, degree + 1, -1))
 
     def at(self, positions: np.ndarray) -> np.ndarray:
-        """Evaluate the weights, shape (n, shares). positions: positions on the sensor, shape (n, 2), px."""
+        """Evaluate the weights, (positions, shares).
+
+        `positions` are on the sensor, px, (positions, 2).
+        """
         return _evaluated(self.coefficients, positions / self.side)
 
     def left_over(self, sigma: float, values: np.ndarray) -> float:
@@ -94,8 +98,8 @@ class PositionShares(NamedTuple):
         """Compute the record of each share of the radiance.
 
         Args:
-            record: function of two orders that returns the derivative of the total record with respect to x and y, (rows,
-                columns, channels).
+            record: function that returns a derivative of the total record, (rows, columns, channels). Its arguments are
+                the orders in x and in y.
             x: positions of the columns, px.
             y: positions of the rows, px.
             sigma: standard deviation of the Gaussian of the record, px.
@@ -112,7 +116,10 @@ class PositionShares(NamedTuple):
         return shares
 
     def _spread(self, sigma: float) -> PositionShares:
-        """Blur the weights by a Gaussian: exp(sigma^2 Laplace / 2) w, up to the order sigma^4. sigma: px."""
+        """Blur the weights w by a Gaussian: exp(sigma^2 Laplace / 2) w, up to the order sigma^4.
+
+        `sigma` is the standard deviation of the Gaussian, px, and Laplace the Laplace operator.
+        """
         one = self._replace(coefficients=self._derived(2, 0) + self._derived(0, 2))
         two = one._derived(2, 0) + one._derived(0, 2)
         return self._replace(coefficients=self.coefficients + sigma**2 / 2 * one.coefficients + sigma**4 / 8 * two)
@@ -120,7 +127,7 @@ class PositionShares(NamedTuple):
     def _derived(self, along: int, across: int) -> np.ndarray:
         """Compute the coefficients of a derivative of the weights with respect to position in px, in the same shape.
 
-        along: order of the derivative in x. across: order in y.
+        `along` is the order of the derivative in x, and `across` the order in y.
         """
         found = self.coefficients
         for axis, times in ((0, along), (1, across)):

@@ -1,7 +1,7 @@
-"""Interpolation of an image between the points of the grid on which its transform is known.
+"""Interpolation of a band-limited image between the points of its grid.
 
-A value is the sum over neighbouring points, weighted by a narrow window. Before the interpolation, the transform of the
-image is divided by the transform of the window.
+An interpolated value is the sum of the values at neighbouring points, weighted by a narrow window. Before the
+interpolation, the Fourier transform of the image must be divided by the Fourier transform of the window.
 """
 
 from __future__ import annotations
@@ -24,7 +24,8 @@ class Reading(NamedTuple):
     """Window function for the interpolation on a grid.
 
     Attributes:
-        steepness: steepness of the window's logarithm, no unit.
+        steepness: factor s of the window exp(s (sqrt(1 - u^2) - 1)), no unit. Here u is the distance, relative to the support
+            radius of the window.
     """
 
     steepness: float
@@ -35,12 +36,12 @@ class Reading(NamedTuple):
         return cls(_STEEPNESS * 2 * np.pi * _REACH * (1 - limit))
 
     def window(self, steps: jax.Array) -> jax.Array:
-        """Evaluate the weight of a point at a distance in steps, no unit."""
+        """Evaluate the weights, no unit, of grid points at the given distances in steps."""
         near = 1 - (steps / _REACH) ** 2
         return jnp.where(near > 0, jnp.exp(self.steepness * (jnp.sqrt(jnp.maximum(near, 1e-30)) - 1)), 0.0)
 
     def transfer(self, frequency: np.ndarray) -> np.ndarray:
-        """Evaluate the transform of the window at frequencies below the limit, cycles per step."""
+        """Evaluate the Fourier transform of the window at frequencies below the band limit, cycles per step."""
         unit, weight = np.polynomial.legendre.leggauss(64)
         window = np.exp(self.steepness * (np.sqrt(1 - unit**2) - 1)) * weight * _REACH
         return np.cos(2 * np.pi * np.multiply.outer(frequency, _REACH * unit)) @ window

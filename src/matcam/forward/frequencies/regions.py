@@ -4,7 +4,8 @@
              + limb (1 - highlight) radiance           along rows and columns to the limb    (`limb_lines.py`)
              + highlight radiance                      around the half vector                (`highlight_patch.py`)
 
-The transition of a weight at a border is as narrow as possible: the amplitude of its aliased frequencies is below 1e-6.
+The weight `limb` is 1 at the limb, and the weight `highlight` is 1 about the highlight. Each weight decreases smoothly to 0.
+The transition is as narrow as possible for an amplitude of the aliased frequencies below 1e-6.
 """
 
 from __future__ import annotations
@@ -61,7 +62,7 @@ class RegionWidths(NamedTuple):
 
     @property
     def widest_line(self) -> float:
-        """Largest depth of the region of the limb or of a crescent, px."""
+        """Largest depth of the region of the limb, px: the width of the widest crescent that belongs entirely to the region."""
         return self.depth + _MORE * self.sigma
 
 
@@ -111,11 +112,14 @@ class Regions(NamedTuple):
         return self.fall(plane_length(x - self.peak, self.squeezed * y) - _NEAR * self.widths.sigma)
 
     def fall(self, at: jax.Array) -> jax.Array:
-        """Evaluate a weight that decreases from 1 to 0 at a border. at: signed distance from the border, px."""
+        """Evaluate a weight that decreases from 1 to 0 at a border.
+
+        at: distance from the border, px; positive on the side where the weight decreases to 0.
+        """
         return falling(at, self.widths.sigma)
 
     def inside(self, x: jax.Array, y: jax.Array) -> jax.Array:
-        """Evaluate the weight of the points of the grid at a position on the sensor, px."""
+        """Evaluate the weight of the quadrature over the grid at a position on the sensor, px."""
         at = self.scene.from_sensor(x, y)
         return (1 - self.limb(*at)) * (1 - self.highlight(*at))
 
@@ -134,13 +138,16 @@ class Regions(NamedTuple):
 
 
 def falling(at: jax.Array, sigma: float) -> jax.Array:
-    """Evaluate a weight that decreases from 1 to 0 about 0, the integral of a Gaussian of standard deviation `sigma`."""
+    """Evaluate a weight that decreases from 1 to 0 about the position 0.
+
+    The weight is the integral from `at` to infinity of a normalised Gaussian of standard deviation `sigma`; both in px.
+    """
     return erfc(at / (np.sqrt(2) * sigma)) / 2
 
 
 def horizon(scene: Scene) -> jax.Array:
-    """Compute the cosine of the angle between normal and lamp at the terminator.
+    """Compute the cosine of the angle between the normal at the terminator and the direction to the lamp.
 
-    The lamp is seen from the centre of the sample.
+    The direction to the lamp is taken at the centre of the sample.
     """
     return jnp.zeros(()) if scene.lamp_nearness is None else scene.lamp_nearness

@@ -35,9 +35,10 @@ class _Frame(NamedTuple):
     """Grid and frequencies of an image, and the transfer function of a lens at each frequency.
 
     Attributes:
-        grid: grid of the radiance; if the radiance is symmetric, the grid covers the upper half only.
-        transfer: transfer function of lens and pixel divided by the transfer function of the interpolation, (rows,
-            columns of half the plane), no unit; for the upper half of an image if both radiance and lens are symmetric.
+        grid: grid of the radiance; if the radiance is symmetric about the x axis, the grid covers the upper half only.
+        transfer: transfer function of lens and pixel divided by the transform of the window of `reading`, (rows, columns),
+            no unit. The columns are the frequencies along x that are not negative. It is a `MirroredTransfer` if radiance
+            and lens are symmetric about the x axis.
         sides: rows and columns of the periodic image.
         per_px: number of points of the grid along the side of a pixel.
         reading: interpolation of the filtered image.
@@ -53,9 +54,9 @@ class _Frame(NamedTuple):
 def served_by_frequencies(rig: Rig, material: Material) -> bool:
     """Check whether a table is computed by filtering images.
 
-    This requires a sphere, a lens that is not a sum of Gaussians, a distant camera and a distant lamp. The lamp must be a
-    point, because under a disc each slice would require as many images as the disc has points. Parameters must be
-    concrete, apart from derivatives.
+    This requires a distant camera in focus, a distant lamp, an isotropic lobe, and a sphere that is not too small. The lens
+    must be the same all over the field, and must not be a sum of Gaussians. The lamp must be a point, because under a disc
+    each slice would require as many images as the disc has points. Parameters must be concrete, apart from derivatives.
     """
     optics = rig.camera.optics
     known = without_derivatives((rig, material))
@@ -82,7 +83,8 @@ def record_by_frequencies(
         positions: positions in ascending order of their images.
 
     Returns:
-        Radiance under unit irradiance, 1/sr, (positions, channels). Differentiable in material, sample and lens.
+        Radiance under unit irradiance, 1/sr, (positions, channels). It is differentiable in the parameters of material,
+        sample and lens.
     """
     sample = rig.sample
     assert isinstance(sample, Sphere)

@@ -24,7 +24,7 @@ class Taps(NamedTuple):
     """Weights of a point of light at neighbouring points of a grid.
 
     Attributes:
-        reach: support radius, steps.
+        reach: support radius of the windowed sinc, steps.
     """
 
     reach: int
@@ -55,7 +55,7 @@ class Taps(NamedTuple):
 
 
 def _window() -> np.ndarray:
-    """Compute the window as a polynomial in (distance / support radius)^2: its coefficients, highest power first."""
+    """Compute the coefficients of the window as a polynomial in (distance / support radius)^2, highest power first."""
     at = (1 + np.cos(np.pi * (np.arange(400) + 0.5) / 400)) / 2
     fitted = np.polynomial.Chebyshev.fit(at, np.exp(_LOST * (np.sqrt(1 - at) - 1)), _DEGREE, domain=[0, 1])
     return fitted.convert(kind=np.polynomial.Polynomial).coef[::-1]

@@ -1,10 +1,11 @@
 """Correction of a sum over grid points at the terminator, where the slope of the radiance is discontinuous.
 
-Let f be a function that is 0 up to a position, and increases from there with slope s. The sum of f over points at step
-h, multiplied by h, equals the integral of f minus h^2 s B_2(d) / 2 (Euler and Maclaurin). Here d is the distance of the
-next point from that position in steps, and B_2 is the second Bernoulli polynomial. This term is added to the two points
-about the position. The term is computed along rows and along columns. The weights of the two results are the squared
-slopes of cos theta_i along rows and columns.
+Let f be a function that is 0 up to a position p and increases with slope s beyond p. The sum of f over points with the
+spacing h, multiplied by h, equals the integral of f minus h^2 s B_2(d) / 2 (Euler and Maclaurin). Here d is the distance
+from p to the next point, in steps, and B_2 is the second Bernoulli polynomial. The correction h s B_2(d) / 2 is
+distributed over the values at the two points about p. It is computed along rows and along columns. The two corrections
+are averaged. Their weights are proportional to the squared slopes of the cosine of the angle of incidence along rows and
+along columns.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Blur of a rig: a sum of Gaussians, with the pixel in closed form.
+"""Blur of a rig: a sum of Gaussians, integrated over the pixel in closed form, and a residual.
 
 - The lens is a sum of Gaussians (`camera/optics/gaussian.py`) and a residual (`kernel_residual.py`). Registration jitter
   adds its variance to each Gaussian.
@@ -86,7 +86,7 @@ class Blur(eqx.Module):
 
     @property
     def std_of_half(self) -> float:
-        """Standard deviation, px, of the Gaussian with the same half-value frequency; see `std_of_half`."""
+        """Standard deviation, px, of the Gaussian with the same half-value frequency; see the function `std_of_half`."""
         return std_of_half(np.asarray(self.weights), np.asarray(self.stds))
 
     @property
@@ -101,7 +101,7 @@ class Blur(eqx.Module):
         return jnp.ones(()) if self.is_residual(term) else self.weights[term]
 
     def only(self, terms: tuple[int, ...]) -> Blur:
-        """Restrict the blur to some of the terms. Results with the same number of Gaussians share a program."""
+        """Restrict the blur to some of the terms. Results with the same number of Gaussians share a compiled program."""
         index = np.array([term for term in terms if not self.is_residual(term)], dtype=int)
         residual = self.residual if any(map(self.is_residual, terms)) else None
         return dataclasses.replace(self, weights=self.weights[index], stds=self.stds[index], residual=residual)
@@ -138,7 +138,7 @@ class Blur(eqx.Module):
         return jnp.asarray(radius) * self.aperture * (jnp.asarray(normal_z) - jnp.cos(self.focus)) / 2
 
     def at(self, term: int, spread: Spread, x: jax.Array, y: jax.Array) -> jax.Array:
-        """Evaluate one term, 1/px^2.
+        """Evaluate one term of the kernel without its weight, 1/px^2.
 
         x, y: offset of the pixel from the image of a surface element, px.
         """
@@ -147,7 +147,7 @@ class Blur(eqx.Module):
         return self.through_disc(term, spread, lambda along, across: along(x) * across(y))
 
     def across(self, term: int, spread: Spread, x: jax.Array) -> jax.Array:
-        """Evaluate one term, integrated along y, 1/px.
+        """Evaluate the integral along y of one term of the kernel without its weight, 1/px.
 
         x: offset of the pixel from the image of a surface element, px.
         """
@@ -206,7 +206,10 @@ class Blur(eqx.Module):
         return spread.along + spread.disc**2 / 4, spread.across + spread.disc**2 / 4
 
     def kernel(self, offset: jax.Array, term: int, variance: jax.Array) -> jax.Array:
-        """Evaluate one term along one axis, 1/px, at `offset` px from the centre of the pixel."""
+        """Evaluate one term along one axis, 1/px, at `offset` px from the centre of the pixel.
+
+        variance: variance of source disc and defocus along the axis, px^2.
+        """
         return self.pixel.of_gaussian(offset, self._std(term, variance))
 
     def kernel_until(self, offset: jax.Array, term: int, variance: jax.Array) -> jax.Array:
@@ -323,7 +326,10 @@ class BlurTerms(eqx.Module):
 def variances_at(
     blur: Blur, sample: Curved, normal_z: np.ndarray, lamp_angle: np.ndarray, lamp_nearness: jax.Array | None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Compute the variances of `Blur.spread` along x and y at many elements, px^2. The arguments are those of `spread`."""
+    """Compute the variances of `Blur.spread` along x and y at many elements, px^2.
+
+    The other arguments are those of `spread`.
+    """
     if not blur.varies:
         return np.zeros(normal_z.shape), np.zeros(normal_z.shape)
     along, across = in_calls(_variance_blocks, (normal_z, lamp_angle), blur.only(()), sample, lamp_nearness)
@@ -345,8 +351,8 @@ def _variance_blocks(
 def std_of_half(weights: np.ndarray, stds: np.ndarray) -> float:
     """Compute the standard deviation of the Gaussian with the same half-value frequency as a sum of Gaussians, px.
 
-    At the half-value frequency, the transfer function is one half. The variance of the sum is unsuitable: for an ideal
-    lens it is infinite, because of faint tails.
+    At the half-value frequency, the transfer function is one half. The variance of the sum is an unsuitable measure of the
+    width, because the faint tails of an ideal lens dominate it.
     """
     if stds.size == 1:
         return float(stds[0])
@@ -362,8 +368,8 @@ def blur_of(rig: Rig, *, in_discs: bool = False, whole: bool = False, residual: 
         rig: the rig.
         in_discs: True if defocus is described by discs. Default: False, by Gaussians.
         whole: True to include the residual of the Gaussians as a term. The lens then need not be isotropic. Default: False.
-        residual: residual of a lens with slightly different parameters, to be used instead. Default: None, the residual of
-            the lens of the rig.
+        residual: residual to include; it may belong to a lens with slightly different parameters. Default: None, the
+            residual of the lens of the rig.
     """
     optics = rig.camera.optics
     lens = _with_residual(optics) if whole else gaussian_sum(optics)
@@ -382,16 +388,16 @@ def blur_of(rig: Rig, *, in_discs: bool = False, whole: bool = False, residual: 
 
 
 def _with_residual(optics: Optics) -> GaussianSum:
-    """Approximate a lens by the Gaussians of a blur that includes their residual.
+    """Approximate a lens by the Gaussians of a blur that also has a residual term.
 
-    More Gaussians are used for derivatives, which neglect the residual.
+    More Gaussians are used if parameters are traced, because derivatives neglect the residual.
     """
     known = all(map(is_concrete, jax.tree.leaves(optics)))
     return few_gaussians(optics) if known else round_gaussians(optics)
 
 
 def _chords(rig: Rig, lens: GaussianSum) -> int:
-    """Choose the number of chords of the disc out of focus; 0 for a lens in focus, or for traced parameters."""
+    """Choose the number of chords of the disc out of focus; 0 if the aperture is 0 or parameters are traced."""
     sample: Any = rig.sample
     own = rig.aperture, rig.focus, sample.radius, lens.sigmas, rig.jitter, rig.camera.pixel.half_width
     numbers = [jax.lax.stop_gradient(a) for a in own]

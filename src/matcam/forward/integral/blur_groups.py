@@ -27,13 +27,13 @@ periods of its highest frequency.
 
 
 class BlurScale(NamedTuple):
-    """Lengths on the sensor, px, of terms of similar width.
+    """Lengths on the sensor and fineness for the quadrature of terms of similar width.
 
     Attributes:
-        near: half the side of the square around the highlight. For pixels in this square, the nodes are arranged about the
-            half vector.
-        margin: distance from limb and terminator beyond which the radiance around a pixel is smooth.
-        reach: support radius of the kernel.
+        near: half the side of the square around the highlight, px. For pixels in this square, the nodes are arranged about
+            the half vector.
+        margin: distance from limb and terminator beyond which the radiance around a pixel is smooth, px.
+        reach: support radius of the kernel, px.
         fineness: required number of nodes across the support of the kernel divided by the number for a Gaussian of 0.5
             px with a pixel of 1 px, no unit; at least 1.
     """
@@ -45,14 +45,22 @@ class BlurScale(NamedTuple):
 
 
 class BlurGroup(NamedTuple):
-    """Group of terms of a blur with similar widths: their indices, and the lengths on the sensor for their quadrature."""
+    """Group of terms of a blur with similar widths.
+
+    Attributes:
+        terms: indices of the terms.
+        scale: lengths on the sensor and fineness for the quadrature of the terms.
+    """
 
     terms: tuple[int, ...]
     scale: BlurScale
 
 
 def groups_of(blur: Blur, sample: Curved) -> tuple[BlurGroup, ...]:
-    """Group the terms of a blur by width. An ArgumentError is raised inside jax.jit."""
+    """Group the terms of a blur by width.
+
+    An ArgumentError is raised if parameters are traced by jax.jit, or if the sample is smaller than the blur.
+    """
     lengths = [jax.lax.stop_gradient(a) for a in (blur.stds, blur.pixel.half_width, sample.radius, blur.lamp_radius)]
     if not all(is_concrete(a) for a in lengths):
         raise ArgumentError(
@@ -80,7 +88,7 @@ def fineness_of(blur: Blur, terms: tuple[int, ...], reach: np.ndarray | float) -
 
     Args:
         blur: the blur.
-        terms: indices of its residual, or of some of its Gaussians.
+        terms: index of the residual of the blur, or indices of some of its Gaussians.
         reach: support radius, px, of any shape.
     """
     if blur.residual is not None and blur.is_residual(terms[0]):
@@ -100,7 +108,7 @@ def _residual_group(blur: Blur, term: int, reach: float) -> BlurGroup:
 
 
 def _widest_spread(blur: Blur, sample: Curved) -> tuple[float, float]:
-    """Compute the largest radius of a disc out of focus, px, and the largest variance of defocus and source disc, px^2."""
+    """Compute the largest radius of a disc out of focus, px, and the largest variance, px^2, of defocus plus source disc."""
     if not blur.varies:
         return 0.0, 0.0
     aperture, focus, lamp, radius = (

@@ -1,7 +1,7 @@
 """Size of the image of a source disc, which determines the number of points that represent the disc (docs/model.md 3).
 
 The record under a source disc is the mean of the records under its points. From one point to the next, the highlight may
-move only by a fraction of its blur by kernel and lobe.
+move only by a fraction of the width of its blur by kernel and lobe.
 """
 
 from __future__ import annotations

@@ -101,9 +101,9 @@ class KernelResidual(eqx.Module):
         return sum(rows, jnp.zeros(()))
 
     def line(self, polynomials: jax.Array, offset: jax.Array, variance: jax.Array | None) -> jax.Array:
-        """Evaluate one function of a product at offsets, px.
+        """Evaluate one of the two functions of a product, 1/px, at offsets, px.
 
-        polynomials: coefficients of the function, (intervals, degree + 1). variance: variance of an additional Gaussian
+        polynomials: coefficients of the function, (intervals, degree + 1), 1/px. variance: variance of an additional Gaussian
         blur, px^2; None: no blur.
         """
         if variance is None:
@@ -129,7 +129,7 @@ class KernelResidual(eqx.Module):
         return float(self.reach) + _HERMITE[-1][0] * np.sqrt(variance)
 
     def nodes(self) -> tuple[jax.Array, jax.Array, jax.Array]:
-        """Compute a quadrature rule for smooth radiance within the support.
+        """Compute a quadrature rule for the residual times smooth radiance.
 
         The results are offsets along x and y, px, and weights, (nodes,).
         """

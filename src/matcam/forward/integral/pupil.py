@@ -1,8 +1,8 @@
 """Defocused record of smooth radiance: the mean over points of the pupil of the lens.
 
-Let s be the sharp image of a surface element on the sensor. Through the point p of the pupil, its light arrives at
-s + c(s) p, where c is the radius of the disc out of focus. The position s is found by iteration. The radiance is divided by
-the Jacobian determinant of s + c(s) p with respect to s.
+Let s be the position of the sharp image of a surface element on the sensor. The pupil is the unit disc. Light through the
+point p of the pupil arrives at s + c(s) p, where c is the radius of the disc out of focus, px. The position s is found by
+iteration. The radiance is divided by the Jacobian determinant of s + c(s) p with respect to s.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ _STEPS = 3
 
 
 def _points() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Compute x, y and shares of 12 points of the unit disc, exact to degree 7 (Stroud 1971, S2: 7-1)."""
+    """Compute x, y and weights of a rule of 12 points on the unit disc, exact to degree 7 (Stroud 1971, S2: 7-1)."""
     near, far = (np.sqrt((27 + side * 3 * np.sqrt(29)) / 104) for side in (-1, 1))
     low, high = ((551 - side * 41 * np.sqrt(29)) / 6264 for side in (1, -1))
     axis, signs = np.array([1.0, 0.0, -1.0, 0.0]), np.array([1.0, 1.0, -1.0, -1.0])

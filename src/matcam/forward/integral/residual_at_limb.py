@@ -1,8 +1,8 @@
 """Quadrature of the residual of a lens at the limb: few nodes, whose weights include the rings of the kernel.
 
 The radiance ends at the limb, and the rings of the residual have the period of the cutoff frequency. A general rule
-would therefore require thousands of nodes per pixel. However, the radiance is smooth up to the limb as a function of c
-= sqrt(1 - (r / R)^2) and of the azimuth about the axis. Here r is the distance from the axis, and R is the radius of
+would therefore require thousands of nodes per pixel. However, as a function of c = sqrt(1 - (r / R)^2) and of the azimuth
+about the optical axis, the radiance is smooth up to the limb. Here r is the distance from the axis, and R is the radius of
 the limb. A polynomial through few nodes therefore approximates the radiance. The weights of the nodes are integrals of
 the residual times each basis polynomial. The weights depend only on the residual, on the depth within the limb and on
 the azimuth, and are computed once, on a lattice.
@@ -86,7 +86,9 @@ class LimbRule(eqx.Module):
 
 
 def _window(limb: Any, reach: Any, off: Any) -> tuple[Any, Any]:
-    """Compute the largest c in the window of a position, and half the range of the azimuth, rad.
+    """Compute the limits of the integral about a position: the largest c, no unit, and half the range of the azimuth, rad.
+
+    c = sqrt(1 - (r / limb)^2), where r is the distance from the optical axis.
 
     Args:
         limb: radius of the limb, px.
@@ -98,7 +100,10 @@ def _window(limb: Any, reach: Any, off: Any) -> tuple[Any, Any]:
 
 
 def limb_rule(residual: KernelResidual, limb: float) -> LimbRule | None:
-    """Build the rule for a sphere; None if the support of the residual is too large. limb: radius of the limb, px."""
+    """Build the rule for a sphere; None if the support radius of the residual exceeds a quarter of `limb`.
+
+    limb: radius of the limb, px.
+    """
     if 4 * float(residual.reach) > limb:
         return None
     key = np.asarray(residual.grid).tobytes(), float(residual.reach), limb

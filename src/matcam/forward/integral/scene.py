@@ -14,7 +14,7 @@ from matcam.sample.shape import Curved, Element
 
 
 class Turn(NamedTuple):
-    """Cosine and sine of the azimuth of the lamp, from the x axis of the sensor to the x axis of the scene."""
+    """Cosine and sine of the azimuth of the lamp about the optical axis, from +x towards +y on the sensor."""
 
     cosine: jax.Array
     sine: jax.Array
@@ -35,9 +35,9 @@ class Scene(eqx.Module):
         sample: the sample.
         lamp_angle: angle between lamp and optical axis, towards +x, rad; it broadcasts with the surface elements.
         lamp_nearness: inverse of the lamp's distance, 1/radii; None: a distant lamp.
-        turn: azimuth of the lamp, of the shape of `lamp_angle`; None: 0.
-        towards_lamp: sine and cosine of `lamp_angle`, of the same shape; None: they are computed. In a loop over nodes, XLA
-            would compute them again for every node, which takes as long as the radiance.
+        turn: cosine and sine of the azimuth of the lamp, each of the shape of `lamp_angle`; None: the azimuth is 0.
+        towards_lamp: sine and cosine of `lamp_angle`, each of its shape. None: both are computed; in a loop over nodes, XLA
+            would compute both again for every node, which takes as long as the radiance.
     """
 
     material: Material
@@ -98,7 +98,7 @@ class Scene(eqx.Module):
         return light, 1 / square
 
     def _tangent(self, element: Element) -> Vector:
-        """Compute the first tangent, in the plane of the x axis of the sensor and the optical axis."""
+        """Compute the first tangent, which lies in the plane of the x axis of the sensor and the optical axis."""
         if self.turn is None or not self._pixels_turn:
             return element.tangent
         (x, y, z), (cosine, sine) = element.normal, self.turn
@@ -106,8 +106,9 @@ class Scene(eqx.Module):
         return cosine * z / length, -sine * z / length, (sine * y - cosine * x) / length
 
     def sent(self, element: Element) -> jax.Array:
-        """Compute rho cos_i cos_o area times the irradiance of the lamp, channels last.
+        """Compute the light that surface elements send to the camera, channels last.
 
+        It is the product of the BRDF, both cosines, `element.area` and the relative irradiance of the lamp.
         For an element at (x, y) on the sensor, this is the radiance, 1/sr. For an element at (u, v), it is the integral of
         the radiance over the sensor per du dv, px^2/sr.
         """

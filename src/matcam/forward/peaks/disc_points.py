@@ -36,7 +36,7 @@ class DiscPoints(NamedTuple):
 
     Attributes:
         x: offsets towards the limb, px, (slices, points).
-        y: offsets perpendicular to this direction, px, (slices, points).
+        y: offsets perpendicular to the direction of `x`, px, (slices, points).
         share: shares of the points, (points,); their sum is 1.
         aside: angle by which a point rotates the half vector out of the plane of camera and lamp, rad, (slices, points).
     """
@@ -52,7 +52,7 @@ class Discs(NamedTuple):
 
     Attributes:
         lamp_x: half axis of the ellipse of the source disc towards the limb, px.
-        lamp_y: half axis of this ellipse perpendicular to this direction, px.
+        lamp_y: half axis of the same ellipse perpendicular to the direction of `lamp_x`, px.
         lens: radius of the disc of a lens out of focus, px.
         turned: largest angle by which the source disc rotates the half vector out of the plane of camera and lamp, rad.
     """
@@ -91,8 +91,9 @@ def mean_over_discs(
         rig: a rig with discs.
         theta: viewing angles of the highlights, rad, (slices,).
         record: function of indices of `theta` and of the points at these angles, which returns the mean record over the
-            points, slices first.
-        roughness: roughness of the lobe if the record depends on `aside`. Default: None, it is independent of `aside`.
+            points. The first axis of the result is over these angles.
+        roughness: roughness of the lobe if the record depends on `DiscPoints.aside`. Default: None, for a record that is
+            independent of `aside`.
     """
     discs = disc_sizes(rig, theta)
     assert discs is not None
@@ -129,7 +130,7 @@ def has_discs(rig: Rig) -> bool:
 
 
 def _levels(fineness: jax.Array) -> np.ndarray:
-    """Round values of the fineness up to powers of 2; 0 remains 0."""
+    """Round values of the fineness up to powers of 2, at least 1/2. 0 remains 0; traced values become `_UNKNOWN_FINENESS`."""
     fineness = constant(fineness)
     if not is_concrete(fineness):
         return np.full(fineness.shape, _UNKNOWN_FINENESS)

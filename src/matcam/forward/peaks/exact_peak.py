@@ -20,7 +20,7 @@ from matcam.sample.shape import Curved, Flat
 def exact_response(rig: Rig, ndf: SlopeDistribution, theta: AnyArray, masking: Masking) -> jax.Array:
     """Compute the recorded peak divided by the true peak on the curved sample, shape (n,).
 
-    theta: viewing angles of the highlight, shape (n,), rad. An ArgumentError is raised inside jax.jit.
+    theta: viewing angles of the highlight, shape (n,), rad. An ArgumentError is raised if they are traced.
     """
     if isinstance(rig.sample, Flat):
         return jnp.ones_like(jnp.asarray(theta))
@@ -30,8 +30,8 @@ def exact_response(rig: Rig, ndf: SlopeDistribution, theta: AnyArray, masking: M
         )
     if not is_concrete(theta):
         raise ArgumentError(
-            "the integration nodes depend on theta, which must have concrete values: call this function outside "
-            "jax.jit and jax.vmap"
+            "the integration nodes of the exact response depend on theta, which must have concrete values: call this "
+            "function outside jax.jit and jax.vmap, and do not differentiate it with respect to theta"
         )
     sample, near, material = rig.sample, rig.lamp.nearness, Microfacet(ndf, 1.0, masking=masking)
     lamps = np.asarray(jax.lax.stop_gradient(sample.lamp_angle(jnp.asarray(theta), near)))

@@ -2,9 +2,11 @@
 
     record = integral of transfer(f) spectrum(f) discs(f) exp(2 pi i f x) df
 
+Here f is the frequency and x is the offset from the peak, both vectors in the plane of the sensor. The factor discs(f) is
+the product of the Fourier transforms of the discs of lamp and lens, which are uniform ellipses.
+
 The nodes are polar, a product of frequencies and azimuths. The panels of the frequencies become narrower towards f = 0,
-where the spectra of broad lobes are concentrated. The azimuths become denser towards the short axis of the lobe. The
-discs of lamp and lens are represented by factors, the Fourier transforms of uniform ellipses.
+where the spectra of broad lobes are concentrated. The azimuths become denser towards the short axis of the lobe.
 """
 
 from __future__ import annotations
@@ -56,7 +58,7 @@ def plane_record(rig: Rig, ndf: NDF, theta: jax.Array, positions: Positions | No
         rig: the rig.
         ndf: the lobe.
         theta: viewing angles of the peak, rad, (slices,).
-        positions: positions of the record; None: one point at the peak.
+        positions: offsets of the points of the record from the peak; None: one point at the peak.
     """
     scale_x, scale_y = rig.px_per_rad(theta)
     uniform = xp.isinf(scale_x) | xp.isinf(scale_y)
@@ -125,13 +127,13 @@ class _PolarNodes(NamedTuple):
 
     Attributes:
         spectrum: spectrum of the lobe.
-        frequency: frequencies, cycles/px, (n, 1).
+        frequency: frequencies, cycles/px, (frequencies, 1).
         cos: cosines of the azimuths, (azimuths,).
         sin: sines of the azimuths, (azimuths,).
-        amplitude: transfer function times the weights of all four quarters, (n, azimuths).
+        amplitude: transfer function times the weights of all four quarters, (frequencies, azimuths).
         discs: True if lamp or lens has a disc.
         largest: largest argument of `jinc`: 2 pi times the cutoff of the lens, cycles/px, times the largest radius, px.
-        together: number of slices that are summed at a time.
+        together: number of slices that are computed at a time.
     """
 
     spectrum: LobeSpectrum
@@ -147,9 +149,9 @@ class _PolarNodes(NamedTuple):
         """Compute the record of slices, (slices, points).
 
         Args:
-            scale_x: length of the lobe towards the limb, px per unit of its coordinate, (slices,).
-            scale_y: length perpendicular to this direction, px per unit of its coordinate, (slices,).
-            more: half axes of the discs, if any, px, and positions of the record, if any, px.
+            scale_x: scale of the image of the lobe towards the limb, px per unit of the coordinate of the lobe, (slices,).
+            scale_y: scale perpendicular to this direction, px per unit of the coordinate of the lobe, (slices,).
+            more: half axes of the discs, if any, px, and offsets of the points of the record from the peak, if any, px.
         """
         stretch = (scale_x[:, None] * self.cos) ** 2 + (scale_y[:, None] * self.sin) ** 2
         ln_k = xp.log(2 * np.pi * self.frequency) + xp.log(stretch)[:, None] / 2
@@ -214,7 +216,7 @@ def _largest(*lengths: jax.Array) -> float:
 
 
 def _only_length_varies(scale_x: jax.Array, scale_y: jax.Array) -> bool:
-    """Check whether there are many slices that differ only in a concrete `scale_x`, as on a distant sphere."""
+    """Check whether more than `_CHEBYSHEV` slices differ only in a concrete `scale_x`, as on a distant sphere."""
     if scale_x.size <= _CHEBYSHEV or not all(isinstance(scale, np.ndarray) for scale in (scale_x, scale_y)):
         return False
     return bool(np.all(scale_y == scale_y[0]) and np.ptp(scale_x) > 0)
@@ -223,7 +225,7 @@ def _only_length_varies(scale_x: jax.Array, scale_y: jax.Array) -> bool:
 def _interpolated(nodes: _PolarNodes, scale_x: np.ndarray, scale_y: np.ndarray) -> np.ndarray:
     """Interpolate the records at many peaks, (slices, 1).
 
-    The Chebyshev nodes lie in the logarithm of the length of the lobe.
+    The records are computed at Chebyshev nodes in the logarithm of `scale_x`.
     """
     domain = np.log([scale_x.min(), scale_x.max()])
     unit = np.polynomial.chebyshev.chebpts1(_CHEBYSHEV)

@@ -1,10 +1,11 @@
 """Spectrum of a lobe in the tangent plane, for any distribution of normals.
 
-A lobe is a function of the length of the tangent-plane coordinate, shape(r). Its Fourier transform in the plane is the
-Hankel transform 2 pi integral r shape(r) J0(k r) dr. Along a line, it is the cosine transform 2 integral shape(r) cos(k
-r) dr. Both are convolutions in ln r, which FFTs compute for all k at once: FFTLog (Talman 1978; Hamilton 2000). The
-grid covers 28 decades, which include a sharp peak, a power-law tail and all relevant frequencies. Values between its
-points are interpolated by cubics with an error of 2e-9 of the spectrum at k = 0.
+A lobe is a function shape(r) of the length r of the tangent-plane coordinate. Let k be the angular frequency. The Fourier
+transform of the lobe in the plane is the Hankel transform 2 pi integral r shape(r) J0(k r) dr. Along a line, it is the
+cosine transform 2 integral shape(r) cos(k r) dr. Both transforms are convolutions in ln r, which FFTs compute for all k at
+once: FFTLog (Talman 1978; Hamilton 2000). The grid covers 28 decades, which include a sharp peak, a power-law tail and all
+relevant frequencies. Values between the points of the grid are interpolated by cubics. The error is 2e-9 of the spectrum at
+k = 0.
 """
 
 from __future__ import annotations
@@ -27,11 +28,11 @@ _FIRST = -_STEP * _POINTS / 2
 
 
 class LobeSpectrum(NamedTuple):
-    """Fourier transform of a lobe of unit peak, tabulated over ln k.
+    """Fourier transform of a lobe of unit peak, tabulated over the logarithm of the angular frequency k.
 
     Attributes:
-        values: k (plane) or sqrt(k) (line) times the transform, k in units of 1 / scale, on the last axis.
-        scale: unit of the coordinate r, rad or a slope.
+        values: transform times k for the plane, or times sqrt(k) for a line, (..., points). k is in units of 1 / `scale`.
+        scale: roughness of the lobe, which is the unit of the coordinate; rad or a slope.
         dims: 2 for the plane, 1 for a line.
     """
 
@@ -40,9 +41,10 @@ class LobeSpectrum(NamedTuple):
     dims: int
 
     def at(self, ln_k: jax.Array) -> jax.Array:
-        """Interpolate the transform, (..., n), with the leading axes of the table.
+        """Interpolate the transform; the result has the shape of `ln_k`.
 
-        ln_k: logarithm of k, where k is in rad per unit of r.
+        ln_k: logarithm of the angular frequency, in rad per unit of the coordinate of the lobe, (..., n). If `values` has
+            leading axes, they are the leading axes of `ln_k`, too.
         """
         ln_k = ln_k + xp.log(self.scale)
         first, shares = four_about((ln_k - _FIRST) / _STEP, _POINTS)
@@ -80,7 +82,8 @@ def lobe_spectrum(ndf: NDF, dims: int, aside: jax.Array | None = None) -> LobeSp
 def _transform(dims: int) -> np.ndarray:
     """Compute the factors of FFTLog, one for each frequency w in ln r.
 
-    The transform of exp(i w ln r) r^-power is the factor times exp(-i w ln k) k^-power.
+    The transform of exp(i w ln r) r^-power is the factor times exp(-i w ln k) k^-power. The power is 1 for the plane and 1/2
+    for a line.
     """
     from scipy.special import loggamma
 

@@ -1,6 +1,6 @@
 """Response at the peak of a highlight: recorded peak over true peak (docs/model.md 4).
 
-The tangent plane approximation is fast. On a sphere of 256 px, its error is 1e-5 for lobes narrower than 0.002 rad at
+The tangent plane approximation is fast. On a sphere of 256 px radius, its error is 1e-5 for lobes narrower than 0.002 rad at
 viewing angles up to 83 degrees. The error is 2 % for lobes of 0.05 rad at 80 degrees. The exact computation integrates
 over the curved sample with its limb.
 """
@@ -36,8 +36,8 @@ def peak_response(
     In the tangent plane the response lies in (0, 1]. On a sphere, the response of a lobe much narrower than the kernel
     decreases at most by the factor cos(theta) relative to theta = 0. The integral over the lobe is accurate to 1e-6 for
     every lobe and every isotropic lens. The exact response may exceed 1 close to the limb, where the BRDF increases. The
-    relative error of the exact response is below 1e-6 for Gaussian lenses; other lenses are approximated by sums of
-    Gaussians.
+    relative error of the exact response is below 1e-6 for Gaussian lenses. Other lenses are approximated by sums of
+    Gaussians; on a sphere, the residual of this approximation is included.
 
     Args:
         rig: camera, sample and lamp.
@@ -51,13 +51,15 @@ def peak_response(
             response depends on it. Default: "smith".
 
     Returns:
-        Response, of theta's shape, no unit. Differentiable in rig, ndf and, in the tangent plane, theta.
+        Response, of the shape of `theta`, no unit. It is differentiable in the parameters of `rig` and `ndf` and, in the
+        tangent plane, in `theta`.
 
     Raises:
-        ArgumentError: an argument is out of its range, or the lens or the lobe is not isotropic.
+        ArgumentError: an argument is out of its range; the lobe is not isotropic and `exact` is False; the lens is not
+            isotropic, unless `exact` is True and the sample is a sphere; or `theta` is traced and `exact` is True.
 
     Source:
-        Holzschuch and Pacanowski (2017), section 3, as corrected in docs/model.md 4: a(w r cos theta) a(w r).
+        Holzschuch and Pacanowski (2017), section 3, as corrected in docs/model.md 4.
 
     Example:
         >>> response = matcam.peak_response(matcam.rigs.merl(), matcam.GaussianNDF(0.002), np.radians([0, 75]))

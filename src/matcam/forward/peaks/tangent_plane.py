@@ -1,12 +1,15 @@
 """Record of a specular lobe around its peak, in the tangent plane (docs/model.md 4).
 
-A curved sample is replaced by theta = theta_o + t / (r_s cos theta_o) (paper (7)), so that the lobe on the sensor is
-stretched by `px_per_rad` of the sample. Its record is an integral over frequencies for every lobe and every isotropic
-lens (`lobe_quadrature.py`). If both the lens and the lobe are sums of Gaussians, the integral has a closed form: the product
-over both directions of
+On a curved sample, the angle of the normal is approximated by a linear function of the offset t from the peak, px:
+theta = theta_o + t / (r_s cos theta_o) (Holzschuch and Pacanowski 2017, (7)). Here theta_o is the viewing angle of the
+peak, and r_s is the radius of the sample, px. The lobe on the sensor is therefore stretched by `px_per_rad` of the sample.
+The record is an integral over frequencies for every lobe and every isotropic lens (`lobe_quadrature.py`). If both the lens
+and the lobe are sums of Gaussians, the integral has a closed form. For one Gaussian of the lobe and one of the lens, it is
+the product over both directions of
 
     b(u; s) = sqrt(2 pi) s pixel.of_gaussian(u, sqrt(s^2 + sigma^2)).
 
+Here u is the offset from the peak. The standard deviations on the sensor are s for the lobe and sigma for the lens, px.
 The closed form is 30 times as fast as the integral, which matters because a table requires the record at a million positions
 around the peak.
 """
@@ -48,7 +51,7 @@ def response_at_peak(rig: Rig, ndf: SlopeDistribution, theta: jax.Array, dims: i
         dims: 2 for a real sample, 1 for the direction towards the limb only.
 
     Raises:
-        ArgumentError: the lens or the lobe is not isotropic.
+        ArgumentError: the lens or the lobe is not isotropic, or the sample is smaller than a pixel.
     """
     if not isinstance(ndf, NDF):
         raise ArgumentError(f"the tangent plane needs an isotropic lobe, not {type(ndf).__name__}: use exact=True")
@@ -76,10 +79,10 @@ def lobe_record(rig: Rig, ndf: NDF, theta_o: AnyArray, x: AnyArray, y: AnyArray)
         ndf: the lobe.
         theta_o: viewing angle of the peak, rad, (slices,).
         x: offsets towards the limb, px, (slices, points).
-        y: offsets perpendicular to this direction, px, (slices, points).
+        y: offsets perpendicular to the direction of `x`, px, (slices, points).
 
     Returns:
-        Relative record, (slices, points), no unit. At offset (0, 0) it is the response at the peak.
+        Relative record, (slices, points), no unit. At the offset (0, 0), it is the response at the peak.
     """
     positions = xp.asarray(x), xp.asarray(y)
     lens = _gaussians_of(rig)
@@ -99,7 +102,10 @@ def _gaussians_of(rig: Rig) -> Gaussians | None:
 def _closed_record(
     rig: Rig, ndf: MixtureNDF, lens: Gaussians, theta: jax.Array, positions: tuple[jax.Array, jax.Array]
 ) -> jax.Array:
-    """Compute the record of a lobe divided by the true peak, shape (slices, points). positions: x and y, px."""
+    """Compute the record of a lobe divided by the true peak, shape (slices, points).
+
+    positions: x and y offsets from the peak, px, (slices, points) each.
+    """
     if not has_discs(rig):
         return _closed_in_focus(rig, ndf, lens, theta, positions)
 
@@ -155,9 +161,9 @@ def _closed_line(rig: Rig, ndf: MixtureNDF, lens: Gaussians, theta: jax.Array, o
 
 
 def _line(rig: Rig, u: jax.Array, std: jax.Array, lens: jax.Array) -> jax.Array:
-    """Evaluate b(u; s), the one-dimensional record of a Gaussian whose peak is 1; 1 for infinite s.
+    """Evaluate the one-dimensional record of a Gaussian whose peak is 1, no unit; 1 for an infinite standard deviation.
 
-    u: offset from the peak, px. std: s, px. lens: standard deviation of the lens, px.
+    u: offset from the peak, px. std: standard deviation of the Gaussian, px. lens: standard deviation of the lens, px.
     """
     uniform = xp.isinf(std)
     std = xp.where(uniform, 1.0, std)

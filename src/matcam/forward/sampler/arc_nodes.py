@@ -70,8 +70,8 @@ def nodes_on_arcs(
 def _largest_step(frame: Frame, window: np.ndarray, arcs: Arcs) -> np.ndarray:
     """Compute the largest length in the image of a step of unit length along each arc, no unit.
 
-    It is the length where the tangent of the arc has the smallest depth. frame: frames of windows. window: index of the window
-    of each arc.
+    This length occurs where the tangent of the arc has the smallest component along the optical axis. frame: frames of
+    windows. window: index of the window of each arc.
     """
     (_, _, along), (_, _, across) = frame.first, frame.second
     from_flat = arcs.middle - np.arctan2(across, along)[window]  # azimuth from the position whose tangent has no depth

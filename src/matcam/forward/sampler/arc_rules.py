@@ -1,8 +1,8 @@
 """Quadrature rules in [-1, 1]: Gauss-Legendre rules, and midpoint rules for integrands that vanish at both ends.
 
 If all derivatives of a smooth integrand are negligible at both ends, the midpoint rule converges exponentially
-(Trefethen and Weideman 2014, 10.1137/130932132). It requires half as many nodes as a Gauss-Legendre rule. This holds on
-an arc whose ends lie on the border of a window.
+(Trefethen and Weideman 2014, 10.1137/130932132). It requires half as many nodes as a Gauss-Legendre rule. The
+derivatives are negligible at both ends of an arc if both ends lie on the border of a window.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ def arc_rule(even: bool, count: int) -> np.ndarray:
 
 @cache
 def arc_rules(even: bool, most: int, step: int = 2) -> np.ndarray:
-    """Tabulate rules by their number of nodes, padded with zeros, (2, most + 1, most).
+    """Tabulate nodes and weights of rules by their number of nodes, padded with zeros, (2, most + 1, most).
 
     Only the numbers `step`, 2 `step`, ... up to `most` have rules. The numbers of nodes on arcs are even.
     """

@@ -34,7 +34,7 @@ class Frame(NamedTuple):
 
 
 class Clips(NamedTuple):
-    """Half-spaces a . n <= b in the frame of the circles, arrays of shape (windows, half-spaces).
+    """Half-spaces a . n <= b of normals n in the frame of the circles, arrays of shape (windows, half-spaces).
 
     Attributes:
         axial: component of a along the axis.
@@ -50,7 +50,7 @@ class Clips(NamedTuple):
 
     @classmethod
     def of(cls, half_spaces: tuple[np.ndarray, np.ndarray], frame: Frame) -> Clips:
-        """Express half-spaces a . n <= b in the frame of the circles.
+        """Express half-spaces a . n <= b of normals n in the frame of the circles.
 
         half_spaces: a, shape (3, windows, half-spaces), and b, shape (windows, half-spaces).
         """
@@ -64,9 +64,10 @@ def _gaps(
 ) -> tuple[jax.Array, jax.Array]:
     """Compute the start and the length of the parts of circles inside all half-spaces, (..., half-spaces), rad.
 
-    Entries without a part have the length 0. On a circle, a half-space excludes one interval. A part starts at the end of an
-    interval that no other interval covers, and ends at the next start of an interval. The length is negative
-    if both ends of the part lie on sides of the window: a further array of flags would increase the computing time by 40 %.
+    Entries without a part have the length 0. On a circle, a half-space excludes one interval. The end of an interval is the
+    start of a part if no other interval covers it. The part extends to the next start of an interval. The length is
+    negative if both ends of the part lie on sides of the window, or if the part is a whole circle. A further array of flags
+    would increase the computing time by 40 %.
 
     Args:
         axial: see `Clips`, (..., half-spaces).

@@ -39,7 +39,10 @@ class Rings(NamedTuple):
     matrix: np.ndarray
 
     def interpolated(self, radiance: AnyArray) -> AnyArray:
-        """Compute the radiance at the cells, (cells, channels). radiance: radiance at the positions of all rings."""
+        """Compute the radiance at the cells, (cells, channels), 1/sr.
+
+        radiance: radiance at the positions of all rings, (positions, channels), 1/sr.
+        """
         rings = self.cells.size // self.matrix.shape[0]
         count = self.matrix.shape[1]
         own = radiance[self.first : self.first + rings * count].reshape(rings, count, -1)
@@ -54,9 +57,10 @@ def rings_of(
     Args:
         theta_h: half angles of the points of all cells, (theta_d, theta_h, phi_d, point, point), rad.
         theta_d: difference angles, of the same shape, rad.
-        phi_d: their azimuths, of the same shape, rad.
+        phi_d: azimuths of the difference vector, of the same shape, rad.
         seen: True for points with a position on the sensor, of the same shape.
-        per_radian: shift of the image per rotation of the normal, in standard deviations of the lens per rad; 0: unknown.
+        per_radian: shift of the image per rotation of the normal, in standard deviations of the lens per rad. 0: the
+            shift is unknown, and no ring is interpolated.
         mirrored: True if phi_d covers half a turn, and a record is an even function of phi_d.
 
     Returns:

@@ -1,13 +1,16 @@
 """Circles of normals along which the record of a window is integrated (docs/forward.md).
 
-The radiance of a lobe depends mainly on the angle from the normal of the highlight. Circles about this normal that are
-denser towards it therefore resolve a highlight of any width. Far from the highlight, the shape of the window on the sphere
-matters more: near the limb the window is a narrow strip. The axis of its circles is then perpendicular to the strip and to the
-optical axis. The circles run along the strip, and cross limb and terminator at large angles.
+The radiance of a lobe depends mainly on the angle from the normal of the highlight. Circles about this normal therefore
+resolve a highlight of any width if they become denser towards the normal. Far from the highlight, the shape of the window
+on the sphere matters more: near the limb the window is a narrow strip. The axis of the circles is then perpendicular to the
+strip and to the optical axis. The circles run along the strip, and cross limb and terminator at large angles.
 
 The angles theta of the circles from the axis are nodes of a quadrature rule (`arc_rules`) in
 
     t(theta) = 3 asinh(theta / scale) + theta / pitch.
+
+Far from the axis, the distance between neighbouring nodes is proportional to `pitch`, rad. The nodes become denser towards
+the axis down to an angle of `scale`, rad.
 
 At a circle that touches limb or terminator, the length of the arcs has a square-root singularity in theta. Another
 substitution removes the singularity.
@@ -84,9 +87,9 @@ class CircleLayout(NamedTuple):
     """Circles and arcs of some windows.
 
     Attributes:
-        frame: frame of the circles of each window, arrays of shape (windows,).
-        highlight: smallest angle between the highlight and a window with circles about another axis, rad; infinite for the
-            other windows.
+        frame: frame of the circles of each window, arrays of shape (3, windows).
+        highlight: smallest angle between the highlight and a window whose circles have another axis than the highlight,
+            rad; infinite for windows with circles about the highlight.
         circles: the circles.
         arcs: their arcs.
     """

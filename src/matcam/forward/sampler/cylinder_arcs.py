@@ -7,8 +7,9 @@ the position of the rows are substituted:
 
     u = centre + scale sinh(t).
 
-The radiance of a lobe is smooth in t. The centre is the u at which the row is closest to the half vector. If limb or
-terminator lies in the window, masking varies on the scale of the lobe there, so a separate arc begins at that end.
+The radiance of a lobe is smooth in t. For u, the centre is the angle at which the normal is closest to the half vector. For
+the rows, u is replaced by the row, and the centre is the row of the highlight. If limb or terminator lies in the window,
+masking varies on the scale of the lobe there, so a separate arc begins at that end.
 """
 
 from __future__ import annotations
@@ -90,7 +91,7 @@ class CrossArcs(NamedTuple):
 
 
 def smooth_on_cylinder(imaging: Imaging, windows: Windows, near: float) -> np.ndarray:
-    """Find pixels of a cylinder in whose window the radiance is smooth on the scale of the kernel.
+    """Find the pixels of a cylinder in whose windows the radiance is smooth on the scale of the kernel.
 
     Args:
         imaging: cylinder, blur and inverse distance of the lamp.

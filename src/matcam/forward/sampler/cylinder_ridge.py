@@ -37,13 +37,13 @@ class PlacedLamps(NamedTuple):
 
 
 def towards(lamp_angle: ArrayLike, azimuth: ArrayLike) -> Vector:
-    """Compute unit vectors to lamps from their angles to the optical axis and their azimuths, rad."""
+    """Compute the unit vectors towards lamps. lamp_angle: angle to the optical axis, rad. azimuth: azimuth about it, rad."""
     sine = jnp.sin(lamp_angle)
     return sine * jnp.cos(azimuth), sine * jnp.sin(azimuth), jnp.cos(lamp_angle)
 
 
 def ends_of_light(cylinder: Cylinder, light: PlacedLamps) -> tuple[jax.Array, jax.Array]:
-    """Compute the range of u, rad, in which the cylinder is visible and lit. Limb and terminator are straight."""
+    """Compute the range of the angle u of the normal, rad, in which the cylinder is visible and lit."""
     across = jnp.hypot(light.towards[0], light.towards[2])
     # a lamp along the axis lights no surface
     near = None if light.nearness is None else light.nearness / jnp.maximum(across, 1e-12)
@@ -53,7 +53,7 @@ def ends_of_light(cylinder: Cylinder, light: PlacedLamps) -> tuple[jax.Array, ja
 def mirror_row(cylinder: Cylinder, light: PlacedLamps, low: jax.Array, high: jax.Array) -> jax.Array:
     """Compute the row of the highlight, px; 0 if the highlight extends over all rows, or if there is none.
 
-    low, high: range of u that is visible and lit, rad.
+    low, high: range of the angle u of the normal in which the cylinder is visible and lit, rad.
     """
     x, y, z = light.towards
     if light.nearness is None and cylinder.distant:

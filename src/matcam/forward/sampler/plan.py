@@ -1,8 +1,8 @@
 """Plan of a record: the quadrature nodes of each pixel.
 
 Number and positions of the nodes depend on the rig and on the narrowest scale of the lobe. A record must nevertheless
-be a continuous function of their parameters. A plan is therefore constant: with one plan, a record is a smooth function
-of material and camera.
+be a continuous function of the parameters of rig and lobe. A plan is therefore constant: with one plan, a record is a
+smooth function of material and camera.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ class ArcRows(NamedTuple):
     Attributes:
         nodes: number of nodes.
         position: index of the pixel.
-        window: index of the pixel among those with arcs.
+        window: index of the pixel among the pixels with arcs.
         angle: angle of the circle from its axis, rad.
         weight: weight of the circle, see `Circles`, times half the length of the arc.
         middle: azimuth of the middle of the arc, rad.
@@ -134,10 +134,11 @@ def record_plan(imaging: Imaging, positions: RecordPositions, finest: float, elo
             may vary on a smaller scale than the kernel. Default: 1, an isotropic lobe.
 
     Returns:
-        The plan. It is valid for materials that are not narrower, and for cameras whose parameters differ little.
+        The plan. It is valid for materials whose lobes are not narrower than `finest`, and for cameras whose parameters
+        differ little from those of `imaging`.
 
     Raises:
-        ArgumentError: the call is inside jax.jit.
+        ArgumentError: the call is inside jax.jit, or the sample is smaller than the blur.
     """
     imaging = jax.lax.stop_gradient(imaging)
     groups = groups_of(imaging.blur, imaging.sample)
@@ -218,13 +219,13 @@ def _highlight_blocks(used: jax.Array, rows: tuple[jax.Array, ...], imaging: Ima
 
 
 def _near(view: SphereView, pixels: Windows, distance: float) -> np.ndarray:
-    """Find pixels in a square around the highlight, whose half side is `distance`, px."""
+    """Find the pixels in a square around the highlight. distance: half the side of the square, px."""
     peak = np.stack([np.sin(pixels.peak), np.zeros(pixels.x.size), np.cos(pixels.peak)])
     return pixels._replace(half=np.full_like(pixels.half, distance)).contains(view, peak)
 
 
 def _crowded(view: SphereView, pixels: Windows) -> np.ndarray:
-    """Find pixels whose angular distance from the highlight is below the foreshortened length of the kernel."""
+    """Find the pixels whose angular distance from the highlight is below the angular size of their kernel on the sphere."""
     n_x, n_y, n_z = view.normals(*pixels.to_lamp(pixels.x, pixels.y))
     sine, cosine = np.sin(pixels.peak), np.cos(pixels.peak)
     between = np.arctan2(np.hypot(n_x * cosine - n_z * sine, n_y), n_x * sine + n_z * cosine)
@@ -270,7 +271,9 @@ def _clear_blocks(
 def _residual_beside(
     imaging: Imaging, view: SphereView, pixels: Windows, positions: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Select pixels that require no arcs: with the limb in the support of a residual, and with smooth radiance.
+    """Select two groups of pixels whose residual requires no arcs.
+
+    The support of the residual contains the limb for the first group, and only smooth radiance for the second group.
 
     A terminator, where the radiance starts at 0, changes the contribution of the residual by at most 2e-5 of the peak. A
     terminator near the limb matters only if the lit part is a thin crescent.

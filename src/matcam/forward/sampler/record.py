@@ -71,7 +71,8 @@ def record(material: Material, imaging: Imaging, plan: RecordPlan, turning: jax.
         turning: small offset of all lamp angles, rad. Default: 0.
 
     Returns:
-        Radiance under unit irradiance, 1/sr, (positions, channels). Differentiable in material, sample, blur and turning.
+        Radiance under unit irradiance, 1/sr, (positions, channels). It is differentiable in the parameters of material,
+        sample and blur, and in `turning`.
     """
     subject = Subject(with_tabulated_masking(material), imaging, jnp.asarray(turning, dtype=float))
     shape = plan.positions.x.size, subject.under(jnp.zeros(())).channels()
@@ -85,15 +86,16 @@ def record(material: Material, imaging: Imaging, plan: RecordPlan, turning: jax.
 
 
 class _Tile(NamedTuple):
-    """Rows that one call of a program computes: arcs, or pixels with smooth radiance.
+    """Rows that one call of a program computes: arcs, or pixels without arcs.
 
     Attributes:
         terms: indices of the terms of the blur.
         position: index of the position of each row.
         used: number of blocks with rows.
         rows: the rows, in arrays of shape (blocks, rows).
-        counts: number of nodes in each block of arcs; None: the rows are pixels.
-        rules: Gauss-Legendre rules for arcs; for pixels, the rule for the residual of a lens at the limb, or None.
+        counts: number of nodes on each arc of a block, (blocks,); None: the rows are pixels.
+        rules: Gauss-Legendre rules or midpoint rules for arcs; for pixels, the rule for the residual of a lens at the limb,
+            or None.
     """
 
     terms: tuple[int, ...]

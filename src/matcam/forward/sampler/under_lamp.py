@@ -65,7 +65,7 @@ def record_under_points(
     Args:
         material: the material.
         imaging: imaging of the rig under a point lamp.
-        positions: the positions; their lamp angles are not used.
+        positions: the positions; their lamp angles and azimuths are not used.
         points: points of the lamp; angle and azimuth are scalars, or have the shape (positions,).
         turning: small offset of all lamp angles, rad. Default: 0.
 

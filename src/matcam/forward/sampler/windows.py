@@ -1,7 +1,7 @@
 """Windows: squares on the sensor about pixels, which contain the support of the kernel.
 
-On a sphere, each side of a window, the limb and the terminator bound a half-space of normals, a . n <= b, for any distance
-of camera and lamp and any rotation of the pixel (docs/model.md 3 and 10).
+On a sphere, each side of a window, the limb and the terminator bound a half-space a . n <= b of normals n. This is true for
+any distance of camera and lamp and any rotation of the pixel (docs/model.md 3 and 10).
 """
 
 from __future__ import annotations
@@ -88,9 +88,10 @@ class Windows(NamedTuple):
         return x * cosine + y * sine, y * cosine - x * sine
 
     def border(self, view: SphereView, at: np.ndarray | None = None) -> np.ndarray:
-        """Compute normals along the border of each window, moved to the limb from outside, (3, windows, points).
+        """Compute the normals along the border of each window, (3, windows, points).
 
-        at: positions along the border in sides, from 0 at a corner to 4, (windows, points). Default: None, equally spaced.
+        Positions beyond the limb are moved to the limb. at: positions along the border in sides, from 0 at a corner to 4,
+            (windows, points). Default: None, equally spaced.
         """
         at = np.arange(4 * _PER_SIDE)[None] / _PER_SIDE if at is None else np.mod(at, 4)
         side, along = at.astype(int), 2 * (at % 1) - 1
@@ -128,7 +129,7 @@ class Windows(NamedTuple):
         return (np.abs(x - self.x) < self.half[0]) & (np.abs(y - self.y) < self.half[1])
 
     def half_spaces(self, view: SphereView) -> tuple[np.ndarray, np.ndarray]:
-        """Compute the half-spaces of limb, terminator and four sides: a, shape (3, windows, 6), and b, shape (windows, 6)."""
+        """Compute the half-spaces a . n <= b of limb, terminator and four sides: a, (3, windows, 6), and b, (windows, 6)."""
         zero, one = np.zeros(self.x.size), np.ones(self.x.size)
         normals = [(zero, zero, -one), (-np.sin(self.lamp), zero, -np.cos(self.lamp))]
         offsets = [-view.camera * one, -view.lamp * one]

@@ -119,7 +119,8 @@ class Correction(Summarised):
             masking: masking G of the lobe. Default: "smith".
             noise: noise of a pixel. Default: None, estimated.
             glare: share of the light that the lens may scatter (no unit). Default: 1e-3.
-            force_correction: True to correct a table whose data contradict the rig. Default: False.
+            force_correction: True to correct the table even if the data contradict the rig, or do not determine the blur of
+                a lens that is a guess. Default: False.
             workspace: store of results that depend only on the rig. Default: None, that of the process.
 
         Returns:
@@ -184,17 +185,18 @@ class Correction(Summarised):
         )
 
     def uncertainty_budget(self, theta_d: float, channel: int | None = None) -> UncertaintyBudget:
-        """Compute the uncertainty budget of the corrected peak at an angle (GUM).
+        """Compute the uncertainty budget of the corrected peak at an angle.
 
-        The combined uncertainty is `brdf_std` of the entry at theta_h = 0, phi_d = 90 degrees. The sources are the readings of
-        the pixels, the specified camera, the other explanations of the table, glare, the body, and the noise of the entry.
+        The budget follows the Guide to the Expression of Uncertainty in Measurement (GUM). The combined uncertainty is
+        `brdf_std` of the entry at theta_h = 0, phi_d = 90 degrees. The sources are the readings of the pixels, the specified
+        camera, the other explanations of the table, glare, the body, and the noise of the entry.
 
         Args:
             theta_d: difference angle, rad. The slice that contains it is used.
             channel: index of the channel, no unit. Default: None, the middle channel.
 
         Raises:
-            ArgumentError: the table has no standard deviation there.
+            ArgumentError: an argument is out of range, or the table has no standard deviation of the peak at `theta_d`.
 
         Example:
             >>> done.uncertainty_budget(np.radians(45.0)).expanded  # doctest: +SKIP
@@ -214,7 +216,7 @@ class Correction(Summarised):
         return parts_budget(f"peak at {degrees:.1f} deg, {label}, 1/sr", value, self.peak_parts, (int(at[1]), channel))
 
     def uncertainty_budgets(self) -> list[UncertaintyBudget]:
-        """Compute the uncertainty budgets of the peaks at three angles (GUM).
+        """Compute the uncertainty budgets of the peaks at three angles.
 
         Returns:
             Budgets at theta_d = 5, 45 and 75 degrees for each channel. Peaks without a standard deviation are omitted.
@@ -274,7 +276,7 @@ class Correction(Summarised):
 
     @property
     def verdict(self) -> str:
-        """Summary of the result in two or three sentences."""
+        """Summary of the result in three sentences."""
         if self.withheld:
             return (
                 "Rig and data contradict each other, so the table is not corrected. The remarks name the contradiction. "
@@ -316,7 +318,8 @@ class Correction(Summarised):
         """Convert the result, without the table, to JSON types.
 
         Returns:
-            The dictionary that `matcam correct --json` prints. Angles are in rad, as indicated by their names.
+            The dictionary that `matcam correct --json` prints. Fitted angles are in rad. The number 75 in a name, and the keys
+            of "peak_lost", are values of theta_d, degrees.
         """
         lost = self.peak_loss(np.radians(_ANGLES))
         return {
@@ -367,9 +370,9 @@ def correct(
 ) -> xr.Dataset:
     """Correct a table for the camera that recorded it.
 
-    Lobes are fitted to the table through the camera. F is free in every slice, and a diffuse part is added. The lobes are
-    averaged according to their evidence. The part of each entry above the body is multiplied by the ratio of true to recorded
-    lobe, so the details of the measurement are preserved. `Correction.of` also returns the fits.
+    Lobes are fitted to the table through the camera. The Fresnel term is free in every slice, and a diffuse part is added. The
+    lobes are averaged according to their evidence. The part of each entry above the body is multiplied by the ratio of true to
+    recorded lobe, so the details of the measurement are preserved. `Correction.of` also returns the fits.
 
     Args:
         brdf: table of the form that `read_merl` returns, 1/sr.
@@ -381,7 +384,8 @@ def correct(
         noise: noise of a pixel. Default: None, estimated from the table.
         glare: share of light (no unit) that the lens may scatter in addition to its profile. Default: 1e-3. It limits the
             entries beside a highlight that are supported; specify a smaller share for a lens that is known to be clean.
-        force_correction: True to correct a table whose data contradict the rig. Default: False, it is left unchanged.
+        force_correction: True to correct the table even if the data contradict the rig, or do not determine the blur of a
+            lens that is a guess. Default: False, such a table is left unchanged.
         workspace: store of results that depend only on the rig. Default: None, that of the process.
 
     Returns:

@@ -1,10 +1,10 @@
 """Limits of a correction: uncertain corrections are reduced, and the albedo remains physically possible.
 
-- The logarithm L of the ratio of true to recorded lobe, with standard deviation s, is reduced to L (1 - s^2 / L^2), and to 0 if
-  s exceeds |L| (the positive-part estimator of James and Stein). Well determined corrections hardly change.
+- The logarithm L of the ratio of true to recorded lobe has the standard deviation s. It is reduced to L (1 - s^2 / L^2), or to
+  0 if s exceeds |L| (the positive-part estimator of James and Stein). Well determined corrections hardly change.
 - If rig and data contradict each other, the ratio is 1. Its standard deviation is the change that the rig predicts.
-- The directional albedo of a surface is at most 1 (docs/model.md 1). If a correction would exceed this limit, the increases of
-  the values are reduced within their standard deviation.
+- The directional albedo of a surface is at most 1 (docs/model.md 1). If a corrected table would exceed this limit, the
+  increases of the values are reduced by at most two standard deviations of the correction.
 """
 
 from __future__ import annotations

@@ -1,15 +1,17 @@
 """Evidence of the explanations of a table: their marginal likelihoods on a common scale.
 
-An explanation is a model of the table. The variance of a cell is the sum of pixel noise, V0, and model error,
-tau^2 m^2 + tau_f^2 P^2, where m is the modelled value and P the peak of the slice. The misfit t is the root mean square of the
-model error of the cells, relative to sqrt(m^2 + (1e-2 P)^2). It has an exponential prior. Laplace's approximation gives
+An explanation is a model of the table. The variance of a cell is the sum of the variance V0 of pixel noise, and of the variance
+tau^2 m^2 + tau_f^2 P^2 of the model error. Here m is the modelled value, and P is the peak of the slice. The factors tau and
+tau_f are estimated from the residuals. The misfit t is the root mean square of the model error of the cells, relative to
+sqrt(m^2 + (1e-2 P)^2). It has an exponential prior. Laplace's approximation of the evidence E is
 
     ln E = kappa ln L + ln p(t) + ln p(theta) + k/2 ln 2 pi - 1/2 ln |kappa H + Q| + sum_s 1/2 ln(2 pi / (kappa q_s)) ,
 
-where H is the information matrix of the data for the k parameters theta, Q the information matrix of the prior, and q_s the
-information about the free strength of slice s (MacKay 2003, chapter 28). Misfit is correlated between cells, so the likelihood
-is tempered (Gruenwald 2012). The exponent kappa = min(1, 1 / chi^2) is the share of pixel noise in the variance of the best
-explanation, where chi^2 is the mean squared residual of this explanation relative to the variance of pixel noise.
+where L is the likelihood, and p is a prior density. H is the information matrix of the data for the k parameters theta, Q
+is the information matrix of the prior, and q_s is the information about the free strength of slice s (MacKay 2003, chapter
+28). Misfit is correlated between cells, so the likelihood is tempered (Gruenwald 2012). Its exponent is
+kappa = min(1, 1 / chi^2), the share of pixel noise in the variance of the best explanation. Here chi^2 is the mean squared
+residual of this explanation relative to the variance of pixel noise.
 
 V0 is estimated without a model of the lobe, from cells at mirrored positions, or from the differences between channels. If
 neither determines V0, kappa is the share of independent cells, computed from the correlation of the residuals of neighbouring
@@ -71,8 +73,9 @@ evidence depend only on the logarithms of the standard deviations.
 def noise_without_model(setup: FitSetup, found: MaterialFit) -> PixelNoise | None:
     """Estimate the noise of a pixel without a model of the lobe.
 
-    Two estimates are upper bounds of the noise. Mirrored cells also differ because of lens aberrations, and channels also
-    differ because of structure that only one channel has. The result is the estimate with the smaller variance.
+    Noise is estimated from the differences between mirrored cells, and from the differences between channels. Both estimates
+    are upper bounds. Mirrored cells also differ because of lens aberrations, and channels also differ because of structure
+    that only one channel has. The result is the estimate with the smaller variance.
 
     Args:
         setup: setup of a fit. If its noise is specified, the result is this noise. Otherwise its cells are compared with
@@ -102,8 +105,8 @@ def _at_least(noise: PixelNoise, least: PixelNoise) -> PixelNoise:
 def _mirrored_noise(setup: FitSetup) -> PixelNoise | None:
     """Estimate noise from the differences between cells at phi_d and pi - phi_d.
 
-    An isotropic lens records the same value in both (docs/model.md 3). Cells of a symmetrised table have equal values although
-    they have noise, so the result is None if most pairs are equal.
+    An isotropic lens records the same value in both cells (docs/model.md 3). Cells of a symmetrised table have equal values
+    although they have noise, so the result is None if most pairs are equal.
     """
     problem = setup.problem
     cells, data, (table,) = problem.cells, problem.data, setup.tables
@@ -123,7 +126,7 @@ def _mirrored_noise(setup: FitSetup) -> PixelNoise | None:
 
 
 def _channel_noise(found: MaterialFit) -> PixelNoise | None:
-    """Estimate noise from residual differences between channels, in which errors of the lobe model cancel."""
+    """Estimate noise from the differences between the residuals of channels. Errors of the lobe model cancel in them."""
     problem, model = found._solution.problem, found._solution.model
     data, residual = problem.data, problem.residual(model)
     units = len(data.labels)

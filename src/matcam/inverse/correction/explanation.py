@@ -1,7 +1,8 @@
 """Explanations of a table, weighted by their evidence (docs/correct.md).
 
 An explanation is a model of the table, with or without a camera. `correct` and `fresnel` use the same explanations, so their
-results are consistent. Every explanation is fitted to the same cells, with F free in every slice and a diffuse part:
+results are consistent. Every explanation is fitted to the same cells. The Fresnel term F is free in every slice, and a diffuse
+part is added. The explanations are:
 
 - A lobe of each family through the camera. The uncertainty of the lens (width and shape) is a prior of the fit.
 - If the residuals of all these fits exceed pixel noise: Student's t with a free tail exponent, two lobes, a lobe of each family
@@ -156,7 +157,10 @@ class Explanation(NamedTuple):
         )
         if self.shadowed is not None:
             text += f", and {noise[2]} without the camera but with free shadowing and one lobe per channel"
-        return Remark("no-blur-in-data", f"{text}; a wrong radius of the sample in the rig has the same effect")
+        text += (
+            "; check the camera and the radius of the sample, because a wrong radius of the sample has the same effect"
+        )
+        return Remark("no-blur-in-data", text)
 
     @property
     def remarks(self) -> tuple[Remark, ...]:
@@ -168,7 +172,7 @@ class Explanation(NamedTuple):
                 Remark(
                     UNEXPLAINED,
                     f"pixel noise ({self.weighing.noise.relative:.1%}) does not explain {1 - self.weighing.kappa:.0%} of the "
-                    "variance of the residuals: no lobe that was tried explains the data fully",
+                    "variance of the residuals: no lobe that was tried explains the data fully; check the rig",
                 )
             )
         return (*remarks, *(refit.remark for refit in self.refits if refit.contradicts))

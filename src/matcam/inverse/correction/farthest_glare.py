@@ -27,7 +27,7 @@ class FarthestGlare(NamedTuple):
     The glare is a halo of any radius that contains a given share of the light of the highlight.
 
     Attributes:
-        strength: F of the highlight of each slice multiplied by the share of glare (no unit), (90, channels).
+        strength: Fresnel term F of each slice multiplied by the share of glare (no unit), (90, channels).
         of_mirror: contribution for F = 1 and a share of 1, 1/sr, (90, 90, 180).
     """
 
@@ -69,8 +69,8 @@ def farthest_glare(
 def _of_mirror(view: SampleView, sampling: Sampling, nearest: float) -> np.ndarray:
     """Compute the largest contribution of glare for F = 1 and a share of 1, 1/sr, (90, 90, 180).
 
-    A Gaussian of standard deviation s adds flux exp(-d^2 / 2 s^2) / (2 pi s^2) at distance d from the highlight. The maximum
-    over s is flux / (pi e d^2).
+    A Gaussian halo of standard deviation s adds flux exp(-d^2 / 2 s^2) / (2 pi s^2) at distance d from the highlight, where
+    flux is the integral of the highlight over the sensor. The maximum over s is flux / (pi e d^2).
 
     nearest: smallest distance d, px. Cells at smaller distances have the contribution at this distance.
     """

@@ -1,10 +1,10 @@
 """Uncertainty of the shape of a lobe.
 
-The record is linear in D. After a fit, the coefficients b_k of a modified lobe D (1 + sum_k b_k B_k(theta)) with smooth B_k are
-therefore determined by a linear least-squares problem (docs/model.md 8). It includes small changes of the parameters of the
-fit, and the strengths are free in every slice. The evidence of the linear model determines the prior variance of the b_k, and
-the posterior covariance of the b_k is the uncertainty of the shape. The lobe itself is not modified, because a spline-modified
-lobe is a separate explanation.
+The record is linear in the distribution D of the normals. After a fit, the coefficients b_k of a modified lobe D (1 + sum_k
+b_k B_k(theta)) with smooth B_k are therefore determined by a linear least-squares problem (docs/model.md 8). This problem
+includes small changes of the parameters of the fit, and the strengths are free in every slice. The evidence of the linear
+model determines the prior variance of the b_k, and the posterior covariance of the b_k is the uncertainty of the shape. The
+lobe itself is not modified, because a spline-modified lobe is a separate explanation.
 """
 
 from __future__ import annotations

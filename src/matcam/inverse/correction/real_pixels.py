@@ -116,7 +116,7 @@ def _log_behind(record: _SliceRecord, radius: float, theta_d: float, pixels: Pix
 def _record(where: ResponseLattice, at: FitCoordinates, shifts: np.ndarray) -> np.ndarray:
     """Compute the record on a lattice, 1/sr, (slices, rings, azimuths of `_around`).
 
-    Invalid cells of the first slice are NaN. Those of another slice have the value of the preceding slice.
+    Invalid cells of the first slice are NaN. Invalid cells of another slice have the value of the preceding slice.
 
     shifts: coordinates along the axes of the lattice.
     """

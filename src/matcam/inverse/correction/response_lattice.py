@@ -114,7 +114,7 @@ class ResponseLattice(NamedTuple):
     far_cosine: float
 
     def of_fresnel(self, log_slope: Callable[[np.ndarray], np.ndarray]) -> ResponseLattice:
-        """Include the variation of F within the cells of a near rig.
+        """Include the variation of the Fresnel term F within the cells of a near rig.
 
         log_slope: function that computes the derivative of ln F with respect to theta_d, 1/rad, at angles theta_d, rad.
         """

@@ -42,7 +42,7 @@ class RigRefit(NamedTuple):
         axis: free parameter of the rig.
         coordinate: coordinate of the parameter from the data alone, without its prior, within the range of the axis; 0 is the
             specified value.
-        value: value of the parameter at this coordinate, in its own unit.
+        value: value of the parameter at this coordinate, px for the lens and rad for the lamp.
         std: standard deviation of `value`, in the same unit.
         contradicts: True if rig and data contradict each other.
         fit: fit with this parameter free.
@@ -73,11 +73,13 @@ class RigRefit(NamedTuple):
         else:
             decimals, gives = 3, f"{'at least' if self.coordinate > 0 else 'at most'} {value:.3f}"
         code, what = ("lens", "lens width") if self.axis.name == LENS else ("lamp", "lamp radius")
+        included = f"the {what} is fitted with its specified uncertainty"
+        if self.counted:
+            included = f"the uncertainty includes {self.counted:g} times the difference"
         return Remark(
             f"{code}-contradicts-data",
             f"a fit with free {what} gives {gives} {unit} instead of {base:.{decimals}f} {unit}: the camera, the radius of the "
-            "sample, the lamp or the family of the lobe contradicts the data; the uncertainty includes "
-            f"{CONTRADICTION_WEIGHT:g} times the difference",
+            f"sample, the lamp or the family of the lobe contradicts the data; check them; {included}",
         )
 
     def to_dict(self) -> dict[str, Any]:
@@ -107,7 +109,7 @@ def rig_refits(setup: FitSetup, rig: Rig, found: MaterialFit, names: Sequence[st
 
 
 def _followed_refit(free: FitSetup, found: MaterialFit, name: str) -> RigRefit:
-    """Refit with a parameter free near its specified value, or in its whole range if the data require it."""
+    """Refit with a parameter free near its specified value, or in its whole range if the data require a distant value."""
     refit = _free_refit(free.with_(nearby=True).solve(start=found, weights="start"), name)
     axis, whole = refit.axis, next(axis for axis in free.prior.axes if axis.name == name)
     ends = [own for own, far in ((axis.low, whole.low), (axis.high, whole.high)) if own != far]

@@ -29,7 +29,7 @@ def in_all_slices(few: MaterialFit, setup: FitSetup, slice_step: int) -> tuple[M
         slice_step: spacing of the slices of theta_d.
 
     Returns:
-        Fit in the slices, and its setup.
+        Fit in every `slice_step`-th slice, and the setup of this fit.
     """
     whole = setup.with_(slice_step=slice_step, learned_spline=learned_spline(few, setup.spline))
     return whole.solve(start=few), whole

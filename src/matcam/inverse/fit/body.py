@@ -1,9 +1,10 @@
 """BRDF of the body under a fitted lobe: diffuse part and rough base.
 
 The diffuse part is Lambertian, or lies under a dielectric coat, such as the body of a plastic. Light that enters and leaves
-through the coat has the factor (1 - F(theta_i)) (1 - F(theta_o)) relative to Lambert's law (Shirley et al. 1997; Burley 2012,
-5.3). Real bodies lie between the two, because the coat also reflects light back into the body. A fit therefore determines the
-share of the diffuse part that is coated. If the data do not determine it, its prior contributes to the uncertainty.
+through the coat has a BRDF proportional to (1 - F(theta_i)) (1 - F(theta_o)) (Shirley et al. 1997; Burley 2012, 5.3). Here
+F is the Fresnel term of the coat, and theta_i and theta_o are the angles of incidence and view to the normal. Real bodies
+lie between the two, because the coat also reflects light back into the body. A fit therefore determines the share of the
+diffuse part that is coated. If the data do not determine it, its prior contributes to the uncertainty.
 
 A rough base under a smooth coat describes flakes under a clear coat, a lacquer or a varnish. The fitted lobe is that of the
 coat. Light that crosses the coat, is reflected by a base of reflectance R, and crosses the coat again has the BRDF (Weidlich &
@@ -11,10 +12,10 @@ Wilkie 2007, section 3)
 
     R D G / (4 cos_i cos_o) (1 - F(theta_i)) (1 - F(theta_o)) .
 
-D and G are those of a GGX surface with the roughness of the base, and F is that of a coat of refractive index 1.5. Refraction
-is neglected, so the roughness of the base is its apparent roughness from outside the coat. A fit computes the record of D G by
-the operator of its camera; the transmittances are smooth, so they are those of each cell. A corrected table neglects the small
-difference between the record of a base and its BRDF.
+D and G are those of a GGX surface with the roughness of the base, and F is that of a coat of refractive index 1.5.
+Refraction is neglected, so the roughness of the base is its apparent roughness from outside the coat. A fit computes the
+record of D G by the operator of its camera. The transmittances 1 - F are smooth, so their values at each cell are used. A
+corrected table neglects the small difference between the record of a base and its BRDF.
 """
 
 from __future__ import annotations
@@ -95,8 +96,8 @@ def base_and_slope(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Compute the BRDF of a base and its derivative.
 
-    The base has a reflectance of 1. The derivative is with respect to ln roughness. Both have the unit 1/sr and the shape to
-    which the angles, rad, broadcast.
+    The base has a reflectance of 1. The derivative is with respect to ln roughness. Both results have the unit 1/sr, and the
+    shape to which the angles, rad, broadcast. They are 0 below the horizon.
     """
     value, slope = _with_slope(*(placed(np.asarray(a, dtype=float)) for a in (log_roughness, theta_h, theta_d, phi_d)))
     return np.asarray(value), np.asarray(slope)

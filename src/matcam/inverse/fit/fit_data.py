@@ -56,7 +56,8 @@ def at_largest_noise(noise: PixelNoise) -> bool:
 class FitData(NamedTuple):
     """Values to which a material is fitted.
 
-    In the shapes, u is the number of units (each is a channel of a table), s of slices, and n of cells in a slice.
+    In the shapes, u is the number of units, s is the number of slices, and n is the number of cells in a slice. A unit is one
+    channel of one table.
 
     Attributes:
         values: values of the cells, 1/sr, (u, s, n); 0 for unused cells.
@@ -102,7 +103,7 @@ def check_values(tables: tuple[xr.DataArray, ...], rig: Rig | None, slice_step: 
     Args:
         tables: tables of one rig.
         rig: rig of the tables; None: a distant camera and lamp.
-        slice_step: spacing of the slices of theta_d.
+        slice_step: spacing of the slices of theta_d. Default: SEARCH_STEP.
     """
     pixels = None if rig is None else grid_of(rig)
     fit_data(tables, chosen_cells(sample_view(rig), sampling_of(tables[0]), slice_step, pixels))

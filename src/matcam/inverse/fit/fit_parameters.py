@@ -1,8 +1,9 @@
 """Free parameters of a fit: names, bounds and coordinates.
 
-The coordinates of a fit are the logarithms of most parameters of a lobe, of the refractive indices n and k, and of eta - 1. A
-step of a coordinate is then a relative change of the parameter. `Layout` defines the order of the coordinates of all lobes, of
-the rig and of the units in one vector. A unit is one channel of one table.
+Most coordinates of a fit are logarithms: of the parameters of a lobe, of the refractive index n and the extinction
+coefficient k of a conductor, and of eta - 1 for a dielectric of refractive index eta. A step of such a coordinate is a
+relative change. `Layout` defines the order of the coordinates of all lobes, of the rig and of the units in one vector. A
+unit is one channel of one table.
 """
 
 from __future__ import annotations
@@ -109,7 +110,7 @@ class LobeKind(NamedTuple):
 
         q: coordinates in the order of `names`. The coordinates of a family are the logarithms of its parameters. The family
             TWO_LOBES is an exception: the share of the second lobe is the logistic function of its coordinate, and the
-            shares of Beckmann are coordinates themselves.
+            shares of Beckmann are coordinates themselves. So are the coefficients of spline and free masking.
         """
         own = len(self.family_names)
         if self.family == TWO_LOBES:
@@ -157,7 +158,7 @@ class Layout(NamedTuple):
 
     Attributes:
         kind: parametrisation of each lobe.
-        fresnel: model of F.
+        fresnel: model of the Fresnel term F, a key of `FRESNEL_MODELS`.
         diffuse: True if each unit has a diffuse part.
         lobe_of: index of the lobe of each unit, (units,).
         axes: number of fitted parameters of the rig.
@@ -256,7 +257,7 @@ def readable_value(name: str, coordinate: float) -> tuple[float, float]:
 
 
 def fresnel_start(model: FresnelModel, theta: np.ndarray, f: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """Find the coordinates of a Fresnel term that best fit a curve of F.
+    """Find the coordinates of a Fresnel term F that best fit a curve of F.
 
     The coordinates are those of `FRESNEL_LATTICE` with the smallest weighted sum of squared differences.
 

@@ -4,14 +4,13 @@ The model of a cell of unit u (a channel of a table) is
 
     F_u(theta_d) A(cell; lobe, rig) + B_u(cell) .
 
-A is the record of the lobe at F = 1. The body B_u is a diffuse part, and in some fits also a rough base (`body.py`). The blur
-of the body by the camera is neglected. If the strength F is free in every slice, it is eliminated exactly (variable projection,
-Golub & Pereyra 1973; derivatives by Kaufman 1975).
+F_u is the Fresnel term of the unit, and A is the record of the lobe at F = 1. The body B_u is a diffuse part, and in some fits
+also a rough base (`body.py`). The blur of the diffuse part by the camera is neglected. A free strength F in every slice is
+eliminated exactly (variable projection, Golub & Pereyra 1973; derivatives by Kaufman 1975).
 
-For a near rig A is the sum of the record of D G and of its moment, which is multiplied by the slope of ln F
-(`lobe_operator.py`). The slope is computed from the Fresnel model, or from a smooth curve through free strengths
-(`strength_slopes.py`). The slope from free strengths is constant in derivatives, because its dependence on the parameters is
-of second order.
+For a near rig, A = R + M d(ln F) / d(theta_d), where R is the record of the lobe, and M is its moment (`lobe_operator.py`). The
+derivative of ln F is computed from the Fresnel model, or from a smooth curve through free strengths (`strength_slopes.py`). The
+derivative from free strengths is treated as independent of the parameters, because its dependence on them is of second order.
 """
 
 from __future__ import annotations
@@ -49,12 +48,13 @@ class Prior(NamedTuple):
 
     Attributes:
         axes: fitted parameters of the rig.
-        root: square root R of the information matrix R' R of the coordinates of the rig, (rows, axes); 0 for unknown
-            parameters.
-        spline: standard deviation of the second differences of the coefficients of a spline (no unit).
-        finest: slope (no unit) below which the camera resolves no structure. The spline is ten times stiffer there.
-        learned: standard deviation of the second differences estimated from the data, for slopes at which the spline is not
-            stiff; None: the value of `spline`.
+        root: square root R of the information matrix R' R of the coordinates of the rig, (rows, axes). The columns of
+            parameters without a prior are 0.
+        spline: standard deviation of the second differences of the spline coefficients of lobe and masking (no unit).
+        finest: slope (no unit) below which the camera resolves no structure. The spline of the lobe is ten times stiffer at
+            smaller slopes.
+        learned: value of `spline` estimated from the data, for slopes at which the spline of the lobe is not stiffer. None:
+            the value of `spline`.
     """
 
     axes: tuple[Axis, ...] = ()
@@ -100,19 +100,19 @@ class Prior(NamedTuple):
     def rig_information(self) -> np.ndarray:
         """Compute the prior information matrix of the coordinates of the rig, (axes, axes).
 
-        If no parameter has a prior, it is 1e-6 times the identity matrix, so that it is not singular.
+        If no parameter has a prior, the result is 1e-6 times the identity matrix, which is not singular.
         """
         return self.root.T @ self.root if self.root.any() else np.eye(len(self.axes)) * 1e-6
 
 
 class Body(NamedTuple):
-    """BRDF of the body under the lobe: diffuse part and rough base.
+    """Modelled values of the body under the lobe: BRDF of the diffuse part plus record of the rough base.
 
     In the shapes, u is the number of units, s of slices, n of cells in a slice, and p of coordinates.
 
     Attributes:
-        value: value of the BRDF in the cells, 1/sr, (u, s, n) or (u, 1, 1).
-        derivative: derivatives of the value with respect to all coordinates of the fit, 1/sr, (p, u, s, n).
+        value: values of the body in the cells, 1/sr, (u, s, n); or (u, 1, 1) without coat and base.
+        derivative: derivatives of the values with respect to all coordinates of the fit, 1/sr, (p, u, s, n).
     """
 
     value: np.ndarray
@@ -127,9 +127,10 @@ class FitModel(NamedTuple):
     Attributes:
         value: modelled values, 1/sr, (u, s, n).
         derivative: derivatives of the values with respect to the coordinates at constant free strengths, 1/sr, (p, u, s, n).
-        lobe: record A of the lobe at F = 1, 1/sr, (u, s, n).
-        strength: strength F, (u, s).
-        strength_std: standard deviation of free strengths if all other parameters are exact, (u, s); 0 if F is a model.
+        lobe: record of the lobe at F = 1, 1/sr, (u, s, n).
+        strength: strength F, no unit, (u, s).
+        strength_std: standard deviation of free strengths if all other parameters are exact, no unit, (u, s). It is infinite
+            for slices without values, and 0 if F is not free in every slice.
         log_slope: derivative of ln F with respect to theta_d, 1/rad, (u, s). It describes the variation of F over the
             quadrature nodes of a cell; 0 for a distant rig.
     """
@@ -146,9 +147,9 @@ class FitModel(NamedTuple):
 def _reflectance(
     model: FresnelModel, coordinates: jax.Array, theta: jax.Array, rise: bool
 ) -> tuple[jax.Array, jax.Array]:
-    """Compute F at angles, and the derivatives of F with respect to the coordinates, for each row of coordinates.
+    """Compute F at angles `theta`, rad, and its derivatives with respect to the coordinates, for each row of coordinates.
 
-    rise: True to compute dF/dtheta instead of F.
+    rise: True to compute dF/dtheta, 1/rad, and its derivatives instead.
     """
 
     def curve(c: jax.Array) -> jax.Array:
@@ -167,7 +168,7 @@ class FitProblem:
         operator: operator from a lobe to its record in the chosen cells.
         layout: order of the coordinates.
         prior: prior of the coordinates.
-        radius: radius of the sphere, px.
+        radius: radius of the sphere or cylinder, px.
     """
 
     def __init__(
@@ -242,7 +243,7 @@ class FitProblem:
 
         Args:
             p: coordinates of the fit.
-            weight: weights 1 / V for the solution of free strengths, sr^2, (u, s, n).
+            weight: weights of the cells (inverse variances), from which free strengths are solved, sr^2, (u, s, n).
         """
         layout = self.layout
         orders = [self._records_and_slopes(index, p) for index in range(layout.lobes)]
@@ -262,12 +263,12 @@ class FitProblem:
     def start_model(self, record: np.ndarray, weight: np.ndarray) -> FitModel:
         """Evaluate the model with free strengths, for the start of a search.
 
-        The model has no derivatives. F is constant within a cell, also in a near rig. The error of this approximation is
-        smaller than the differences between the lobes from which a search starts.
+        The model has neither a body nor derivatives. F is constant within a cell, also in a near rig. The error of this
+        approximation is smaller than the differences between the lobes from which a search starts.
 
         Args:
             record: record of the common lobe of all units at F = 1, 1/sr, (s, n).
-            weight: weights 1 / V, sr^2, (u, s, n).
+            weight: weights of the cells (inverse variances), sr^2, (u, s, n).
         """
         p = np.zeros(self.layout.size)
         records = [np.broadcast_to(record, (self.layout.units, *record.shape))]
@@ -278,8 +279,8 @@ class FitProblem:
     ) -> tuple[FitModel, np.ndarray]:
         """Evaluate the model, and its derivatives with respect to the coordinates of F, (u, coordinates, s, n).
 
-        `records` are the record of the lobe of each unit at F = 1, 1/sr, (u, s, n), and in a near rig the moment of this
-        record. `body` is the BRDF of the body, 1/sr, which broadcasts to (u, s, n).
+        `records` contains the record of the lobe of each unit at F = 1, 1/sr, (u, s, n). In a near rig it also contains the
+        moment of each record, rad/sr. `body` contains the values of the body, 1/sr, which broadcast to (u, s, n).
         """
         layout, (units, slices, cells) = self.layout, records[0].shape
         log_slope = np.zeros((units, slices))
@@ -328,14 +329,17 @@ class FitProblem:
         The variation of F within a cell of a near rig is included.
 
         Args:
-            model: model with the slope of ln F of each unit.
+            model: model of the cells, which contains the derivative of ln F of each unit.
             of: linear function of an operator, with values of shape (..., s, n).
         """
         parts = [of(operator) for operator in self.operator.orders]
         return np.stack([_combined(parts, slope) for slope in model.log_slope])
 
     def _base_record(self, p: np.ndarray) -> RecordAndSlopes:
-        """Compute the record of a base of reflectance 1, and its derivatives with respect to ln roughness and the rig."""
+        """Compute the record of a base of reflectance 1, 1/sr, and its derivatives with respect to ln roughness and the rig.
+
+        The light crosses the coat twice. The derivatives with respect to the rig are along the axes of its parameters.
+        """
         q = np.concatenate([p[self.layout.base_width], p[self.layout.rig]])
         if self._last_base is None or self._last_base[0] != q.tobytes():
             found = record_and_slopes(self.operator, _BASE, q)
@@ -356,9 +360,9 @@ class FitProblem:
         return self.cells.theta_h, self.cells.theta_d[:, None], self.cells.phi_d
 
     def _records_and_slopes(self, index: int, p: np.ndarray) -> list[RecordAndSlopes]:
-        """Compute the record of a lobe, and in a near rig also its moment.
+        """Compute the record of a lobe, and in a near rig also its moment, each with its derivatives.
 
-        The last results are cached, because weights are updated without a change of the lobe.
+        The last results are cached, because an update of the weights does not change the lobe.
         """
         q = np.concatenate([p[self.layout.lobe(index)], p[self.layout.rig]])
         key = q.tobytes()
@@ -378,7 +382,7 @@ class FitProblem:
 
         Args:
             model: model at the coordinates of the fit.
-            weight: robust weights 1 / V, sr^2, (u, s, n).
+            weight: robust weights of the cells (inverse variances), sr^2, (u, s, n).
             gain: standard deviation of the image gain (no unit).
         """
         if self.layout.fresnel == "free":
@@ -387,9 +391,10 @@ class FitProblem:
 
 
 def _combined(orders: list[np.ndarray], log_slope: np.ndarray) -> np.ndarray:
-    """Compute the sum of a record and of its moment times the slope of ln F, (..., s, n).
+    """Compute record + log_slope * moment; in a distant rig, only the record, (..., s, n).
 
-    `orders` are the record and, in a near rig, its moment. The slope has unit 1/rad and shape (..., s).
+    `orders` contains the record and, in a near rig, the moment. `log_slope` is the derivative of ln F with respect to theta_d,
+    1/rad, (s,) or (..., s).
     """
     if len(orders) == 1:
         return orders[0]

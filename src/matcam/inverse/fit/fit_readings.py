@@ -54,7 +54,7 @@ class FitCoordinates(NamedTuple):
 
 
 class Strengths(NamedTuple):
-    """Fitted strengths F of the slices, which are independent parameters.
+    """Strengths F of the slices, for a fit in which F is free in every slice.
 
     In the shapes, u is the number of units, s of slices, and p of coordinates. For slices without values, F is NaN and the
     other arrays are 0.
@@ -78,12 +78,12 @@ class LinearisedFit(NamedTuple):
     In the shapes, u is the number of units, s of slices, and n of cells in a slice.
 
     Attributes:
-        solution: data, operator, model and derivatives at the solution.
+        solution: solution of the fit, with data, operator, model and derivatives.
         coordinates: coordinates of the first lobe and the rig.
         residual: data - model, 1/sr, (u, s, n); 0 for unused cells.
         by_coordinates: derivatives of the model with respect to the coordinates of the first lobe and the rig, 1/sr,
             (coordinates, u, s, n).
-        by_units: derivatives of the model with respect to the coordinates of the base and the units, 1/sr,
+        by_units: derivatives of the model with respect to the coordinates of coat, base and units, 1/sr,
             (coordinates, u, s, n).
         rig_information: prior information matrix of the coordinates of the rig, (axes, axes).
     """
@@ -134,7 +134,7 @@ def strengths_with_covariance(solution: Solution) -> Strengths:
 def strength_curves(solution: Solution) -> tuple[np.ndarray, np.ndarray]:
     """Compute F of every unit and slice and its standard deviation, (units, slices) each.
 
-    If F is free in every slice, the standard deviation includes the image gain, and slices without values are NaN.
+    If F is free in every slice, the standard deviation includes the image gain. Both are then NaN in slices without values.
     """
     problem, layout = solution.problem, solution.problem.layout
     strength = solution.model.strength.copy()
@@ -152,7 +152,7 @@ def strength_curves(solution: Solution) -> tuple[np.ndarray, np.ndarray]:
 
 
 def fresnel_slope(solution: Solution, unit: int, theta: np.ndarray | float) -> tuple[np.ndarray, slice]:
-    """Compute the derivatives of F of a unit with respect to its coordinates.
+    """Compute the derivatives of F of a unit with respect to the coordinates of F.
 
     Args:
         solution: solution of a fit whose model of F has parameters.
@@ -160,7 +160,7 @@ def fresnel_slope(solution: Solution, unit: int, theta: np.ndarray | float) -> t
         theta: angles at which F is evaluated, rad, (...).
 
     Returns:
-        Derivatives, (..., coordinates), and the slice of the vector of the fit that contains these coordinates.
+        Derivatives, (..., coordinates), and the slice of the coordinate vector that contains the coordinates of F.
     """
     layout = solution.problem.layout
     first = layout.unit(unit).start
@@ -173,7 +173,7 @@ def fresnel_slope(solution: Solution, unit: int, theta: np.ndarray | float) -> t
 
 
 def _strength_errors(solution: Solution) -> tuple[np.ndarray, np.ndarray]:
-    """Compute the terms of the covariance of free strengths; they are 0 for slices without values.
+    """Compute the two terms of the covariance of free strengths. Both are 0 for slices without values.
 
     The first term, s, is the standard deviation of the strengths if all other parameters are exact, (units, slices). The
     second term, J, is the negative derivative of the strengths with respect to the coordinates of the fit,
@@ -225,12 +225,12 @@ class LobeVerdict(NamedTuple):
     """Result of the check whether a fit determines and resolves its lobes.
 
     Attributes:
-        determined: True if the first lobe is resolved and all lobes are determined. The first roughness of every lobe must
-            have a relative standard deviation below 5 %. If the family has several parameters, the last one must have a
-            relative standard deviation below 15 %. For a lobe without parameters of a family, only the half width is
+        determined: True if the first lobe is resolved and all lobes are determined. The first parameter of every lobe must
+            have a relative standard deviation below 5 %. If the family has several parameters, the last parameter must have
+            a relative standard deviation below 15 %. For a lobe without parameters of a family, only the half width is
             tested, with a limit of 5 %.
-        resolved: True if the first lobe is wider than the smallest width that a fit allows, at which every camera records a
-            point.
+        resolved: True if the first lobe is wider than the smallest width that a fit allows. Every camera records a lobe of
+            that width as a point.
     """
 
     determined: bool
@@ -265,12 +265,14 @@ def fit_remarks(
     remarks = []
     prior, position, noise = solution.problem.prior, solution.problem.layout.rig, solution.noise
     if camera is None:
-        remarks.append(Remark("no-rig", "no rig: fitted as if the camera were perfect"))
+        remarks.append(Remark("no-rig", "no rig is given, so the fit assumes a perfect camera"))
     elif not prior.axes:
-        remarks.append(Remark("camera-exact", "the camera is assumed to be exact"))
+        remarks.append(
+            Remark("camera-exact", "the camera is assumed to be exact: the errors do not include its uncertainty")
+        )
     elif solution.problem.prior.root.any() and known_lens(camera).assumed:
         text = (
-            f"the profile has no uncertainty: the lens width is assumed to be known to {ASSUMED:.0%}; specify the "
+            f"the camera has no uncertainty: the lens width is assumed to be known to {ASSUMED:.0%}; specify the "
             "standard deviation of the width, or 0 for an exact lens"
         )
         remarks.append(Remark("lens-assumed", text))
@@ -284,12 +286,12 @@ def fit_remarks(
         remarks.append(
             Remark(
                 "lobe-too-narrow",
-                "the lobe is narrower than this camera can resolve or record: the fitted width is an upper bound; "
-                "check that the rig is the one that recorded the data",
+                "the fitted lobe has the smallest width that a fit allows, so this width is an upper bound; check that the "
+                "rig is the one that recorded the data",
             )
         )
     elif not verdict.determined:
-        text = "the data do not determine the roughness: its standard deviation exceeds 5 %"
+        text = "the data do not determine the lobe: the width is not known to 5 %, or the last parameter not to 15 %"
         remarks.append(Remark("roughness-not-determined", text))
     if noise_given and solution.misfit > 1 + 5 * np.sqrt(2 / max(solution.freedom, 1)):
         text = f"the residuals are {np.sqrt(solution.misfit):.1f} times the given noise: the model does not explain the data"
@@ -307,8 +309,8 @@ class NamedParameters(NamedTuple):
     """Reported parameters of a fit.
 
     Attributes:
-        names: names of the parameters, for example "alpha", "n[G]" and "optics.sigma_px". A spline-modified lobe has the
-            parameters of `lobe_readings` instead of coefficients.
+        names: names of the parameters, for example "alpha", "n[G]" and "optics.sigma_px". The parameters of a lobe are those
+            of `lobe_readings`.
         values: value of each parameter, in its own unit, (names,).
         covariance: covariance of the values, (names, names).
         slopes: derivatives of the values with respect to the coordinates of the fit, (names, coordinates).

@@ -73,36 +73,39 @@ class FitSetup:
     Attributes:
         tables: tables that one rig recorded, 1/sr; one table per material.
         rig: rig that recorded the tables; None: a perfect camera.
-        ndf: family of the lobe. Default: "ggx".
-        fresnel: model of F. Default: "conductor".
+        ndf: family of the lobe, as in `fit`, or "student-t" or "two-lobes". Default: "ggx".
+        fresnel: model of the Fresnel term F, as in `fit`. Default: "conductor".
         diffuse: True to add a diffuse part. Default: False.
         coated: True to fit the share of the diffuse part that is under a coat. Default: False, a Lambertian part.
         base: True to add a rough base under the lobe (`body.py`). Default: False.
         per_channel: True for one lobe per channel. Default: False, one lobe per table.
-        masking: masking G of the lobe. Default: "smith".
-        camera_parameters: treatment of the parameters of the rig: "fixed", "prior" or "free". Default: None, "fixed" for an
-            exact camera, otherwise "prior". The lens width of a camera without uncertainty is assumed to be known to 10 %.
+        masking: model of the masking G of the lobe, as in `fit`. Default: "smith".
+        camera_parameters: treatment of the parameters of the rig: "fixed", "prior" or "free". Default: None, "fixed" without
+            a rig or for an exact camera, otherwise "prior". The lens width of a camera without uncertainty is assumed to be
+            known to 10 %.
         free: names of the parameters of the rig that are fitted if `camera_parameters` is "free". Default: the width of a
             Gaussian lens.
         also: names of further parameters of the rig that are fitted without a prior. Default: ().
         nearby: True to restrict the radius of the lamp in `also` to a range about its specified value. Default: False.
-        refitted: names of parameters that later fits have in `also` with `nearby`. The quadrature rules of these fits are
-            computed together with those of this fit. Default: ().
+        refitted: names of the parameters that later fits specify in `also`, with `nearby` True. The quadrature rules of these
+            fits are computed together with those of this fit. Default: ().
         lens_shape: True to fit the shape of the kernel of the lens (`rig_axes.shape_axes`). Default: False.
-        spline: prior standard deviation of the second differences of the spline that modifies ln D (no unit). Default: 0,
-            no modification.
-        stiff_below: slope (no unit) below which the spline is ten times stiffer, at least that of one pixel. Default: 0.
+        spline: prior standard deviation of the second differences of the spline that modifies the logarithm of the lobe
+            (no unit). Default: 0, no modification.
+        stiff_below: slope (no unit) below which the spline is ten times stiffer. With a rig, the smallest value is the slope
+            across one pixel at the middle of the sample. Default: 0.
         learned_spline: value of `spline` estimated from the data, for slopes at which the spline is not stiff. Default:
             None, the value of `spline`.
         free_masking: True to fit G as any smooth function of the angle. Default: False.
-        noise: noise of a pixel. Default: None, estimated from the residuals.
-        slice_step: spacing of the slices of theta_d (no unit). Default: 1, all slices.
+        noise: noise of a pixel and of the image gain. Default: None, estimated from the residuals.
+        slice_step: spacing of the slices of theta_d (no unit), from 1 to 30. Default: 1, all slices.
         view: sphere that defines the pixels if `rig` is None. Default: a radius of 256 px, distant camera and lamp.
         pixels: pixel grid from which cells are read if `rig` is None. Default: None, each cell has its own pixels.
-        workspace: store of results that depend only on the rig. Default: None, that of the process.
+        workspace: store of results that depend only on the rig. Default: None, the store of the process.
 
     Raises:
-        ArgumentError: a field is out of its range, or the tables differ in sampling or rig.
+        ArgumentError: a field is out of its range, a fit does not support the rig, or the tables differ in sampling or rig.
+        FitError: the cells of the first table contradict the rig.
 
     Example:
         >>> setup = matcam.inverse.FitSetup((table,), matcam.rigs.merl(), slice_step=6)  # doctest: +SKIP
@@ -111,7 +114,7 @@ class FitSetup:
         >>> matcam.inverse.FitSetup((), None)
         Traceback (most recent call last):
         ...
-        matcam.core.errors.ArgumentError: brdf must be a table or a list of at least one table, got none
+        matcam.core.errors.ArgumentError: at least one table is required, got none: give a table or a list of tables
     """
 
     tables: tuple[xr.DataArray, ...]
@@ -142,7 +145,7 @@ class FitSetup:
     def __post_init__(self) -> None:
         tables = tuple(checked_table(table) for table in self.tables)
         if not tables:
-            raise ArgumentError("brdf must be a table or a list of at least one table, got none")
+            raise ArgumentError("at least one table is required, got none: give a table or a list of tables")
         if len({sampling_of(table) for table in tables}) > 1:
             raise ArgumentError("tables that are fitted together must have the same attrs['sampling']")
         checks.choice("ndf", self.ndf, (*FAMILIES, STUDENT, TWO_LOBES))
@@ -165,13 +168,14 @@ class FitSetup:
         """Copy the setup with changed fields.
 
         Args:
-            changes: new values of fields, by name.
+            **changes: new values of fields, by name.
 
         Returns:
             The new setup.
 
         Raises:
-            ArgumentError: a field is out of its range.
+            ArgumentError: a field is out of its range, or a fit does not support the rig.
+            FitError: the cells of the first table contradict the rig.
         """
         return dataclasses.replace(self, **changes)
 
@@ -180,7 +184,7 @@ class FitSetup:
 
         Args:
             start: fit of these tables with another setup, from which the search continues. Default: None, a new search.
-                A fit with the same parameters, for example in fewer slices, requires only a few linear steps.
+                If `start` has the same parameters, for example in fewer slices, a few linear steps suffice.
             weights: source of the first robust weights: "data", the variance of each value, or "start", the weights of
                 `start`, which must have the same cells. Default: "data".
 
@@ -189,7 +193,7 @@ class FitSetup:
 
         Raises:
             ArgumentError: a fit does not support the rig, or the rig lacks a free parameter.
-            FitError: there are no values to fit.
+            FitError: the tables do not have enough values to fit, or the fit produced non-finite parameters.
         """
         search = self._search
         if start is None:
@@ -222,7 +226,7 @@ class FitSetup:
     def _in_few_slices(self) -> Solution | None:
         """Search in a few slices, which takes less time.
 
-        The result is None if the setup has no other slices, or if the few slices have no values.
+        The result is None if the setup itself has no more slices than these, or if the fit in these slices fails.
         """
         if self.slice_step >= _LOOK_STEP:
             return None
@@ -278,7 +282,10 @@ class FitSetup:
 
     @property
     def axes_with_refits(self) -> tuple[Axis, ...]:
-        """Parameters of the rig that are free in this fit or in later fits."""
+        """Axes of the rig parameters in this fit and in later fits.
+
+        They are the axes of a setup whose `also` contains the parameters of `refitted`.
+        """
         return self.with_(also=self.refitted, nearby=True).prior.axes
 
     @property
@@ -314,7 +321,8 @@ class FitSetup:
         checks.choice("camera_parameters", camera_parameters, CAMERA_PARAMETERS)
         if camera_parameters == "prior" and known.exact:
             raise ArgumentError(
-                "camera_parameters='prior' needs a camera with an uncertainty (Camera(..., uncertainty=...))"
+                "camera_parameters='prior' needs a camera with an uncertainty (Camera(..., uncertainty=...)), but this camera "
+                "is exact"
             )
         axes: tuple[Axis, ...] = ()
         root = np.zeros((0, 0))
@@ -370,39 +378,45 @@ def fit(
 ) -> MaterialFit:
     """Fit a microfacet material to a table through its camera.
 
-    All slices of theta_d are fitted jointly. The data are chosen cells, one per pixel, so that their errors are
-    independent except for the gain of the image. The covariance is the inverse of the Fisher information, which includes
-    the prior of the camera. Residuals beyond 3 standard deviations have smaller weights (Huber).
+    All slices of theta_d are fitted jointly. The data are the values of chosen cells, one cell per pixel, so that their errors
+    are independent except for the gain of the image. The covariance of the parameters is the inverse of the Fisher
+    information, which includes the prior of the camera. Residuals beyond 3 standard deviations have smaller weights (Huber
+    1964).
 
     Args:
         brdf: table of the form that `read_merl` returns, 1/sr, or several tables of one rig, one per material.
         rig: rig that recorded the tables, with a sphere or a cylinder; camera and lamp are distant or near. None: a perfect
             camera.
-        ndf: family of the lobe: "ggx", "epd", "sgd", "beckmann" or "gaussian". Default: "ggx". Unlike in `fresnel` and
-            `correct` it is not "auto", because the family determines the parameters of the result.
-        fresnel: model of F in each channel: "conductor" (n and k), "schlick" or "dielectric", or "free", one value for each
-            slice. Default: "conductor".
+        ndf: family of the lobe: "ggx", "epd", "sgd", "beckmann" or "gaussian". Default: "ggx". The choice "auto" of `fresnel`
+            and `correct` is not allowed, because the family determines the parameters of the result.
+        fresnel: model of the Fresnel term F in each channel. "conductor", "schlick" and "dielectric" have parameters, such as n
+            and k of a conductor. "free" has one value for each slice. Default: "conductor".
         diffuse: True to add a Lambertian part. Default: False, because metals have none.
         per_channel: True for one lobe per channel. Default: False, one lobe per table.
-        masking: masking G of the lobe: "smith", "smith-separable", "van-ginneken" or None. Default: "smith".
+        masking: model of the masking G of the lobe: "smith", "smith-separable", "van-ginneken", or None for G = 1. Default:
+            "smith".
         camera_parameters: treatment of the parameters of the rig. "fixed": the specified values are used. "prior": the
             uncertain parameters of the camera are fitted, and the covariance of the camera is their prior; without a
             covariance, the width of the lens is assumed to be known to 10 %. "free": the parameters named in `free` are
-            fitted without a prior. Default: None, "prior", or "fixed" for an exact camera (a standard deviation of 0).
+            fitted without a prior. Default: None, "fixed" without a rig or for an exact camera (a standard deviation of 0),
+            otherwise "prior".
         free: names of the parameters of the rig that are fitted if `camera_parameters` is "free". A width
             ("optics.sigma_px", "jitter", "aperture", "lamp_radius") may be 0. Default: the width of a Gaussian lens.
-        spline: prior standard deviation of the second differences of the spline that modifies ln D (no unit). Its knots
-            are spaced by 0.5 in ln(slope). Default: 0, no modification. With 1, the family hardly constrains the lobe.
+        spline: prior standard deviation of the second differences of the spline that modifies the logarithm of the lobe
+            (no unit), from 0 to 10. Its knots are spaced by 0.65 in ln(slope) for slopes above 0.0015. Default: 0, no
+            modification. With 1, the family hardly constrains the lobe.
         noise: noise of a pixel and of the image gain. Default: None, estimated from the residuals, which include misfit.
-        slice_step: spacing of the slices of theta_d that are used (no unit). Default: 1, all slices. A larger value is faster.
-        workspace: store of results that depend only on the rig. Default: None, that of the process.
+        slice_step: spacing of the slices of theta_d that are used (no unit), from 1 to 30. Default: 1, all slices. A larger
+            value is faster.
+        workspace: store of results that depend only on the rig. Default: None, the store of the process.
 
     Returns:
         The material, its parameters with their errors, and remarks on the fit.
 
     Raises:
         ArgumentError: an argument is wrong, or a fit does not support the rig.
-        FitError: there are no values to fit.
+        FitError: the tables do not have enough values to fit, the cells contradict the rig, or the fit produced non-finite
+            parameters.
 
     Source:
         docs/model.md sections 3 and 8; variable projection: Golub & Pereyra (1973), Kaufman (1975).
@@ -414,7 +428,7 @@ def fit(
         >>> matcam.fit([], matcam.rigs.merl())
         Traceback (most recent call last):
         ...
-        matcam.core.errors.ArgumentError: brdf must be a table or a list of at least one table, got none
+        matcam.core.errors.ArgumentError: at least one table is required, got none: give a table or a list of tables
     """
     setup = FitSetup(
         tables=(brdf,) if isinstance(brdf, xr.DataArray) else tuple(brdf), rig=rig, ndf=ndf, fresnel=fresnel,

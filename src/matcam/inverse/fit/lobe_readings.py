@@ -1,7 +1,7 @@
 """Reported parameters of a fitted lobe: parameters of its family, or parameters that apply to any lobe.
 
-A spline-modified lobe has no parameters of a family, and its coefficients have no direct meaning. The reported parameters are
-its half width, its tail exponent, and its share of facets far from the peak, which is visible as haze.
+A spline-modified lobe has no parameters of a family, and its coefficients have no direct meaning. The reported parameters of
+such a lobe are its half width, its tail exponent, and its share of facets far from the peak, which is visible as haze.
 """
 
 from __future__ import annotations
@@ -40,11 +40,11 @@ class LobeReadings(NamedTuple):
     """Reported parameters of a lobe.
 
     Attributes:
-        names: names of the parameters. A lobe of a family has the parameters of the family. Any other lobe has "hwhm_rad",
-            also "tail_exponent" and "haze_share" if the lobe is narrow enough, and "masking_75", the masking at 75 degrees
-            relative to normal incidence, if masking is free.
+        names: names of the parameters. A lobe of a family has the parameters of the family. Any other lobe has "hwhm_rad". If
+            it is narrow enough, it also has "tail_exponent" and "haze_share". A lobe with free masking also has "masking_75",
+            the masking at 75 degrees relative to the masking at normal incidence.
         values: value of each parameter, in its own unit, (names,).
-        slopes: derivatives with respect to the coordinates of the lobe, (names, lobe coordinates).
+        slopes: derivatives of the values with respect to the coordinates of the lobe, (names, lobe coordinates).
     """
 
     names: tuple[str, ...]
@@ -106,8 +106,8 @@ def _half_maximum(kind: LobeKind, q: jax.Array) -> tuple[jax.Array, jax.Array, j
     The function f = ln(2 D / D(0)) is 0 at this angle.
 
     Returns:
-        f at the widest angle, ln(angle), and at this angle the derivatives of f with respect to ln(angle) and with respect to
-        the coordinates.
+        Four values: f at `_WIDEST_ANGLE`; ln(angle), the logarithm of the solution; and the derivatives of f at the solution,
+        first with respect to ln(angle), then with respect to the coordinates of the lobe.
     """
 
     def excess(log_angle: jax.Array, q: jax.Array) -> jax.Array:
@@ -127,7 +127,7 @@ def _half_maximum(kind: LobeKind, q: jax.Array) -> tuple[jax.Array, jax.Array, j
 
 @kept_program
 def _tail(kind: LobeKind, q: jax.Array, angle: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Compute tail exponent and haze share, and their derivatives with respect to coordinates and half width.
+    """Compute tail exponent and haze share, and their derivatives with respect to the coordinates and to the half width.
 
     angle: half width at half maximum, rad.
     """

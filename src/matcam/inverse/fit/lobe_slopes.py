@@ -1,15 +1,15 @@
 """Record of a lobe and its derivatives, by a chain rule that evaluates each quadrature node only a few times.
 
-The record is R = sum_n a_n D_n, where a_n is the weight w_n of node n multiplied by its masking G_n. The derivative of the
-record with respect to a coordinate q of the lobe is
+The record is R = sum_n a_n D_n. D_n is the density of facet normals at node n, and a_n is the weight w_n of the node multiplied
+by the masking G_n. The derivative of the record with respect to a coordinate q of the lobe is
 
     dR/dq = sum_n a_n dD_n/dq + sum_s e_s dLambda_s/dq,      e_s = sum_n w_n D_n dG_n/dLambda_s,
 
-where Lambda_s are the values of Lambda from which masking is computed. The e_s are the same for all coordinates. Only the one
-or two parameters of a family require the derivative of D at every node. A spline modification multiplies D by
-exp(sum_k b_k B_k) / norm, so the derivatives with respect to b_k follow from the sums of a_n D_n B_k and the derivative of the
-norm. Lambda is linear in D and tabulated; the entries of the table are differentiated. A parameter of the rig changes only the
-weights, by a polynomial through few points.
+where Lambda_s are the values of Smith's Lambda from which masking is computed. The e_s are the same for all coordinates. Only
+the few parameters of a family require the derivative of D at every node. A spline modification multiplies D by
+exp(sum_k b_k B_k) / norm, with coefficients b_k and splines B_k. The derivatives with respect to b_k follow from the sums of
+a_n D_n B_k and the derivative of the norm. Lambda is interpolated in a table, whose entries are differentiated. A parameter of
+the rig changes only the weights, which are polynomials of the coordinate of the parameter.
 
 Forward differentiation would store the derivatives at all nodes with respect to all coordinates, which takes hundreds of MB.
 """
@@ -70,8 +70,8 @@ class _Lobe(NamedTuple):
     Attributes:
         kind: parametrisation of the lobe.
         q: coordinates of the lobe, (lobe coordinates,).
-        by_norm: derivatives of ln(norm) of a spline-modified lobe with respect to q, (lobe coordinates,); None for other lobes.
-        table: table of Lambda, (entries,); None without masking.
+        by_norm: derivatives of the logarithm of `SplineNDF.norm` with respect to q, (lobe coordinates,); None for other lobes.
+        table: table of Lambda (`lambda_table.py`), (entries,); None without masking.
         by_table: derivatives of the table with respect to q, (lobe coordinates, entries); None without masking.
     """
 
@@ -91,7 +91,7 @@ class _Lobe(NamedTuple):
 
 @kept_program
 def table_slopes(kind: LobeKind, q: Any) -> tuple[jax.Array, jax.Array]:
-    """Compute the table of Lambda of a lobe, and its derivatives, (lobe coordinates, entries)."""
+    """Compute the table of Lambda of a lobe, and its derivatives with respect to q, (lobe coordinates, entries)."""
     if kind.spline_size and not kind.shadows:
         return _spline_table(kind, q)
 
@@ -102,7 +102,7 @@ def table_slopes(kind: LobeKind, q: Any) -> tuple[jax.Array, jax.Array]:
 
 
 def _spline_table(kind: LobeKind, q: Any) -> tuple[jax.Array, jax.Array]:
-    """Compute the table of Lambda of a spline-modified lobe, and its derivatives, (lobe coordinates, values)."""
+    """Compute the table of Lambda of a spline-modified lobe, and its derivatives with respect to q, as `table_slopes`."""
     ndf = kind.ndf(q)
     slope2, weight = smith_rule(ndf.roughness, jnp.asarray(COTS))
     light, by_own = _lifted(kind, q, slope2, lambda ndf: ndf.slope_density(slope2))
@@ -114,7 +114,7 @@ def _spline_table(kind: LobeKind, q: Any) -> tuple[jax.Array, jax.Array]:
 
 @kept_program
 def _by_norm(kind: LobeKind, q: Any) -> jax.Array:
-    """Compute the derivatives of ln(norm) of a spline-modified lobe, (lobe coordinates,)."""
+    """Compute the derivatives of the logarithm of `SplineNDF.norm` with respect to q, (lobe coordinates,)."""
 
     def log_norm(q: jax.Array) -> jax.Array:
         modified = kind._replace(shadows=0).ndf(q)
@@ -129,8 +129,8 @@ def _lifted(
 ) -> tuple[jax.Array, list[jax.Array]]:
     """Compute a quantity proportional to D, and its derivatives with respect to the coordinates of the family.
 
-    The derivative of the norm of a spline modification is not included. `light_of` computes the quantity of a lobe at the
-    squared slopes `slope2`. It is called with the lobe without its modification.
+    The derivative of the norm of a spline modification is not included. `light_of` computes the quantity at the squared slopes
+    `slope2` for a lobe without modification.
     """
     plain, own = kind._replace(spline_size=0, shadows=0), len(kind.family_names)
     pairs = [jax.jvp(lambda own: light_of(plain.ndf(own)), (q[:own],), (unit,)) for unit in np.eye(own)]
@@ -150,7 +150,7 @@ def _facet_slopes(kind: LobeKind, q: Any, slope2: Any) -> jax.Array:
 
 
 def _rows(nodes: OperatorNodes, lobe: _Lobe, rig: np.ndarray) -> np.ndarray:
-    """Compute the record of cells, followed by its derivatives, (1 + coordinates, cells)."""
+    """Compute the record of cells, 1/sr, followed by its derivatives, (1 + coordinates, cells)."""
     kind, at = lobe.kind, nodes.at
     light, *by_family = np.asarray(_facet_slopes(kind, lobe.q, at.slope2))
     weight, masked = nodes.weight_at(rig), nodes.masked(kind.masking, lobe.table)

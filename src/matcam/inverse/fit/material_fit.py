@@ -55,22 +55,25 @@ class MaterialFit(Summarised):
             of the parameters of a family.
         std: standard deviation of each parameter, by the same names and in the same units.
         covariance: covariance of all parameters, in the order of `params`, (parameters, parameters).
-        hwhm: half width at half maximum of D, rad. It is well determined even if a width and a power are correlated.
+        hwhm: half width at half maximum of the first lobe, rad. It is well determined even if a width and a power are
+            correlated.
         hwhm_std: standard deviation of `hwhm`, rad.
-        determined: True if the lobe is resolved and all lobes are determined. The first roughness of every lobe must have a
-            relative standard deviation below 5 %. If the family has several parameters, the last one must have a relative
-            standard deviation below 15 %. For a lobe without parameters of a family, only the half width is tested, with a
-            limit of 5 %.
-        resolved: True if the lobe is wider than the smallest width that a fit allows, which a camera records as a point.
+        determined: True if the first lobe is resolved and all lobes are determined. The first parameter of every lobe must have
+            a relative standard deviation below 5 %. If the family has several parameters, the last parameter must have a
+            relative standard deviation below 15 %. For a lobe without parameters of a family, only the half width is tested,
+            with a limit of 5 %.
+        resolved: True if the first lobe is wider than the smallest width that a fit allows. Every camera records a lobe of that
+            width as a point.
         materials: fitted material of each table.
         camera: fitted camera, with its uncertainty after the fit; None without a rig.
-        curves: Dataset over (theta_d, channel) with F, `fresnel`, and its standard deviation, `fresnel_std` (no unit).
-        residual: Dataset over (channel, theta_d, cell) of the residuals, in standard deviations of the noise. It also has
-            theta_h and phi_d of each cell, rad.
+        curves: Dataset over (theta_d, channel), no unit: the Fresnel term F, `fresnel`, and its standard deviation,
+            `fresnel_std`.
+        residual: Dataset over (channel, theta_d, cell) of the residuals, in standard deviations of the noise; NaN for unused
+            cells. The Dataset also contains theta_h and phi_d of each cell, rad.
         noise: noise of a pixel, specified or estimated.
-        misfit: sum of squared standardised residuals per degree of freedom (no unit). It is about 1 if the model explains
-            the data.
-        log_likelihood: logarithm of the likelihood, for the comparison of families on the same data.
+        misfit: weighted sum of squared standardised residuals per degree of freedom (no unit). It is about 1 if the model
+            explains the data.
+        log_likelihood: natural logarithm of the likelihood, for the comparison of families on the same data.
         freedom: degrees of freedom.
         remarks: remarks on the fit.
         noise_given: True if `noise` was specified; False if it was estimated from the residuals.
@@ -112,7 +115,7 @@ class MaterialFit(Summarised):
 
     @property
     def ndf(self) -> NDF:
-        """Fitted lobe of the first table."""
+        """Fitted lobe of the first channel of the first table."""
         coordinates = self.coordinates
         return coordinates.kind.ndf(placed(coordinates.lobe))
 
@@ -125,7 +128,7 @@ class MaterialFit(Summarised):
     def diffuse(self) -> np.ndarray:
         """Albedo of the diffuse part of each channel, no unit, (channels,).
 
-        The values are 0 if the fit has no diffuse part.
+        The channels are those of all tables. The values are 0 if the fit has no diffuse part.
         """
         return self._solution.problem.of_units("diffuse", self._solution.p)
 
@@ -167,7 +170,7 @@ class MaterialFit(Summarised):
 
     @property
     def lobe_name(self) -> str:
-        """Name of the family of the lobe, marked if it is spline-modified."""
+        """Name of the family, with the prefix "spline-modified" for such a lobe."""
         return f"spline-modified {self.family}" if self.has_spline else self.family
 
     @property
@@ -204,8 +207,8 @@ class MaterialFit(Summarised):
     def uncertainty_budget(self, name: str) -> UncertaintyBudget:
         """Compute the uncertainty budget of a parameter (GUM).
 
-        The combined uncertainty is the standard deviation of the parameter. The sources are the readings of the pixels, and
-        the specified values of the camera and the rig.
+        The combined uncertainty is the standard deviation of the parameter. The sources are the readings of the pixels, the
+        specified values of the camera and the rig, and the priors of the lobe shape and of the coated share.
 
         Args:
             name: name of the parameter, as in `params`, or "hwhm_rad".
@@ -220,6 +223,8 @@ class MaterialFit(Summarised):
 
     def uncertainty_budgets(self, *names: str) -> list[UncertaintyBudget]:
         """Compute the uncertainty budgets of several parameters.
+
+        Parameters with non-finite derivatives are omitted.
 
         Args:
             *names: names of parameters, as in `uncertainty_budget`. Default: all names in `params`, and "hwhm_rad".
@@ -289,7 +294,8 @@ class MaterialFit(Summarised):
             theta_d: difference angles, rad, (n,).
 
         Returns:
-            Mean of all channels, 1/rad, (n,), interpolated between the slices of the fit; 0 for a distant rig.
+            Mean of the derivatives of all channels, 1/rad, (n,), interpolated between the slices of the fit; 0 for a distant
+            rig.
         """
         return np.interp(theta_d, self.theta_d, self._solution.model.log_slope.mean(axis=0))
 
@@ -305,7 +311,7 @@ class MaterialFit(Summarised):
             (square, standard deviation of the square), in the squared unit of the width.
 
         Raises:
-            ArgumentError: this parameter of the rig was not fitted.
+            ArgumentError: `name` is not a fitted parameter of the rig.
 
         Example:
             >>> found.squared_width("optics.sigma_px")  # doctest: +SKIP
@@ -314,7 +320,8 @@ class MaterialFit(Summarised):
         names = [axis.name for axis in at.axes]
         if name not in names:
             raise ArgumentError(
-                f"{name!r} of the rig was not fitted; the fitted parameters are: {', '.join(names) or 'none'}"
+                f"{name!r} is not a fitted parameter of the rig; the fitted parameters of the rig are: "
+                f"{', '.join(names) or 'none'}"
             )
         position = names.index(name)
         own = len(at.lobe) + position
@@ -354,7 +361,7 @@ class MaterialFit(Summarised):
         """Convert the parameters and statistics of the fit to JSON types.
 
         Returns:
-            The dictionary that `matcam fit --json` prints. Angles are in rad, as indicated by their names.
+            The dictionary that `matcam fit --json` prints. Angles are in rad.
 
         Example:
             >>> found.to_dict()["misfit"]  # doctest: +SKIP

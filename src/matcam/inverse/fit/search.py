@@ -68,7 +68,7 @@ def _covariance(information: np.ndarray, prior_rows: np.ndarray) -> np.ndarray:
 
 
 class Solution(NamedTuple):
-    """Solution of a least-squares problem: best coordinates, and the model at these coordinates.
+    """Solution of a least-squares problem.
 
     Attributes:
         problem: problem that was solved.
@@ -76,9 +76,9 @@ class Solution(NamedTuple):
         model: model at these coordinates.
         covariance: covariance of the coordinates, (coordinates, coordinates).
         noise: noise of a pixel, specified or estimated.
-        misfit: weighted sum of squared residuals, divided by the degrees of freedom.
+        misfit: weighted sum of squared residuals, divided by the degrees of freedom, no unit.
         freedom: degrees of freedom.
-        weight: robust weights 1 / V, sr^2, (units, slices, cells).
+        weight: robust weights of the cells (inverse variances), sr^2, (units, slices, cells).
     """
 
     problem: FitProblem
@@ -91,9 +91,9 @@ class Solution(NamedTuple):
     weight: np.ndarray
 
     def tempered(self, kappa: float) -> Solution:
-        """Replace the covariance by that of the tempered likelihood (`correction/evidence.py`).
+        """Replace the covariance by the covariance of the tempered likelihood (`correction/evidence.py`).
 
-        kappa: exponent of the likelihood, 0 to 1.
+        kappa: exponent of the likelihood, no unit, 0 to 1.
         """
         white = self.problem.whitening(self.model, self.weight, self.noise.picture_gain)
         flat = white(self.model.derivative).reshape(self.p.size, -1)
@@ -106,7 +106,7 @@ class Search:
 
     Args:
         problem: problem to solve.
-        noise: noise of a pixel; None: it is estimated from the residuals.
+        noise: noise of a pixel; None: the noise is estimated from the residuals.
         workspace: store of the records of the starting points.
     """
 
@@ -119,7 +119,8 @@ class Search:
     def best(self, rounds: int = _ROUNDS) -> Solution:
         """Search a lattice of starting points, and refine the best of them.
 
-        rounds: largest number of updates of the weights; a fit that only provides the starting point of another requires fewer.
+        rounds: largest number of updates of the weights. A fit that only provides the starting point of another fit requires
+            fewer updates.
         """
         data = self.problem.data
         noise = self.given_noise or INITIAL_NOISE
@@ -135,15 +136,15 @@ class Search:
 
         Args:
             start: coordinates in the layout of this problem.
-            weight: robust weights; None: weights from the variance of each value.
-            noise: first estimate of the noise of a pixel. It is not used if the noise is specified.
+            weight: robust weights, sr^2, (units, slices, cells); None: weights from the variance of each value.
+            noise: first estimate of the noise of a pixel. It is not used if the noise of the search is specified.
         """
         return self._refine(self._inside(start), self._weight(weight, noise), self.given_noise or noise, rounds=_ROUNDS)
 
     def widen(self, few: Solution) -> Solution:
-        """Continue from the solution of the same model in fewer slices.
+        """Continue from `few`, the solution of the same model in fewer slices.
 
-        The model of this solution also determines the weights in the additional slices.
+        The first weights in all slices are computed from the model at this solution.
         """
         start, noise = self._inside(few.p), self.given_noise or few.noise
         model = self.problem.model(start, self._weight(None, noise))
@@ -161,7 +162,7 @@ class Search:
         return 1 / cell_variance(data, np.abs(data.values), noise) if weight is None else weight
 
     def _weighed(self, p: np.ndarray, weight: np.ndarray, noise: PixelNoise) -> tuple[FitModel, np.ndarray, PixelNoise]:
-        """Evaluate the model, and update weights and noise.
+        """Evaluate the model, and update weights and noise. The results are model, weights and noise.
 
         weight: weights for the solution of free strengths, sr^2, (units, slices, cells).
         """
@@ -201,7 +202,7 @@ class Search:
     def _vector(self, lobe: np.ndarray, free: FitModel) -> np.ndarray:
         """Build the starting point of a fit from the coordinates of a lobe.
 
-        The Fresnel terms are fitted to the strengths of `free`, a fitted model with F free in every slice.
+        The starting points of the Fresnel terms are fitted to the strengths of `free`, a model with F free in every slice.
         """
         layout, theta_d = self.problem.layout, self.problem.theta_d
         p = np.zeros(layout.size)
@@ -261,14 +262,20 @@ class Search:
     def _least_squares(
         self, p: np.ndarray, weight: np.ndarray, noise: PixelNoise, steps: int
     ) -> tuple[np.ndarray, float]:
-        """Find the coordinates that minimise the sum of squares, and half of the sum at the minimum."""
+        """Minimise the sum of squared residuals in at most `steps` steps.
+
+        The results are the best coordinates, and half of the sum at these coordinates.
+        """
         problem, prior = self.problem, self.prior_rows
         start = problem.model(p, weight)
         fixed = None if problem.layout.fresnel == "free" else problem.whitening(start, weight, noise.picture_gain)
         last: dict[bytes, np.ndarray] = {}
 
         def triangle(p: np.ndarray) -> np.ndarray:
-            """Compute R of the QR decomposition of derivatives and residuals, a smaller problem with equal normal equations."""
+            """Compute the factor R of a QR decomposition of derivatives and residuals.
+
+            R defines a smaller least-squares problem with the same normal equations.
+            """
             key = p.tobytes()
             if key not in last:
                 model = problem.model(p, weight)

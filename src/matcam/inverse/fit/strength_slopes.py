@@ -3,8 +3,8 @@
 The record of a near rig depends on this derivative (`lobe_operator.py`), which free strengths do not define. Differences
 between neighbouring slices would amplify the noise of the strengths. A mixture of Fresnel curves with positive shares (Lawson &
 Hanson 1974) is fitted to the strengths instead. It approximates metals, dielectrics and Schlick's polynomial, and has only
-physical slopes. Up to 86 degrees the error of the slope is at most 0.05 per rad, and 0.2 per rad for strengths with 1 % noise.
-In the nearest rigs the resulting errors of a record are at most 1e-4 and 3e-4 respectively.
+physical slopes. Up to 86 degrees, the error of the slope is at most 0.05 per rad for exact strengths, and 0.2 per rad for
+strengths with 1 % noise. In the nearest rigs the resulting relative errors of a record are at most 1e-4 and 3e-4 respectively.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _LEAST_RELATIVE_STD = 0.01
 
 
 class StrengthSlopes:
-    """Estimator of the slopes of free strengths.
+    """Estimator of the derivative of ln F with respect to theta_d from free strengths.
 
     theta_d: difference angles of the slices, rad, (slices,).
     """
@@ -30,13 +30,13 @@ class StrengthSlopes:
         self._curves, self._rises = (np.asarray(a) for a in _lattice(placed(theta_d)))
 
     def log_slopes(self, strength: np.ndarray, std: np.ndarray) -> np.ndarray:
-        """Compute the slope of ln F at the slices, 1/rad, (units, slices).
+        """Compute the derivative of ln F at the slices, 1/rad, (units, slices).
 
-        The slope is 0 for units without positive strengths.
+        It is 0 for units without positive strengths.
 
         Args:
-            strength: strengths, (units, slices).
-            std: standard deviations of the strengths, (units, slices); infinite for slices without values.
+            strength: strengths, no unit, (units, slices).
+            std: standard deviations of the strengths, no unit, (units, slices); infinite for slices without values.
         """
         return np.stack([self._of_unit(*unit) for unit in zip(strength, std, strict=True)])
 
@@ -49,7 +49,7 @@ class StrengthSlopes:
 
 @kept_program
 def _lattice(theta: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Compute the curves F(theta) of all lattice points and their derivatives, (curves, angles) each."""
+    """Compute the curves F(theta) of all lattice points, and their derivatives, 1/rad, (curves, angles) each."""
     pairs = []
     for model, points in FRESNEL_LATTICE.items():
 

@@ -54,8 +54,8 @@ class _Found(NamedTuple):
 def rule_arrays(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[str, np.ndarray]:
     """Compute nodes, weights and masking samples of cells by name.
 
-    along0, along1 ... are the changes of the weights along the axes. A near rig also has the moments and their changes,
-    moment, moment_along0, moment_along1 ...
+    The arrays along0, along1, ... are the changes of the weights along the axes. For a near rig, the result also contains the
+    moments (moment) and the changes of the moments (moment_along0, moment_along1, ...).
     """
     directions = cells.x.shape[-1]
     flat = np.flatnonzero(np.repeat(cells.valid.ravel(), directions))
@@ -112,7 +112,7 @@ def rule_arrays(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[st
 
 
 def _by_window(through: PixelBlurs, numbers: Sequence[int]) -> list[list[int]]:
-    """Group the indices `numbers` of blurs by their windows and their compiled program."""
+    """Group the indices `numbers` of blurs with equal windows and the same compiled program."""
     groups: dict[tuple, list[int]] = {}
     for n in numbers:
         groups.setdefault((through.reaches[n].tobytes(), jax.tree.structure(through.blurs[n])), []).append(n)
@@ -180,7 +180,10 @@ def _rules(view: SampleView, pixels: tuple[np.ndarray, ...], widths: list[PixelB
 
 
 def _on_the_same_nodes(widths: list[PixelBlurs]) -> list[list[PixelBlurs]]:
-    """Divide the groups of terms, narrowest first, into the core of a lens, its surroundings, and wide tails."""
+    """Divide groups of terms by support radius into the core of a lens, its surroundings, and wide tails.
+
+    `widths` contains the groups in the order of increasing support radius.
+    """
     reach = np.array([np.max(through.reaches[0]) for through in widths])
     ends = np.searchsorted(reach, np.maximum(_SURROUNDINGS, reach[0]), side="right")
     return [widths[a:b] for a, b in zip([0, *ends], [*ends, len(widths)], strict=True) if b > a]
@@ -189,7 +192,7 @@ def _on_the_same_nodes(widths: list[PixelBlurs]) -> list[list[PixelBlurs]]:
 def _sphere_rules(
     view: SampleView, windows: Windows, theta_d: np.ndarray, factor: np.ndarray, widths: list[PixelBlurs], scale: Scale
 ) -> _Found:
-    """Compute the rules of groups of terms on common nodes. `windows` are those of the widest group."""
+    """Compute the rules of groups of terms on common nodes. `windows` contains the windows of the widest group."""
     sphere = view.on_sphere
     own = scale if np.min(widths[0].reaches[0]) > _SURROUNDINGS[0] else scale._replace(largest=np.inf)
     widest, onto = (one.scaled(scale) for one in sphere_range(sphere, windows))
@@ -211,7 +214,7 @@ def _sphere_rules(
     def parts(through: PixelBlurs) -> list[list[SphereRule]]:
         """Compute one rule for each angular range and blur.
 
-        The sum over the ranges is the rule of a blur. Blurs with the residual of the first blur have its rules.
+        The sum over the ranges is the rule of a blur. Blurs with the residual of the first blur share the rules of that blur.
         """
         common = through.blurs[0].residual
         found: dict[int, list[SphereRule]] = {}
@@ -256,8 +259,9 @@ def _summed(rules: list[SphereRule]) -> tuple[np.ndarray, ...]:
 def _standing_for(widths: list[PixelBlurs]) -> PixelBlurs:
     """Build the Gaussian that replaces a blur in the average over azimuths for masking.
 
-    The blur itself has negative weights, so averages could lie outside the range of their values. The transfer functions of
-    blur and Gaussian agree where they are one half.
+    The blur itself has negative weights, so an average could lie outside the range of the averaged values. The transfer
+    functions of blur and Gaussian agree where they are one half, unless this Gaussian is too narrow for the azimuths of the
+    rule.
     """
     own = [through.blurs[0] for through in widths]
     weights, stds = (np.concatenate([np.asarray(getattr(blur, name)) for blur in own]) for name in ("weights", "stds"))

@@ -42,10 +42,10 @@ class RealPixels(NamedTuple):
     In the shapes, s is the number of slices, n of cells in a slice, and w of pixels of a cell.
 
     Attributes:
-        theta: (s, n, w), angle of each pixel's centre from the half vector, rad.
-        psi: (s, n, w), azimuth of the centre about the half vector, rad.
-        weight: (s, n, w), share of each pixel in its cell.
-        noise_share: (s, n), ratio of the variance of a cell to that of a pixel.
+        theta: (s, n, w), angle between the half vector and the normal at each pixel's centre, rad.
+        psi: (s, n, w), azimuth of this normal about the half vector, rad.
+        weight: (s, n, w), share of each pixel in its cell, no unit.
+        noise_share: (s, n), ratio of the variance of a cell to that of a pixel, no unit.
     """
 
     theta: np.ndarray
@@ -57,20 +57,21 @@ class RealPixels(NamedTuple):
 class ChosenCells(NamedTuple):
     """Cells of some slices, and the two pixels that show each cell.
 
-    In the shapes, s is the number of slices, and n of cells in a slice. The last axis is that of the direction.
+    In the shapes, s is the number of slices, and n of cells in a slice. A last axis of length 2 is that of the two directions
+    of a cell, phi_d and phi_d + pi.
 
     Attributes:
         slices: (s,), indices of theta_d.
-        theta_d: (s,), rad.
+        theta_d: (s,), difference angles, rad.
         i_theta_h: (s, n), indices of theta_h.
         i_phi_d: (s, n), indices of phi_d.
-        theta_h: (s, n), rad.
-        phi_d: (s, n), rad.
+        theta_h: (s, n), half angles, rad.
+        phi_d: (s, n), azimuths of the difference, rad.
         valid: (s, n), False where a slice has fewer cells.
         x: (s, n, 2), distance of the pixel centres from the optical axis, towards the lamp, px.
         y: (s, n, 2), distance of the pixel centres from the optical axis, perpendicular to x, px.
         cos_i: (s, n, 2), cosine of the angle of incidence at each position.
-        cos_o: (s, n, 2), cosine of the viewing angle.
+        cos_o: (s, n, 2), cosine of the viewing angle at each position.
         one_pixel: (s, n), True if both directions lie in the same pixel.
         real: real pixels from which cells are read. x, y and the cosines are then those of the real pixels, and their last
             axis is over all pixels of a cell. None: for each direction there is a pixel at the position of the cell.
@@ -150,8 +151,8 @@ def noise_shares(rig: Rig, sampling: Sampling) -> np.ndarray:
     """Compute the ratio of the variance of each cell to that of a pixel.
 
     The result has shape (90, 90, 180). The ratio is one half if the two positions of a cell, on opposite sides of the
-    highlight, certainly lie in two pixels, and otherwise 1. For a mean of n pixels it is at most 1 / n. For interpolation
-    between pixels it is multiplied by the sum of the squared weights.
+    highlight, certainly lie in different pixels, and otherwise 1. For a mean of n pixels the ratio is at most 1 / n. For
+    interpolation on a grid of known phase the ratio is multiplied by the sum of the squared weights.
     """
     grid, view = merl_grid(sampling), sample_view(rig)
     directions = [
@@ -175,7 +176,7 @@ def noise_shares(rig: Rig, sampling: Sampling) -> np.ndarray:
 def positions_in(view: SampleView, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> CellPositions:
     """Compute the two image positions that show each cell.
 
-    In a near rig they belong to different lamp positions, and thus to different images (docs/model.md 10).
+    In a near rig the two positions belong to different lamp positions, and thus to different images (docs/model.md 10).
     """
     far = cell_positions(view.radius, theta_h, theta_d, phi_d)
     if view.distant:
@@ -207,7 +208,7 @@ class _SliceCells(NamedTuple):
 def _slice_cells(view: SampleView, sampling: Sampling, slice_: int, pixels: PixelGrid | None) -> _SliceCells:
     """Choose the cells of one slice, ring by ring from the highlight outwards.
 
-    A cell is rejected if one of its pixels belongs to another cell.
+    A cell is rejected if one of its pixels belongs to a cell that is already chosen.
     """
     theta_h, theta_d, phi_d = merl_grid(sampling)
     td, radius = theta_d[slice_], view.radius

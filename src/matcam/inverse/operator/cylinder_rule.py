@@ -54,13 +54,14 @@ class LinePixels(NamedTuple):
 
 
 class CylinderRule(NamedTuple):
-    """Quadrature rule in theta_h for one arm in each pixel. The arrays have shape (pixels, nodes).
+    """Quadrature rule in theta_h for one arm in each pixel.
 
     Attributes:
-        theta: angle between normal and half vector, rad.
-        weight: weight of each node.
+        theta: angle between normal and half vector, rad, (pixels, nodes).
+        weight: weight of each node, no unit, (pixels, nodes).
         circles: sums over the nodes of all samples at about the same angle from the normal closest to the half vector.
-        moment: `weight` times the deviation of theta_d from its value for the cell (`rise_of`), rad; None: not requested.
+        moment: `weight` times the deviation of theta_d from its value for the cell (`rise_of`), rad, (pixels, nodes). None: not
+            requested.
     """
 
     theta: jax.Array
@@ -338,8 +339,8 @@ def _angles(element, lamp) -> Directions:  # type: ignore[no-untyped-def]
 def _kernel(cylinder, blur: Blur, terms, variance, at, shift, rows: bool):  # type: ignore[no-untyped-def]
     """Evaluate the kernel at nodes, 1/px, or 1/px^2 if `rows` is True.
 
-    `at` contains the column of the pixel, px, and the angle, rad, and row, px, of the nodes. `shift` contains the shifts, rad,
-    of the normal at the two ends of a chord, over which the kernel is averaged. It is None for a point source.
+    `at` contains the column of the pixel, px, and two coordinates of the nodes: angle, rad, and row, px. `shift` contains the
+    shifts of the normal, rad, at the two ends of a chord, over which the kernel is averaged; None for a point source.
     """
     x, u, row = at
     spread = Spread(variance, variance, jnp.abs(blur.defocus(cylinder.radius, jnp.cos(u))))

@@ -9,7 +9,7 @@ image has the second coordinate of the pixel determines two quantities: the dist
 first axis, and the ratio of the lengths of the image and the chord.
 
 An image of the disc that is much smaller than the blur is nearly an ellipse. It is approximated by a sum of a few
-Gaussians (`numerics/disc_gaussians.py`), which takes a twentieth of the computing time.
+Gaussians (`numerics/disc_gaussians.py`). The sum takes a twentieth of the computing time of the chords.
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ class LampDisc(NamedTuple):
 def lamp_discs(
     view: SampleView, blurs: list[Blur], stds: list[float], lamp_angle: np.ndarray, x: np.ndarray, y: np.ndarray
 ) -> tuple[list[LampDisc | None], np.ndarray]:
-    """Compute the source disc and the largest image shifts of each blur.
+    """Compute the source disc of each blur, and the largest shifts of the image between points of the disc.
 
     Args:
         view: geometry of sphere, camera and lamp.
@@ -101,8 +101,9 @@ def lamp_discs(
         y: distance of the pixels from the optical axis, perpendicular to x, px, (pixels,).
 
     Returns:
-        Disc of each blur: None for a point source, and for all blurs if Gaussians of the same variances suffice. Largest
-        shifts of highlight and pixel along the axes of the pixels, px, (blurs, 2, pixels).
+        List with the disc of each blur, and the largest shifts of highlight and pixel along the axes of the pixels, px,
+        (blurs, 2, pixels). A disc is None for a point source. If Gaussians of the same variances suffice for all blurs, all
+        discs are None, and the shifts are 0.
     """
     half = float(blurs[0].pixel.half_width)
     turn = view.azimuth - np.pi / 2 * np.round(
@@ -227,8 +228,8 @@ def _moved(
     """Compute the shifts, px, between the centre of the disc and points on its rim.
 
     Returns:
-        Shifts of the highlight along x and y, (points, pixels) each; largest shifts of highlight and pixel along the axes
-        of the pixels, (2, pixels).
+        Shifts of the highlight along x and y, (points, pixels) each, and the largest shifts of highlight and pixel along the
+        axes of the pixels, (2, pixels).
     """
     farthest = np.zeros((2, *x.shape))
     if float(blur.lamp_radius) == 0:
@@ -293,7 +294,7 @@ def _highlights(view: SphereView, u: Any, v: Any, radius: Any, lamp_angle: Any) 
 
 
 def _turned(one: Any, other: Any, normal: Any) -> tuple:
-    """Rotate a normal by the shortest rotation from one unit vector to another."""
+    """Rotate `normal` by the shortest rotation that maps the unit vector `one` to the unit vector `other`."""
     axis = [one[j] * other[k] - one[k] * other[j] for j, k in ((1, 2), (2, 0), (0, 1))]
     cos = sum(a * b for a, b in zip(one, other, strict=True))
     part = sum(a * b for a, b in zip(axis, normal, strict=True)) / (1 + cos)

@@ -3,8 +3,8 @@
 Each cell has its own lamp azimuth, at which the normal of the cell is perpendicular to the axis of the cylinder
 (`forward/cylinder_cells.py`). Across the cylinder the angle between normal and half vector decreases to a minimum and
 increases again. The two arms on either side of the minimum have separate nodes, at which masking is evaluated exactly.
-They are Gauss-Legendre nodes in asinh(turn / scale), where the turn is the angle from the minimum. A lobe is smooth in
-this variable for any angle between the half vector and the plane of the normals.
+They are Gauss-Legendre nodes in asinh(turn / scale), where the turn of a normal is its angle from the normal at the minimum.
+A lobe is smooth in this variable for any angle between the half vector and the plane of the normals.
 """
 
 from __future__ import annotations
@@ -106,7 +106,7 @@ def line_rule(
         lit = jnp.maximum(-jnp.pi / 2, middle - jnp.pi / 2), jnp.minimum(jnp.pi / 2, middle + jnp.pi / 2)
 
         def turns(at: jax.Array) -> jax.Array:
-            """Compute the angle between the normal at the minimum and the normals at columns, px, of the arm, rad."""
+            """Compute the turns, rad, of the normals at columns `at`, px; 0 on the other arm."""
             u = jnp.clip(jnp.arcsin(jnp.clip(at / radius, -1, 1)), *lit)
             return jnp.maximum(arm * (u - closest), 0.0)
 
@@ -133,12 +133,12 @@ def line_rule(
 
 
 def arm_nodes(turns: Sequence[jax.Array], scale: jax.Array, order: int) -> tuple[jax.Array, jax.Array]:
-    """Compute asinh(angle / scale) of the nodes of an arm, and their weights, rad, (..., nodes).
+    """Compute asinh(turn / scale) of the nodes of an arm, and the weights of the nodes, rad, (..., nodes) each.
 
     The arm is cut at the borders of the pixel and in the middle.
 
     Args:
-        turns: angles of the ends of the arm and of the borders of the pixel between them, rad.
+        turns: turns of the ends of the arm and of the borders of the pixel between them, rad.
         scale: scale of the nodes, rad.
         order: number of nodes between two cuts.
     """

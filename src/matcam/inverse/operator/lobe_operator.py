@@ -1,8 +1,8 @@
 """Record of D G in chosen cells, as a function of lobe and camera that is valid for all materials.
 
-`record` is the integral of docs/model.md 3 without F. The value of a table is F(theta_d) times this record, because all
-nodes of a slice have the same theta_d if camera and lamp are distant. The quadrature rule of each pixel (`sphere_rule`)
-depends on the rig only. It is computed once and stored.
+D is the density of facet normals, G the masking, and F the Fresnel term. `record` is the integral of docs/model.md 3 without
+F. If camera and lamp are distant, all nodes of a slice have the same theta_d, so the value of a table is F(theta_d) times this
+record. The quadrature rule of each pixel (`sphere_rule`) depends on the rig only. It is computed once and stored.
 
 With a near camera or lamp, theta_d differs between the nodes. The value of the table is then F A + F' B, where F' is
 the derivative of F with respect to theta_d. A is the record at F = 1, and B is the record of D G times the deviation of
@@ -68,7 +68,8 @@ class LobeOperator:
     Attributes:
         blocks: nodes of the cells of all slices, in blocks of a fixed number of cells.
         shape: number of slices, and number of cells in each slice.
-        moment: operator whose weights are multiplied by the deviation of theta_d from that of the cell, rad; None: no moment.
+        moment: operator whose weights are multiplied by the deviation of theta_d from its value for the cell (`rise_of`), rad;
+            None: no moment.
     """
 
     blocks: tuple[OperatorNodes, ...]
@@ -136,7 +137,10 @@ class LobeOperator:
         return self.directions(ndf, masking, shifts).sum(axis=-1) / 2
 
     def directions(self, ndf: NDF, masking: Masking, shifts: npt.ArrayLike) -> np.ndarray:
-        """Compute the record of each direction, 1/sr, (slices, cells, directions). Half of their sum is `record`."""
+        """Compute the record of each direction, 1/sr, (slices, cells, directions).
+
+        `record` is half of the sum over the directions.
+        """
         table = lambda_table(ndf, masking)
         found = self.by_blocks(lambda one: 2 * one.weighted(ndf, masking, table, shifts).sum(axis=-1).T)
         return np.moveaxis(found, 0, -1)
@@ -283,9 +287,9 @@ def rig_key(rig: Rig) -> tuple:
 def check_rig(rig: Rig) -> None:
     """Raise ArgumentError if a fit does not support the rig."""
     if not isinstance(rig, Rig):
-        raise ArgumentError(f"rig must be a Rig such as rigs.merl(), or None, got {type(rig).__name__}")
+        raise ArgumentError(f"rig must be a Rig such as rigs.merl(), got {type(rig).__name__}")
     if not isinstance(rig.sample, Sphere | Cylinder):
-        raise ArgumentError(f"the sample must be a Sphere or a Cylinder, got a {type(rig.sample).__name__}")
+        raise ArgumentError(f"the sample of the rig must be a Sphere or a Cylinder, got a {type(rig.sample).__name__}")
     if isinstance(rig.sample, Cylinder):
         check_cylinder(rig)
         checked_isotropic(rig.camera.optics, "a fit of a cylinder")

@@ -36,7 +36,8 @@ class NodeArrays(NamedTuple):
     Attributes:
         slope2: squared tangent of the angle between normal and half vector, (cells, directions, nodes).
         weight: weight of each node, (cells, directions, nodes).
-        along: for each axis, differences of the weights at the points of the axis, (cells, points, directions, nodes).
+        along: for each axis, differences between the weights at the points of the axis and `weight`, (cells, points,
+            directions, nodes).
         light_and_view: directions of light and view, (cells, 2, directions, groups of nodes, samples, azimuths).
         azimuth: azimuth between light and view, rad, (cells, directions, groups of nodes, samples, azimuths).
         share: shares of the azimuths at which masking is evaluated, in the shape of `azimuth`; None: equal shares.
@@ -202,5 +203,5 @@ def lambda_table(ndf: NDF, masking: Masking) -> np.ndarray | None:
 
 @kept_program
 def spline_parts(slope2: Any, weighted: Any) -> jax.Array:
-    """Differentiate sums over the nodes with respect to the coefficients of a smooth factor of D, (k, cells)."""
+    """Differentiate sums over the nodes with respect to the coefficients of a smooth factor of D, (coefficients, cells)."""
     return spline_sums(slope2, weighted, axes=2)

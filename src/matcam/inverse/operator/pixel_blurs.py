@@ -24,11 +24,11 @@ class PixelBlurs(NamedTuple):
     They include the blurs at points of the parameter axes and the blurs for changes of the lens.
 
     Attributes:
-        blurs: the blurs; the first is that of the rig, if it is included.
+        blurs: the blurs. If the blur of the rig is among them, it is the first.
         spreads: variances that are added to each blur along x and y, (pixels,) each, px^2.
         reaches: half sides of the window of each kernel along the axes of the pixel, (2, pixels), px.
-        discs: source disc of each blur; None: a point source, or part of the spreads.
-        lamps: radius of the source disc of each blur, rad.
+        discs: source disc of each blur; None: a point source, or a disc that is part of the spreads.
+        lamps: angular radius of the source disc of each blur, rad.
         columns: index of each blur among all blurs whose rules are computed.
     """
 
@@ -68,8 +68,8 @@ def gaussian_blurs(
         rig: the rig.
         moved: blurs at the points of the axes.
         pixels: x and y, px, and lamp angle, rad, of each pixel.
-        lenses: standard deviation of a Gaussian that is as sharp as the lens of each blur, px. A single Gaussian of a lens may
-            be narrower and of either sign, but the sum of all is not sharper.
+        lenses: standard deviation of a Gaussian that is as sharp as the lens of each blur, px. Some Gaussians of a lens may be
+            narrower or have negative weights, but their sum is not sharper.
     """
     x, y, lamp_angle = pixels
     blurs, rough, stretch = ([getattr(one, name) for one in moved] for name in MovedBlur._fields)

@@ -94,7 +94,8 @@ class Borders:
     def width(self, best: tuple[float, float], fewest: int, step: float) -> float:
         """Estimate the standard deviation of the phase, px.
 
-        It is the smallest tested change of the phase that results in clearly more contradictions.
+        It is the smallest tested change of the phase that results in clearly more contradictions, or `UNKNOWN_STD` if no tested
+        change does.
 
         Args:
             best: phase with the fewest contradictions, px.

@@ -85,7 +85,7 @@ class FoundPhase(NamedTuple):
     """Phase of the pixel grid from which the cells of a table were read.
 
     Attributes:
-        phase: phase of the grid in x and y, px, or a pair of phases for each slice.
+        phase: phase of the grid in x and y, px, or one such pair for each slice.
         std: standard deviation of the phase in x and in y, px.
         unexplained: share of the borders between values, or of the variance of the table, that the grid does not explain.
     """
@@ -107,7 +107,7 @@ class FoundPhase(NamedTuple):
             return (
                 f"lie at ({phases[0, 0]:+.3f}, {phases[0, 1]:+.3f}) ± {self.std:.1g} px from the centre of the sphere"
             )
-        return f"differ between the images, with a standard deviation of {self.std:.1g} px for each"
+        return f"differ between the images, and are known to {self.std:.1g} px (standard deviation) in each"
 
 
 class LocatedRig(NamedTuple):
@@ -133,7 +133,7 @@ def located_rig(rig: Rig, table: xr.DataArray) -> LocatedRig:
 
     Raises:
         FitError: the cells contradict the rig.
-        ArgumentError: rig and table specify different azimuths.
+        ArgumentError: rig and table specify different azimuths or samples, or the table is already corrected.
     """
     rig = rig_behind(table, rig)
     table = table.assign_attrs(lamp_azimuth=rig.lamp_azimuth or 0.0)

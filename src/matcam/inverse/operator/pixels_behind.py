@@ -2,8 +2,8 @@
 
 A fit models a cell as a weighted mean over at most eight positions in the image, four on either side of the plane of
 camera and lamp. Cells that are read from the nearest pixel, or interpolated between four pixels, are such means. A cell
-that is the mean of the pixels inside may contain dozens of pixels. If there are more than four on one side, they are
-replaced by four positions with the same mean and covariance, which is exact for quadratic functions.
+that is the mean of the pixels inside may contain dozens of pixels. More than four pixels on one side are replaced by four
+positions with the same mean and covariance. The mean of a quadratic function over the four positions is exact.
 """
 
 from __future__ import annotations
@@ -134,7 +134,10 @@ def _anywhere_in(radius: float, theta_d: float, i: np.ndarray, k: np.ndarray, az
 def _inside(
     phase: np.ndarray, radius: float, theta_d: float, i: np.ndarray, k: np.ndarray, azimuth: float
 ) -> PixelsBehind:
-    """Find the pixels of a grid inside each cell, or the nearest pixel if a cell contains none."""
+    """Find the pixels of a grid inside each cell, or the nearest pixel if a cell contains none.
+
+    More than four pixels on one side are replaced by the positions of `_same_moments`.
+    """
     n_p = GRID_SHAPE[2]
     whole = slice_pixels("mean", phase, radius, theta_d, azimuth=azimuth)
     rows = whole.share[i * n_p + k]
@@ -163,7 +166,7 @@ def _inside(
 def _same_moments(
     side: np.ndarray, x: np.ndarray, y: np.ndarray, share: np.ndarray, count: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Compute four positions with the mean and covariance of the pixels of each side.
+    """Compute four positions with the same mean and covariance as the pixels of each side.
 
     The results are x, y and weight of the positions, (sides, 4) each.
     """

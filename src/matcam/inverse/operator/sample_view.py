@@ -31,8 +31,8 @@ class SampleView(NamedTuple):
         azimuth: azimuth of the plane of camera and lamp relative to the rows of pixels, rad; in [0, pi/2) for an
             isotropic lens, which is invariant under a quarter turn, otherwise in [0, 2 pi).
         line: True if the sample is a cylinder, whose normals lie in one plane. Each cell then has its own lamp position
-            (`forward/cylinder_cells.py`). Its image position is computed on a sphere: the distance from the optical axis
-            is the distance from the axis of the cylinder.
+            (`forward/cylinder_cells.py`). The image position of a cell is computed on a sphere: the distance from the optical
+            axis is the distance from the axis of the cylinder.
     """
 
     radius: float
@@ -59,7 +59,7 @@ class SampleView(NamedTuple):
         return Cylinder(self.radius) if self.camera == 0 else Cylinder(self.radius, 1 / self.camera)
 
     def position(self, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> Position:
-        """Compute image position and lamp angle from half and difference angles, rad."""
+        """Compute image position, px, and lamp angle, rad, from half and difference angles, rad."""
         from matcam.sample.positions import positions_of
 
         nearness = np.array(self.lamp) if self.lamp else None
@@ -140,14 +140,18 @@ def sample_view(rig: Rig | None) -> SampleView:
 def rig_behind(table: xr.DataArray, rig: Rig) -> Rig:
     """Add the lamp azimuth of a table to a rig.
 
-    The rig or the table specifies the azimuth. An ArgumentError is raised if they specify different azimuths or samples, or if
-    the table is already corrected.
+    An azimuth of the rig is not changed. An ArgumentError is raised if rig and table specify different azimuths or samples, or
+    if the table is already corrected.
     """
     check_recorded(table)
     kind = sample_of(table)
     if kind not in (None, rig.sample.kind):
-        known = "a flat sample, whose table is not blurred" if kind == "flat" else f"attrs['sample'] = '{kind}'"
-        raise ArgumentError(f"sample must be that of the table ({known}), got a {rig.sample.kind}")
+        if kind == "flat":
+            raise ArgumentError(
+                "the table is that of a flat sample (attrs['sample'] = 'flat'), which the camera does not blur: give a table "
+                "of a sphere or a cylinder"
+            )
+        raise ArgumentError(f"sample must be that of the table (attrs['sample'] = '{kind}'), got a {rig.sample.kind}")
     stated, own = azimuth_of(table), rig.lamp_azimuth
     if own is None:
         return replace(rig, lamp_azimuth=stated) if stated else rig

@@ -4,11 +4,15 @@ A pixel records the integral over the visible, lit part of the sphere, in polar 
 
     R cos_i = 1/4 integral of  k(x - x(n)) F D(theta_h) G |v| |l|^-2 (1 - q n_z)^-3 s^2  over the solid angle of normals n  ,
 
-with the kernel k, the scale s of the image, px, the inverse distance q of the camera, 1/radii, and the lengths |v| and |l|
-of the vectors to camera and lamp in units of their distances (docs/model.md 3 and 10). In a distant rig q is 0, and |v| and
-|l| are 1. The integration nodes lie on arcs of circles about the highlight inside the window of the pixel
-(`forward/sampler/arcs.py`). Their weights are transferred to a few nodes in theta_h (`theta_nodes.py`), at which a lobe is
-evaluated. The weights depend on the rig only.
+where R is the recorded value of the pixel at x, cos_i the cosine of the angle of incidence there, and x(n) the image position
+of the normal n, whose component along the optical axis is n_z. F, D and G are Fresnel term, density of facet normals and
+masking. k is the kernel, s the scale of the image, px, and q the inverse distance of the camera, 1/radii. |v| and |l| are the
+distances of camera and lamp from the point, divided by their distances from the centre of the sphere (docs/model.md 3 and 10).
+In a distant rig q is 0, and |v| and |l| are 1.
+
+The integration nodes lie on arcs of circles about the highlight inside the window of the pixel (`forward/sampler/arcs.py`).
+Their weights are transferred to a few nodes in theta_h (`theta_nodes.py`), at which a lobe is evaluated. The weights depend on
+the rig only.
 
 In a distant rig all nodes on a circle have the same theta_h. With a near camera or lamp, theta_h, theta_d and irradiance
 differ between the nodes. The weights times the deviation of theta_d from its value for the cell (`rise_of`) then represent
@@ -235,7 +239,7 @@ def sphere_rules(
     Args:
         view: the sphere and the distances of camera and lamp.
         at: arcs in windows that contain the support of the kernels.
-        kernels: kernels with the same terms. Those without a source disc are evaluated at the same nodes.
+        kernels: kernels with the same terms. Kernels without a source disc are evaluated at the same nodes.
         onto: range of theta_h in which the nodes lie.
         theta_d: theta_d of the cells, (pixels,), rad.
         factor: factors by which the records are multiplied, (pixels,), no unit.
@@ -294,7 +298,7 @@ def _kernel_sums(
 def _from_sums(
     view: SphereView, at: WindowArcs, sums: np.ndarray, onto: ThetaRange, theta_d: np.ndarray, factor: np.ndarray
 ) -> SphereRule:
-    """Compute the rule of a kernel from its result of `_kernel_sums`, (sums, arcs)."""
+    """Compute the rule of a kernel from `sums`, the result of `_kernel_sums` for this kernel, (sums, arcs)."""
     circles, arcs = at.layout.circles, at.layout.arcs
     angle, step = (a.reshape(factor.size, -1) for a in (circles.angle, circles.weight))
     near, spacing = not view.distant, onto.spacing()
@@ -320,7 +324,7 @@ def _from_sums(
 def _tabulated_rules() -> np.ndarray:
     """Tabulate Gauss-Legendre rules, followed by midpoint rules, (rules, 2, groups, nodes).
 
-    The rules of each type are ordered by their number of groups of nodes.
+    The rules of each type are in the order of increasing number of groups.
     """
     rules = np.concatenate([arc_rules(even, MOST_NODES, _GROUP)[:, ::_GROUP] for even in (False, True)], axis=1)
     return np.moveaxis(rules, 1, 0).reshape(-1, 2, MOST_NODES // _GROUP, _GROUP)

@@ -238,7 +238,7 @@ def onto_nodes(positions: jax.Array, share: jax.Array) -> jax.Array:
     values at the Gauss nodes is a sum of Legendre polynomials, whose coefficients are sums over the nodes.
 
     Args:
-        positions: positions in [-1, 1], (pixels, ...).
+        positions: positions among the nodes, in [-1.1, 1.1], (pixels, ...).
         share: weights at the positions, of the same shape.
     """
     positions, share = (a.reshape(a.shape[0], -1) for a in (positions, share))
@@ -248,10 +248,10 @@ def onto_nodes(positions: jax.Array, share: jax.Array) -> jax.Array:
 def legendre_sums(position: jax.Array, shares: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
     """Compute the sums of weights times Legendre polynomials of the position.
 
-    The sums are over the last axis, and have shape (degrees, ...).
+    The sums are over the last axis. There is one result of shape (degrees, ...) for each array of weights.
 
     Args:
-        position: positions in [-1, 1].
+        position: positions among the nodes, in [-1.1, 1.1].
         shares: arrays of weights in the shape of `position`.
     """
 
@@ -293,7 +293,7 @@ class CircleSums(NamedTuple):
         total: sum of the weights.
         cosine: sums of the weights times powers 1 to 3 of the cosine of the azimuth about the half vector, (3, pixels,
             circles).
-        position: sum of the weights times the position among the nodes, in [-1, 1].
+        position: sum of the weights times the position among the nodes, in [-1.1, 1.1].
         theta_d: sum of the weights times theta_d, rad.
         product: sum of the weights times theta_d times the cosine of the azimuth, rad.
     """
@@ -317,8 +317,8 @@ def masking_samples(circles: CircleSums, theta: np.ndarray, at: np.ndarray) -> t
         at: indices of the nodes at which masking is evaluated.
 
     Returns:
-        theta, rad, (pixels, samples); and for both azimuths, (pixels, samples, 2) each: cosine of the azimuth; theta_d, rad;
-        share.
+        Four arrays: theta, rad, of shape (pixels, samples); and cosine of the azimuth, theta_d, rad, and share, of shape
+        (pixels, samples, 2), for both azimuths.
     """
     seen = circles.total != 0
     safe = np.where(seen, circles.total, 1.0)
@@ -349,7 +349,7 @@ def skewed_pair(skew: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Compute the two-point Gauss rule of a skewed distribution.
 
     The nodes, in standard deviations from the mean, and their shares have a trailing axis. The rule is exact up to the
-    third moment. Close to the limb a circle is visible at two ends with unequal weights, which such a rule represents.
+    third moment. It represents circles close to the limb, which are visible at two ends with unequal weights.
 
     skew: skewness of the distribution.
     """
@@ -360,7 +360,7 @@ def skewed_pair(skew: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def nearest_seen(seen: np.ndarray) -> np.ndarray:
-    """Find the index of the nearest True element along axis 1."""
+    """Find the index of the True element that is nearest to each element along axis 1."""
     index = np.arange(seen.shape[1])
     before = np.maximum.accumulate(np.where(seen, index, -1), axis=1)
     after = np.minimum.accumulate(np.where(seen, index, index.size)[:, ::-1], axis=1)[:, ::-1]

@@ -36,12 +36,12 @@ VARIANCES = tuple(1 + step * _STEP for step in range(-2, 3))
 class KernelChange(NamedTuple):
     """Change of the kernel of a lens along a coordinate.
 
-    It is the polynomial through the changes at given points and 0 at coordinate 0. The change at a point is a sum of
-    Gaussians. Their variances are relative to that of the Gaussian that is as wide as the lens.
+    The change is the polynomial through the changes at given points and 0 at coordinate 0. The change at a point is a sum of
+    Gaussians. The variances of the Gaussians are relative to the variance of the Gaussian that is as wide as the lens.
 
     Attributes:
-        points: Gaussians for each coordinate, as (variance along the plane of camera and lamp, variance across it, share), no
-            unit. The shares add up to 0.
+        points: Gaussians at each given point, by the coordinate of the point. A Gaussian is (variance along the plane of camera
+            and lamp, variance across it, share), no unit. The shares add up to 0.
         std: prior standard deviation of the coordinate.
         low: smallest coordinate.
         high: largest coordinate.

@@ -1,9 +1,9 @@
 """Parameters of a rig that a fit may change, each along its own axis, and their priors.
 
 The square of a width (of the lens, the lamp or the registration) adds to the variance of all other blurs. The coordinate
-of a width is half the logarithm of this total variance, relative to that of the rig. The record of a pixel is a smooth
-function of this coordinate down to a width of 0. For parameters that are not widths the coordinate is
-ln(value / value of the rig).
+of a width is half the logarithm of this total variance, relative to the total variance of the rig. The record of a pixel is a
+smooth function of this coordinate down to a width of 0. A change of the lens (`lens_changes.py`) is its own coordinate. For
+other parameters the coordinate is ln(value / value of the rig).
 """
 
 from __future__ import annotations
@@ -65,16 +65,16 @@ inaccurate elsewhere.
 class Axis(NamedTuple):
     """Axis of one parameter.
 
-    The coordinate is s = ln((value^2 + softening^2) / (base^2 + softening^2)) / 2.
+    The coordinate is ln((value^2 + softening^2) / (base^2 + softening^2)) / 2, or the value itself for a change of the lens.
 
     Attributes:
         name: name of the parameter as in `Camera.parameters`, or of a field of `Rig`.
         base: value of the rig, at coordinate 0.
-        softening: root of the variance of the other blurs, in the unit of the parameter; 0: the coordinate is
-            ln(value / base).
+        softening: square root of the variance of the other blurs, in the unit of the parameter; 0 for a parameter that is not
+            a width.
         low: smallest coordinate.
         high: largest coordinate.
-        points: coordinates at which a rule is computed; 0 is among them.
+        points: coordinates at which a rule is computed, including 0.
         by_variance: True if a source disc of unknown size is replaced by a Gaussian of the same variance. Default: False.
     """
 
@@ -107,7 +107,7 @@ class Axis(NamedTuple):
     def square(self, coordinate: float, std: float) -> tuple[float, float]:
         """Compute the squared parameter and the standard deviation of the square.
 
-        Blurs add in quadrature, so the square is linear in the coordinate near a width of 0.
+        Blurs add in quadrature, so the square of a width is linear in the coordinate near a width of 0.
 
         std: standard deviation of the coordinate.
         """
@@ -136,14 +136,14 @@ class Axis(NamedTuple):
 
 
 def scaled_changes(axes: Sequence[Axis], coordinates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Scale changes of the lens by the share of the lens in the whole blur.
+    """Multiply the changes of the lens by powers of the share of the lens in the variance of the whole blur.
 
-    The changes are relative to the moments of the lens, so they vanish with its width. Moments of order 2 k are divided by the
-    k-th power of the variance. A change d of such a moment of the lens changes the moment of the whole blur by d times the k-th
-    power of the share.
+    The changes are relative to the moments of the lens, so their effect vanishes with the width of the lens. Moments of order
+    2 k are divided by the k-th power of the variance. A change d of such a moment of the lens changes the moment of the whole
+    blur by d times the k-th power of the share.
 
     Returns:
-        Coordinates at which the lens of the rig has the same relative effect, and their derivatives with respect to the given
+        Coordinates at which the lens of the rig has the same effect, (axes,), and their derivatives with respect to the given
         coordinates, (axes, axes). Coordinates of other parameters are not changed.
     """
     scaled, slopes = np.array(coordinates, dtype=float), np.eye(len(axes))
@@ -180,7 +180,7 @@ class KnownLens(NamedTuple):
             parameter, or a width of 0.
         words: description of the uncertainty, for messages.
         assumed: True if no uncertainty is specified, and `ASSUMED` is used.
-        exact: True if the lens is specified as exact, or has a width of 0.
+        exact: True if the lens is specified as exact, or has a width of 0 and no specified uncertainty.
     """
 
     uncertainty: Uncertainty | None
@@ -249,16 +249,16 @@ def widths_of(rig: Rig) -> tuple[str, ...]:
 def free_axis(name: str, rig: Rig, *, nearby: bool = False) -> Axis:
     """Build the axis of a parameter without a prior.
 
-    An ArgumentError is raised if the rig does not have the parameter, or if it is 0 and cannot be free.
+    An ArgumentError is raised if the rig does not have the parameter, or if the parameter is 0 and cannot be free.
 
     nearby: True if the radius of the lamp is fitted only near the value of the rig, and a point source is widened as a
-    Gaussian. This suffices if rig and data agree, and is faster than the integration over discs.
+    Gaussian. This range suffices if rig and data agree, and takes less time than the integration over discs.
     """
     parameters = rig.camera.parameters()
     if name not in parameters and name not in widths_of(rig):
         raise ArgumentError(
-            f"free must name parameters of this rig, got {name!r}; the camera has {', '.join(sorted(parameters))}; the rig has "
-            f"{', '.join(widths_of(rig))}"
+            f"a free parameter must be one of the camera or the rig, got {name!r}; the camera has "
+            f"{', '.join(sorted(parameters))}; the rig has {', '.join(widths_of(rig))}"
         )
     if name == LENS:
         return _lens_axis(rig)
@@ -281,7 +281,8 @@ def free_axis(name: str, rig: Rig, *, nearby: bool = False) -> Axis:
 def _lens_axis(rig: Rig, half: float | None = None) -> Axis:
     """Build the axis of the width of a Gaussian lens.
 
-    Its points include the isotropic Gaussians of the changes of the lens, so that these require no separate rules.
+    The points include the widths of the isotropic Gaussians of the changes of the lens. These Gaussians therefore require no
+    separate rules.
 
     half: half the range of the logarithm of the width. Default: None, the whole range.
     """
@@ -318,22 +319,22 @@ def lens_coordinate(own: Blur, variance: float) -> float:
 
     Args:
         own: blur of the rig.
-        variance: variance of lens and registration, relative to that of the rig.
+        variance: variance of lens and registration, divided by its value for the rig, no unit.
     """
     pixel, lens = float(own.pixel.half_width) ** 2 / 3, own.std_of_half**2
     return round(0.5 * float(np.log((variance * lens + pixel) / (lens + pixel))), 12)
 
 
 def axis_selection(axes: Sequence[Axis], among: Sequence[Axis]) -> np.ndarray:
-    """Build the matrix that maps coordinates along some axes to more axes.
+    """Build the matrix that maps coordinates along `axes` to coordinates along `among`.
 
-    The matrix has shape (axes, among). An element is 1 where the two axes are the same, otherwise 0.
+    The matrix has shape (axes, among). An element is 1 where the two axes are equal, otherwise 0.
     """
     return np.array([[axis == other for other in among] for axis in axes], dtype=float).reshape(len(axes), len(among))
 
 
 def _softening(name: str, rig: Rig) -> float:
-    """Compute the root of the variance of all other blurs, in the unit of the parameter.
+    """Compute the square root of the variance of all other blurs, in the unit of the parameter.
 
     The result is valid in the middle of the sphere. It is 0 for a parameter that is not a width.
     """

@@ -20,7 +20,7 @@ class MovedBlur(NamedTuple):
 
     Attributes:
         blur: the blur.
-        rough: True if a source disc is replaced by a Gaussian at all positions. Default: False.
+        rough: True if a source disc is replaced by a Gaussian of the same variance in all pixels. Default: False.
         stretch: variances that are added to the blur along the plane of camera and lamp and across it, px^2. Default: 0.
     """
 
@@ -35,10 +35,10 @@ class RigBlurs(NamedTuple):
     Attributes:
         axes: parameters of the rig that may change.
         along: the blur of the rig, and the blurs at the points of the axes that are not changes of the lens. For a Gaussian
-            lens it includes the isotropic Gaussians for changes of the lens, because one program evaluates them all.
+            lens it also contains the isotropic Gaussians for changes of the lens, because one program evaluates them all.
         changes: other Gaussians for changes of the lens.
-        columns: index of each Gaussian for changes of the lens among all blurs, by its variances relative to that of the
-            lens, along the plane of camera and lamp and across it.
+        columns: index of each Gaussian for changes of the lens among all blurs. The key is a pair of variances, along the plane
+            of camera and lamp and across it, relative to the variance of the lens.
     """
 
     axes: tuple[Axis, ...]
@@ -79,7 +79,7 @@ class RigBlurs(NamedTuple):
         return cls(axes, along + changes[:shared], changes[shared:], columns)
 
     def differences(self, name: str, along: str, values: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
-        """Compute the differences of values at the points of all axes.
+        """Compute the differences between values at the points of all axes and the values of the rig.
 
         The result contains the values of the rig and the differences by name.
 
@@ -105,9 +105,10 @@ class RigBlurs(NamedTuple):
 
 
 def _changed(own: Blur, along: float, across: float) -> MovedBlur:
-    """Build a Gaussian for changes of the lens of the blur `own` of the rig.
+    """Build a Gaussian for changes of the lens from `own`, the blur of the rig.
 
-    `along` and `across` are its variances along the plane of camera and lamp and across it, relative to that of the lens.
+    `along` and `across` are the variances of the Gaussian along the plane of camera and lamp and across it, relative to the
+    variance of the lens.
     """
     variance, least = own.std_of_half**2, min(along, across)
     one = dataclasses.replace(own, weights=jnp.ones(1), stds=jnp.full(1, np.sqrt(least * variance)), residual=None)

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 class Beckmann(SlopeNDF, MixtureNDF):
     """Beckmann distribution: Gaussian slopes.
 
-    D = exp(-tan^2 theta_h / alpha^2) / (pi alpha^2 cos^4 theta_h), 1/sr.
+    The density of facet normals is D = exp(-tan^2 theta_h / alpha^2) / (pi alpha^2 cos^4 theta_h), 1/sr.
 
     Args:
         alpha: roughness, a slope, no unit, (0, 1]: sqrt(2) times the standard deviation of the slope in any direction.
@@ -26,7 +26,7 @@ class Beckmann(SlopeNDF, MixtureNDF):
         ArgumentError: alpha is out of range, or not a single number.
 
     Source:
-        Beckmann & Spizzichino (1963); Walter et al. (2007), (25).
+        Beckmann & Spizzichino (1963); Walter et al. (2007), equation (25).
 
     Example:
         >>> lobe = matcam.Beckmann(0.1)
@@ -49,7 +49,7 @@ class Beckmann(SlopeNDF, MixtureNDF):
     def smith_lambda(self, cos: jax.Array) -> jax.Array:
         """Compute Smith's Lambda in closed form.
 
-        It is [exp(-nu^2) / (nu sqrt pi) - erfc(nu)] / 2, nu = cot theta / alpha.
+        Lambda is [exp(-nu^2) / (nu sqrt pi) - erfc(nu)] / 2, where nu = cot theta / alpha.
 
         Source:
             Smith (1967); Heitz (2014).
@@ -92,11 +92,14 @@ class AnisotropicBeckmann(StretchedSlopes):
         return xp.exp(-slope2) / xp.pi
 
     def unit_lambda(self, nu: jax.Array) -> jax.Array:
-        """Compute Lambda for roughness 1 in closed form."""
+        """Compute Smith's Lambda for roughness 1 in closed form."""
         return beckmann_lambda(nu)
 
 
 def beckmann_lambda(nu: jax.Array) -> jax.Array:
-    """Evaluate Lambda of Beckmann slopes at nu = cot theta / alpha, to 16 digits of 1 / (1 + Lambda)."""
+    """Evaluate Smith's Lambda of Beckmann slopes at nu = cot theta / alpha.
+
+    1 / (1 + Lambda) is accurate to 16 digits.
+    """
     nu = xp.minimum(nu, 20.0)
     return xp.maximum(xp.exp(-(nu**2)) / (nu * xp.sqrt(xp.pi)) - special.erfc(nu), 0.0) / 2

@@ -1,7 +1,7 @@
 """Normal distribution functions: the tilts of a rough surface's microfacets (docs/model.md 6).
 
 A facet's tilt is a slope: minus the gradient of the surface's height. P22 is the density of slopes. D = P22 / cos^4
-theta_h is the density of normals per solid angle, and the integral of D cos over the hemisphere is 1. The record of a
+theta_h is the density of normals per solid angle, and the integral of D cos theta_h over the hemisphere is 1. The record of a
 lobe by a camera depends on the lobe as a function of a tangent-plane coordinate r,
 
     D(theta_h) = D(0) flattening(theta_h) shape(r),     r = coordinate(theta_h),
@@ -53,7 +53,7 @@ class SlopeDistribution(Module):
     @property
     @abstractmethod
     def finest(self) -> jax.Array:
-        """Narrowest scale on which P22 changes, a slope, shape ()."""
+        """Smallest scale of slopes on which P22 changes, no unit, shape ()."""
 
     @property
     def elongation(self) -> float:
@@ -74,9 +74,9 @@ class NDF(SlopeDistribution):
 
     @abstractmethod
     def d(self, theta_h: ArrayLike) -> jax.Array:
-        """Compute D, 1/sr.
+        """Compute D, the density of facet normals, 1/sr.
 
-        The integral of D cos over the hemisphere is 1.
+        The integral of D cos theta_h over the hemisphere is 1.
 
         Args:
             theta_h: angle between half vector and surface normal, rad.
@@ -108,9 +108,9 @@ class NDF(SlopeDistribution):
 
     @abstractmethod
     def flattening(self, theta_h: jax.Array) -> jax.Array:
-        """Compute D divided by D(0) and by the shape in r.
+        """Compute the ratio of D to D(0) shape(r).
 
-        The ratio is 1 at the peak. The tangent plane approximation neglects this factor.
+        The ratio is 1 at the peak. The tangent plane approximation assumes that it is 1 everywhere.
 
         Args:
             theta_h: angle between half vector and surface normal, rad.
@@ -147,7 +147,7 @@ class NDF(SlopeDistribution):
     def lambdas(self, shading: Shading) -> tuple[jax.Array, jax.Array]:
         """Compute Smith's Lambda of light and view.
 
-        Each depends only on the angle of its direction to the normal.
+        Lambda of a direction depends only on the angle of the direction to the normal.
         """
         return self.smith_lambda(shading.cos_i), self.smith_lambda(shading.cos_o)
 
@@ -158,7 +158,7 @@ class NDF(SlopeDistribution):
 
 
 class SlopeNDF(NDF):
-    """NDF that follows from a density of slopes."""
+    """NDF that is defined by a density of slopes."""
 
     def d(self, theta_h: ArrayLike) -> jax.Array:
         """Compute D = P22 / cos^4 theta_h, 1/sr."""
@@ -179,7 +179,7 @@ class SlopeNDF(NDF):
 
 
 class MixtureNDF(NDF):
-    """NDF that is a mixture of Gaussians in its coordinate.
+    """NDF that is a mixture of Gaussians in the tangent-plane coordinate.
 
     shape(r) = sum_j weight_j exp(-r^2 / (2 width_j^2)). A camera's record of such a lobe has a closed form.
     `GaussianNDF`, `Beckmann`, `GGX` and `SGD` are such lobes.
@@ -188,7 +188,8 @@ class MixtureNDF(NDF):
         docs/model.md 4.
 
     Example:
-        >>> [isinstance(lobe, matcam.material.MixtureNDF) for lobe in (matcam.GGX(0.1), matcam.EPD(0.1, 0.5))]
+        >>> from matcam.material.ndf.distribution import MixtureNDF
+        >>> [isinstance(lobe, MixtureNDF) for lobe in (matcam.GGX(0.1), matcam.EPD(0.1, 0.5))]
         [True, False]
     """
 
@@ -203,7 +204,7 @@ class MixtureNDF(NDF):
 class StretchedSlopes(SlopeDistribution):
     """Isotropic distribution of slopes, stretched by alpha_along and alpha_across.
 
-    A stretched surface has the Smith masking of an isotropic surface whose roughness is projected on the direction,
+    In a direction of azimuth phi, a stretched surface has the Smith masking of an isotropic surface of roughness alpha, where
     alpha^2 = alpha_along^2 cos^2 phi + alpha_across^2 sin^2 phi (Heitz 2014).
     """
 
@@ -236,7 +237,7 @@ class StretchedSlopes(SlopeDistribution):
         return self.unit_density(stretched2) / (self.alpha_along * self.alpha_across)
 
     def lambdas(self, shading: Shading) -> tuple[jax.Array, jax.Array]:
-        """Compute Smith's Lambda at each direction's projected roughness."""
+        """Compute Smith's Lambda of light and view from the roughness alpha of each direction."""
         (x, y), (offset_x, offset_y) = _tangents(shading)
         return tuple(  # type: ignore[return-value]
             self._lambda(cos, offset_x + sign * x, offset_y + sign * y)
@@ -260,16 +261,19 @@ class StretchedSlopes(SlopeDistribution):
 
 
 def checked_roughness(name: str, value: ArrayLike, largest: float = 1.0, unit: str = "") -> jax.Array:
-    """Check that a roughness lies in (0, largest].
+    """Check that a roughness is a single number in (0, largest], and at least 1e-60.
 
-    Its square must be representable as a positive number, too. Otherwise an ArgumentError is raised.
+    Otherwise an ArgumentError is raised. The powers of smaller roughnesses would be rounded to 0.
     """
     checks.within(name, value, 0, largest, unit, open_low=True)
     return checks.scalar(name, checks.within(name, value, _SMOOTHEST, largest, unit))
 
 
 def _tangents(shading: Shading) -> tuple[tuple[jax.Array, jax.Array], tuple[jax.Array, jax.Array]]:
-    """Compute (part, offset): light and view along the tangents of the surface are offset + part and offset - part."""
+    """Compute (part, offset), vectors along the two tangents of the surface.
+
+    The components of light and view along the tangents are offset + part and offset - part.
+    """
     slope2 = shading.slope_along**2 + shading.slope_across**2
     mirror = slope2 == 0  # there the azimuth of the half vector is treated as 0
     slope = xp.sqrt(xp.where(mirror, 1.0, slope2))

@@ -40,7 +40,7 @@ class SplineNDF(SlopeNDF):
     Attributes:
         base: the lobe that is modified.
         coefficients: c_k, no unit, shape (KNOTS,); 0: the base itself.
-        norm: integral of the modified density.
+        norm: integral of the modified density over slopes, before it is normalised.
     """
 
     base: NDF
@@ -105,8 +105,8 @@ def spline_smoothness() -> np.ndarray:
     """Build the smoothness penalty of the coefficients, (rows, KNOTS).
 
     The penalty is the result of `smoothness`, with larger weights for facets steeper than about 45 degrees. Only few
-    cells, in the outermost pixels of the sphere, depend on such facets, but their number affects the masking at grazing
-    angles. For steep facets the tail of the lobe continues as a power law. If the standard deviation of second
+    cells, in the outermost pixels of the sphere, depend on such facets, but the number of these facets affects the masking
+    at grazing angles. For steep facets the tail of the lobe continues as a power law. If the standard deviation of second
     differences is 1, the exponent of this power law departs from the exponent of the family with a standard deviation
     of about 0.5.
     """
@@ -125,7 +125,7 @@ def slope_of_knot(position: np.ndarray) -> np.ndarray:
 def _spline_slopes(
     values: tuple[jax.Array, jax.Array], changes: tuple[jax.Array, jax.Array]
 ) -> tuple[jax.Array, jax.Array]:
-    """Differentiate by the chain rule.
+    """Differentiate `spline_at` by the chain rule.
 
     The functions and their derivatives are evaluated once, not for every direction of differentiation.
     """
@@ -145,11 +145,11 @@ def shadow_basis(cos: ArrayLike) -> jax.Array:
 class ShadowedNDF(NDF):
     """Lobe with a free masking, for the masking model "smith-separable".
 
-    ln G1 = -sum_k shadows_k B_k(1 - cos theta). G1 may exceed 1: only the shape of G1 matters, because the strength of
-    each slice is a free parameter.
+    The masking G1 of one direction is given by ln G1 = -sum_k shadows_k B_k(1 - cos theta), with cubic B-splines B_k. G1 may
+    exceed 1: only the shape of G1 matters, because the strength of each slice is a free parameter.
 
     Attributes:
-        base: the lobe, whose D is kept.
+        base: the lobe, whose density of normals D is not changed.
         shadows: coefficients, no unit, shape (SHADOWS,).
     """
 

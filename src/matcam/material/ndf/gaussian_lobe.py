@@ -20,9 +20,11 @@ _SMALL = 1e-6  # squared slope below which a series gives the angle, because the
 
 
 class GaussianNDF(MixtureNDF):
-    """Gaussian in the angle of facet normals (Holzschuch & Pacanowski 2017).
+    """Gaussian distribution of the tilt angle of microfacets (Holzschuch & Pacanowski 2017).
 
-    D is proportional to exp(-theta_h^2 / (2 width^2)), normalised by quadrature of D cos over the hemisphere.
+    The density of facet normals D, 1/sr, is proportional to exp(-theta_h^2 / (2 width^2)), where theta_h is the angle
+    between the normals of facet and surface. Quadrature gives the factor for which the integral of D cos theta_h over
+    the hemisphere is 1.
 
     Args:
         width: standard deviation of the lobe, rad, (0, 0.5].
@@ -52,7 +54,7 @@ class GaussianNDF(MixtureNDF):
         return self._of_squared_angle(xp.square(checks.number("theta_h", theta_h)))
 
     def slope_density(self, slope2: jax.Array) -> jax.Array:
-        """Compute P22 = D cos^4 theta_h."""
+        """Compute the density of slopes, P22 = D cos^4 theta_h."""
         small = slope2 < _SMALL
         angle = xp.arctan(xp.sqrt(xp.where(small, 1.0, slope2)))
         series = slope2 * (1 - slope2 * (2 / 3 - slope2 * 23 / 45))
@@ -74,7 +76,10 @@ class GaussianNDF(MixtureNDF):
         return theta_h
 
     def shape(self, r: jax.Array) -> jax.Array:
-        """Compute exp(-r^2 / (2 width^2))."""
+        """Compute the lobe divided by its peak.
+
+        The ratio is exp(-r^2 / (2 width^2)), where r = theta_h.
+        """
         return xp.exp(-((r / self.width) ** 2) / 2)
 
     def flattening(self, theta_h: jax.Array) -> jax.Array:
@@ -91,5 +96,5 @@ class GaussianNDF(MixtureNDF):
 
     @property
     def roughness(self) -> jax.Array:
-        """First parameter, the width, rad."""
+        """First parameter, the standard deviation of the lobe, rad."""
         return self.width

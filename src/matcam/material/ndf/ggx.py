@@ -1,4 +1,4 @@
-"""GGX, isotropic or not (Trowbridge & Reitz 1975; Walter et al. 2007)."""
+"""GGX distributions of slopes, isotropic and anisotropic (Trowbridge & Reitz 1975; Walter et al. 2007)."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ _MIXTURE_NODES = 56  # number of Gaussians, whose sum has an error of 2e-11 of t
 class GGX(SlopeNDF, MixtureNDF):
     """GGX (Trowbridge-Reitz) distribution, with long tails.
 
-    D = alpha^2 / (pi (cos^2 theta_h (alpha^2 - 1) + 1)^2), 1/sr. The density of slopes is alpha^2 / (pi (alpha^2 +
-    slope^2)^2).
+    The density of facet normals is D = alpha^2 / (pi (cos^2 theta_h (alpha^2 - 1) + 1)^2), 1/sr. theta_h is the angle
+    between the normals of facet and surface. The density of slopes is alpha^2 / (pi (alpha^2 + slope^2)^2).
 
     Args:
         alpha: roughness, a slope, no unit, (0, 1].
@@ -48,21 +48,26 @@ class GGX(SlopeNDF, MixtureNDF):
         self.alpha = checked_roughness("alpha", alpha, self.largest)
 
     def slope_density(self, slope2: jax.Array) -> jax.Array:
-        """Compute P22 = alpha^2 / (pi (alpha^2 + slope^2)^2)."""
+        """Compute the density of slopes.
+
+        The density is P22 = alpha^2 / (pi (alpha^2 + slope^2)^2).
+        """
         return (self.alpha / (self.alpha**2 + slope2)) ** 2 / xp.pi
 
     def smith_lambda(self, cos: jax.Array) -> jax.Array:
         """Compute Smith's Lambda in closed form.
 
-        It is (sqrt(1 + alpha^2 tan^2 theta) - 1) / 2 (Walter et al. 2007, (34)).
+        Lambda is (sqrt(1 + alpha^2 tan^2 theta) - 1) / 2, where theta is the angle of the direction to the normal
+        (from Walter et al. 2007, (34)).
         """
         return ggx_lambda(cot_of(cos) / self.alpha)
 
     def mixture(self) -> tuple[jax.Array, jax.Array]:
         """Compute weights and widths of the Gaussians whose sum is the lobe.
 
-        They follow from (1 + r^2)^-2 = integral of t exp(-t) exp(-t r^2) dt by the trapezoid rule in ln t (docs/model.md
-        4). The error is 2e-11 of the peak up to r = 1e3 alpha.
+        The trapezoid rule in ln t converts an integral over t > 0 to this sum (docs/model.md 4). The integral of
+        t exp(-t) exp(-t x^2) dt is (1 + x^2)^-2, the lobe at the slope r = alpha x. The error is 2e-11 of the peak up to
+        r = 1e3 alpha.
         """
         log_t = np.linspace(-14.0, 3.9, _MIXTURE_NODES)
         t = np.exp(log_t)
@@ -71,14 +76,14 @@ class GGX(SlopeNDF, MixtureNDF):
 
     @property
     def roughness(self) -> jax.Array:
-        """First parameter, alpha."""
+        """First parameter, alpha, a slope, no unit."""
         return self.alpha
 
 
 class AnisotropicGGX(StretchedSlopes):
     """Anisotropic GGX distribution with two roughnesses.
 
-    Brushed and turned metals have such slopes.
+    It describes brushed and turned metals, whose slopes along and across the grooves differ.
 
     Args:
         alpha_along: roughness along the first tangent, a slope, no unit, (0, 1].
@@ -97,18 +102,21 @@ class AnisotropicGGX(StretchedSlopes):
     """
 
     def unit_density(self, slope2: jax.Array) -> jax.Array:
-        """Compute P22 for roughness 1, 1 / (pi (1 + slope^2)^2)."""
+        """Compute the density of slopes for roughness 1.
+
+        The density is P22 = 1 / (pi (1 + slope^2)^2).
+        """
         return 1 / (xp.pi * (1 + slope2) ** 2)
 
     def unit_lambda(self, nu: jax.Array) -> jax.Array:
-        """Compute Lambda for roughness 1 in closed form."""
+        """Compute Smith's Lambda for roughness 1 in closed form."""
         return ggx_lambda(nu)
 
 
 def ggx_lambda(nu: jax.Array) -> jax.Array:
-    """Evaluate Lambda of GGX at nu = cot theta / alpha.
+    """Compute Smith's Lambda of GGX, (sqrt(1 + nu^-2) - 1) / 2, in a form without cancellation.
 
-    It is t / (2 (1 + sqrt(1 + t))), t = nu^-2, a form without cancellation.
+    nu: cot theta / alpha, where theta is the angle of the direction to the normal.
     """
     t = nu**-2
     return t / (2 * (1 + xp.sqrt(1 + t)))

@@ -1,4 +1,4 @@
-"""Lobes with a roughness and a power: sharp or flat peaks on broad or narrow flanks."""
+"""Lobes with a roughness and a power, which determines the shapes of the peak and of the flanks."""
 
 from __future__ import annotations
 
@@ -25,12 +25,13 @@ _FADED = 40.0  # exponent at which the integrand is negligible, exp(-40)
 class EPD(SlopeNDF):
     """Exponential power distribution of slopes.
 
-    D = p / (pi beta^2 Gamma(1/p)) exp(-(tan^2 theta_h / beta^2)^p) / cos^4 theta_h, 1/sr. p = 1 is Beckmann.
+    The density of facet normals is D = p / (pi beta^2 Gamma(1/p)) exp(-(tan^2 theta_h / beta^2)^p) / cos^4 theta_h,
+    1/sr. theta_h is the angle between the normals of facet and surface. For p = 1, D is the Beckmann distribution.
 
     Args:
         beta: roughness, a slope, no unit, (0, 1].
-        power: p, no unit, [0.25, 4]. Below 1 the lobe has a sharp peak on broad flanks, and an infinite slope at the
-            peak below 1/2; above 1 it has a flat top.
+        power: p, no unit, [0.25, 4]. Below 1, the lobe has a sharp peak on broad flanks. Below 1/2, the derivative of D
+            is also infinite at the peak. Above 1, the lobe has a flat top.
 
     Raises:
         ArgumentError: a parameter is out of range, or not a single number.
@@ -55,7 +56,10 @@ class EPD(SlopeNDF):
         self.power = checks.scalar("power", checks.within("power", power, 0.25, 4))
 
     def slope_density(self, slope2: jax.Array) -> jax.Array:
-        """Compute P22 = p / (pi beta^2 Gamma(1/p)) exp(-(slope^2 / beta^2)^p)."""
+        """Compute the density of slopes.
+
+        The density is P22 = p / (pi beta^2 Gamma(1/p)) exp(-(slope^2 / beta^2)^p).
+        """
         peak = self.power / (xp.pi * self.beta**2 * xp.exp(special.gammaln(1 / self.power)))
         at_peak = slope2 == 0  # the derivative of x^p is infinite or of the form 0 ln 0 there
         x = xp.where(at_peak, 1.0, slope2 / self.beta**2)
@@ -67,19 +71,20 @@ class EPD(SlopeNDF):
 
     @property
     def roughness(self) -> jax.Array:
-        """First parameter, beta."""
+        """First parameter, beta, a slope, no unit."""
         return self.beta
 
 
 class SGD(SlopeNDF, MixtureNDF):
     """Shifted gamma distribution of slopes.
 
-    D = K exp(-x) / (pi x^p cos^4 theta_h), 1/sr, with x = alpha + tan^2 theta_h / alpha and
-    K = 1 / (alpha Gamma(1 - p, alpha)); Gamma is the upper incomplete gamma function.
+    The density of facet normals is D = K exp(-x) / (pi x^p cos^4 theta_h), 1/sr, with x = alpha + tan^2 theta_h / alpha
+    and K = 1 / (alpha Gamma(1 - p, alpha)). theta_h is the angle between the normals of facet and surface, and Gamma is
+    the upper incomplete gamma function.
 
-    The denominator of the published BRDF contains pi instead of the 4 of a microfacet BRDF. At equal F, the published
-    BRDF is therefore larger than the BRDF of `Microfacet` by the factor `published_over_ours`. The authors also fit
-    masking and Fresnel term.
+    The denominator of the published BRDF contains pi instead of the 4 of a microfacet BRDF. For equal Fresnel terms, the
+    published BRDF is therefore larger than the BRDF of `Microfacet` by the factor `published_over_ours`. The published
+    model also has fitted functions for masking and the Fresnel term.
 
     Args:
         alpha: roughness, a slope, no unit, (0, 1]. The core of the lobe has a width of about alpha, and its flanks have
@@ -110,7 +115,10 @@ class SGD(SlopeNDF, MixtureNDF):
         self.power = checks.scalar("power", checks.within("power", power, 0, 2, open_low=True))
 
     def slope_density(self, slope2: jax.Array) -> jax.Array:
-        """Compute P22 = K exp(-x) / (pi x^p)."""
+        """Compute the density of slopes.
+
+        The density is P22 = K exp(-x) / (pi x^p), with K, x and p as in the class.
+        """
         fall = slope2 / self.alpha
         above = fall / self.alpha  # x = alpha (1 + above)
         peak = 1 / (xp.pi * self.alpha**2 * self._integral)
@@ -120,8 +128,8 @@ class SGD(SlopeNDF, MixtureNDF):
     def _integral(self) -> jax.Array:
         """Integrate e^(alpha - x) (x / alpha)^-p dx / alpha over x > alpha.
 
-        The variable of integration is v = ln(x / alpha). The integral is Gamma(1 - p, alpha) without its powers of
-        alpha, which overflow.
+        The variable of integration is v = ln(x / alpha). The integral is Gamma(1 - p, alpha) without the factor
+        alpha^(1 - p) e^-alpha, which may overflow.
         """
         nodes, weights = _NORM_NODES
         reach = xp.log1p(_FADED / self.alpha)
@@ -131,9 +139,9 @@ class SGD(SlopeNDF, MixtureNDF):
     def mixture(self) -> tuple[jax.Array, jax.Array]:
         """Compute weights and widths of the Gaussians whose sum is the lobe.
 
-        They follow from x^-p exp(-x) = integral over u > 1 of (u - 1)^(p - 1) exp(-u x) du / Gamma(p) by the trapezoid
-        rule in ln(u - 1). One Gaussian, at the mean u, represents the range below the first node. The error is 1e-10 of
-        the peak for alpha >= 1e-6.
+        The trapezoid rule in ln(u - 1) converts an integral over u > 1 to this sum. The integral of
+        (u - 1)^(p - 1) exp(-u x) du / Gamma(p) is x^-p exp(-x), with x and p as in the class. One Gaussian, at the mean
+        u, represents the range below the first node. The error is 1e-10 of the peak for alpha >= 1e-6.
         """
         highest = xp.log(_FADED / self.alpha)
         step = (highest - _LOWEST) / (_MIXTURE_NODES - 2)
@@ -152,7 +160,7 @@ class SGD(SlopeNDF, MixtureNDF):
 
     @property
     def roughness(self) -> jax.Array:
-        """First parameter, alpha."""
+        """First parameter, alpha, a slope, no unit."""
         return self.alpha
 
 

@@ -18,11 +18,12 @@ if TYPE_CHECKING:
 class StudentLobe(SlopeNDF):
     """Student's t distribution of two-dimensional slopes (Ribardiere et al. 2017, STD).
 
-    P22 = (g - 1) / (pi g beta^2) (1 + slope^2 / (g beta^2))^-g. For g = 2 it is GGX with alpha^2 = 2 beta^2, and for
-    large g it approaches Beckmann with roughness beta. In this form beta and g are hardly correlated.
+    The density of slopes is P22 = (g - 1) / (pi g beta^2) (1 + slope^2 / (g beta^2))^-g. For g = 2 the distribution is
+    GGX with alpha^2 = 2 beta^2, and for large g it approaches Beckmann with roughness beta. Fitted values of beta and g
+    are hardly correlated.
 
     Attributes:
-        beta: roughness, a slope, shape ().
+        beta: roughness, a slope, no unit, shape ().
         excess: g - 1, above 0, no unit, shape (). In the tail, P22 decreases as slope^(-2 g).
     """
 

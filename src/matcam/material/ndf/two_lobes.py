@@ -1,4 +1,4 @@
-"""Mixture of two lobes, such as a coat over a base or facets of two finishes. Each lobe is between GGX and Beckmann."""
+"""Mixture of two lobes, such as those of a coat and its base, or of two finishes on one surface."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ if TYPE_CHECKING:
 class TwoLobes(SlopeNDF):
     """Mixture of two lobes, each a mixture of GGX and Beckmann.
 
-    Both components of a lobe have the same roughness. P22 and Smith's Lambda are linear in the shares, and both have
-    closed forms. Fitting the share of Beckmann, which determines the tails of each lobe, replaces the choice of a
+    Both components of a lobe have the same roughness. The density of slopes and Smith's Lambda are linear in each share,
+    and have closed forms. The share of Beckmann determines the tails of a lobe. Fitting it replaces the choice of a
     family.
 
     Attributes:
-        alpha: roughness of the first lobe, a slope, shape ().
-        other_alpha: roughness of the other lobe, a slope, shape ().
-        other_share: share of the facets in the other lobe, [0, 1].
-        beckmann: share of Beckmann in the first lobe, [0, 1]; the remainder is GGX.
-        other_beckmann: share of Beckmann in the other lobe, [0, 1].
+        alpha: roughness of the first lobe, a slope, no unit, shape ().
+        other_alpha: roughness of the second lobe, a slope, no unit, shape ().
+        other_share: share of the facets in the second lobe, no unit, [0, 1], shape ().
+        beckmann: share of Beckmann in the first lobe, no unit, [0, 1], shape (); the remainder is GGX.
+        other_beckmann: share of Beckmann in the second lobe, no unit, [0, 1], shape (); the remainder is GGX.
     """
 
     alpha: jax.Array

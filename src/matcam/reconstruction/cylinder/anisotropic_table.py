@@ -27,11 +27,12 @@ def anisotropic_table(fit: SphereFit, curves: Sequence[ReflectanceCurve], units:
     Args:
         fit: lobe, strengths and diffuse parts.
         curves: F of each channel, in the unit of the fit.
-        units: unit of each channel: value per radiance under unit irradiance, with its relative standard deviation.
-            Strengths divided by the unit are F. If the standard deviation is NaN, F is relative.
+        units: unit of each channel, which is the image value per radiance under unit irradiance, with its relative
+            standard deviation. F is the strength divided by the unit. If the standard deviation is NaN, F is relative.
 
     Returns:
-        Dataset with `brdf`, `brdf_std` (1/sr) and `supported` over (theta_h, phi_h, theta_d, phi_d, channel).
+        Dataset with `brdf` and `brdf_std`, 1/sr, and the mask `supported`, over theta_h, phi_h, theta_d, phi_d, rad, and
+        channel.
     """
     n_h, n_p, n_d, n_q = _SHAPE
     theta_h, phi_h = ((np.arange(n_h) + 0.5) / n_h) ** 2 * np.pi / 2, (np.arange(n_p) + 0.5) / n_p * np.pi

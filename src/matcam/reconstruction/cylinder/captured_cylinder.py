@@ -66,7 +66,7 @@ def captured_cylinder(
         progress: function that is called with the name of a step, the number of finished parts and the number of all parts.
             Default: None.
         workers: number of lamp positions that are read at the same time. Default: 1.
-        kept: stored results from which an interrupted computation resumes. Default: None, no results.
+        kept: stored results from which an interrupted computation resumes. Default: None, nothing is stored.
 
     Raises:
         ArgumentError: the capture has neither frames of the outline nor a specified outline.
@@ -95,7 +95,8 @@ def captured_cylinder(
     pictures = [one for one in merged if one.name not in lost]
     if len(pictures) < FEWEST:
         raise FitError(
-            f"{capture.folder}: only {len(pictures)} of the lamp positions can be used, but {FEWEST} are required: {LIST_NEEDS}"
+            f"{capture.folder}: only {len(pictures)} of the lamp positions have both usable frames and a direction, but "
+            f"{FEWEST} are required: add frames, or angle_deg and azimuth_deg to frames.csv"
         )
     size = frame_size(capture)
     assert size is not None  # frames were merged

@@ -1,4 +1,4 @@
-"""Joint fit of images of the strips of a cylinder, with the likelihood, prior and solver of a sphere."""
+"""Joint fit of images of the strips of a cylinder. Likelihood, prior and solver are those for a sphere."""
 
 from __future__ import annotations
 
@@ -40,8 +40,8 @@ def fit_cylinder(
 ) -> SphereFit:
     """Fit lobe, strengths, lens, outline, lamps and distances to all images of a cylinder.
 
-    The parameters are those of a sphere. The centre in an image has the column of the axis, and the row to which the
-    directions of lamp and camera refer.
+    The parameters are those of `fit_sphere`. The centre of an image is in the column of the axis, and in the row to which
+    the directions to lamp and camera refer.
 
     Args:
         pictures: merged images, one per lamp position.
@@ -50,9 +50,13 @@ def fit_cylinder(
         strips: strips of material, with the orientation of each.
         stretched: True for a lobe with two roughnesses, "ggx" only. Default: False.
         **more: further arguments of `fit_sphere`.
+
+    Raises:
+        ArgumentError: there are fewer than 2 images, or a lobe with two roughnesses is not GGX or has splines.
+        FitError: a strip has too few rows, or is partly outside the images.
     """
     if stretched and family != "ggx":
-        raise ArgumentError(f"family is {family}; a lobe with two roughnesses requires ggx")
+        raise ArgumentError(f"a lobe with two roughnesses requires the family ggx, got {family}: give ggx")
     if stretched and more.get("spline"):
         raise ArgumentError("a lobe with two roughnesses cannot be spline-modified: set spline to 0")
     profiles = {picture.name: strip_profiles(picture, strips) for picture in pictures}
@@ -73,10 +77,10 @@ def cylinder_pixels(
     strips: Sequence[Strip],
     profiles: dict[str, StripProfiles],
 ) -> tuple[PixelModel, list[ObservedPixels], list[FieldChange]]:
-    """Choose the columns about the highlights of strips, and their model.
+    """Choose the columns of each image for the fit, and build their model.
 
-    `strips` are the strips of material, and `profiles` are the profiles of each image by its name. The other arguments and
-    the results are those of `sphere_pixels`.
+    `strips` are the strips of material. `profiles` contains the profiles of each image by the name of the image. The other
+    arguments and the results are those of `sphere_pixels`.
     """
     width = float(np.exp(p[0]))
     alphas = (width, float(np.exp(p[1])) if kind.stretched else width)

@@ -1,7 +1,8 @@
 """Record of a lobe in the columns of the strips of a cylinder, with derivatives with respect to every parameter.
 
-The axis of the cylinder is the y axis of the image. Its section is a circle of radius 1, so its normals are those of a
-sphere along the equator. In a near rig the directions to camera and lamp differ slightly between strips.
+The axis of the cylinder is the y axis of the image. The cross section of the cylinder is a circle of radius 1, so the
+normals are those of a sphere along its equator. If camera or lamp are near, the directions to them differ slightly
+between strips.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ class ProfileModel(eqx.Module):
 
     Attributes:
         kind: family, masking and splines of the lobe.
-        channels: number of colours; all have the same record at unit strength.
+        channels: number of colours. The record at unit strength is the same for all colours.
         blur: kernel of the camera, with a lens that is a sum of Gaussians.
         positions: positions on the source disc, as rotations of the direction to the lamp, rad, (points, 2).
         weights: weights of these positions, (points,); their sum is 1.
@@ -136,7 +137,7 @@ class ProfileModel(eqx.Module):
         """Compute the normal and the point where a line of sight meets the cylinder.
 
         Returns:
-            Normal, point, inverse distances of camera and lamp (1/radii), and both rotations of the lamp (rad).
+            Normal, point (radii), inverse distances of camera and lamp (1/radii), and both rotations of the lamp (rad).
         """
         n = self.kind.size
         radius, camera, lamp = (p[n + SCENE.index(name)] for name in ("radius", "camera", "lamp"))

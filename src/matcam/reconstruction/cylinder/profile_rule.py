@@ -66,12 +66,13 @@ def chosen_columns(
             distance of the camera.
         lamp: direction to the lamp, (3,).
         lamp_distance: distance of the lamp, radii.
-        alphas: roughness along the material's x axis and across it.
-        plateau: half the lamp's angular radius, rad. Default: 0.
+        alphas: roughness along the x axis of the material and across it, slopes, no unit.
+        plateau: half the angular radius of the lamp, rad. Default: 0.
         keep: earlier choice, whose columns are kept if the highlight has moved by at most one column. Default: None.
 
     Returns:
-        Columns of the windows by colour, strip and position, then the other columns; `row` is the index of the strip.
+        Columns of the windows, ordered by colour, strip and position, followed by the other columns. The field `row` is
+        the index of the strip.
     """
     windows = [
         _window(

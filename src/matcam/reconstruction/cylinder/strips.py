@@ -40,14 +40,17 @@ class Strip(NamedTuple):
 
 
 class StripProfiles(NamedTuple):
-    """Profiles of one image, arrays of shape (channels, strips, columns).
+    """Profiles of one image across the strips of a cylinder.
+
+    All arrays but `column` have the shape (channels, strips, columns).
 
     Attributes:
-        column: positions in the frame, px, (columns,).
-        values: mean over the rows of the strip; a lower bound if a pixel is clipped; 0 where `used` is False.
-        std: standard deviation of the noise of the values; 1 where `used` is False.
+        column: columns of the frame, px, (columns,).
+        values: mean of the image values over the rows of the strip; a lower bound if a pixel is clipped; 0 where `used` is
+            False.
+        std: standard deviation of the noise of the values, in their unit; 1 where `used` is False.
         clipped: True where at least one of the averaged pixels is clipped.
-        used: True where the strip has a pixel of the colour.
+        used: True where the column of the strip has a valid pixel of the colour.
     """
 
     column: np.ndarray
@@ -65,7 +68,7 @@ def strip_profiles(picture: MergedPicture, strips: Sequence[Strip]) -> StripProf
         strips: strips of the cylinder.
 
     Raises:
-        FitError: a strip has too few rows in the image.
+        FitError: a strip has too few rows, or is partly outside the image.
     """
     width, count = picture.values.shape[1], len(picture.channels)
     shape = (count, len(strips), width)

@@ -45,12 +45,13 @@ class FlatReconstruction(Summarised):
     """Maps of a flat sample, with their accuracy.
 
     Attributes:
-        maps: Dataset. `diffuse`, `specular` and their standard deviations `_std` are relative, over y and x (px of the
-            sample seen head-on). `diffuse_error` is the variance at each frequency, and `diffuse_resolved` the share of
-            the prior variance that the images remove, over frequency_y and frequency_x (cycles/px). The variables for
-            `specular` have corresponding names.
-        parameters: value and standard deviation of `alpha` and of the mean of each map.
-        cutoffs: map -> frequencies along the rows and across them up to which the map is resolved, cycles/px.
+        maps: Dataset. `diffuse`, `specular` and their standard deviations `diffuse_std` and `specular_std` are relative.
+            They are arrays over y and x (px of the sample seen head-on). `diffuse_error` is the variance at each
+            frequency, and `diffuse_resolved` is the share of the prior variance that the images remove. Both are arrays
+            over frequency_y and frequency_x (cycles/px). `specular_error` and `specular_resolved` are those of `specular`.
+        parameters: value and standard deviation of the roughness `alpha`, and of the means `mean_diffuse` and
+            `mean_specular` of the maps.
+        cutoffs: frequencies along the rows and across them up to which a map is resolved, cycles/px, by the name of the map.
         mm_per_px: size of a texel, mm; None: unknown.
         family: family of the lobe.
         names: names of the images that were used.
@@ -80,10 +81,12 @@ class FlatReconstruction(Summarised):
     sample = "flat"
 
     def uncertainty_budget(self, name: str) -> UncertaintyBudget:
-        """Return the uncertainty budget of a parameter (GUM).
+        """Return the uncertainty budget of a parameter.
+
+        The budget follows the Guide to the expression of uncertainty in measurement (GUM, JCGM 100:2008).
 
         Args:
-            name: name of the parameter, as in `parameters`.
+            name: name of the parameter, one of `parameters`.
 
         Raises:
             ArgumentError: there is no parameter of this name.
@@ -181,20 +184,21 @@ def reconstruct_flat(
     Args:
         capture: capture of a flat sample, as returned by `read_capture`.
         ndf: family of the lobe, with roughness as its only parameter. Default: "auto", which is "ggx".
-        masking: masking G of the lobe. Default: "smith".
+        masking: model of the masking of the lobe. Default: "smith".
         progress: function that is called with the name of a step, the number of finished parts and the number of all parts.
             Default: None.
         workers: number of images that are read at the same time. Default: 1.
-        kept: stored results from which an interrupted computation resumes. Default: None, no results.
+        kept: stored results from which an interrupted computation resumes. Default: None, nothing is stored.
 
     Raises:
-        ArgumentError: the family is unknown or has a second parameter, or the number of tilts is wrong.
+        ArgumentError: the family is unknown or has a second parameter, the number of tilts is wrong, or the blur of the
+            lens depends on direction or colour.
         FitError: fewer than three images can be used, the images are too small or have a colour mosaic, or a lamp or the
             camera is behind the sample.
     """
     family = "ggx" if ndf == AUTO else ndf
     if family not in ONE_WIDTH:
-        raise ArgumentError(f"ndf of a flat sample must be one of {', '.join(ONE_WIDTH)}, got {ndf}")
+        raise ArgumentError(f"ndf of a flat sample must be one of {', '.join((AUTO, *ONE_WIDTH))}, got {ndf}")
     remarks: list[Remark] = list(capture.problems)
     camera, lens = captured_lens(capture, remarks)
     camera = without_field(camera, "flat sample", remarks)
@@ -204,7 +208,7 @@ def reconstruct_flat(
     if len(reader.channels) > 1:
         raise FitError(
             f"{capture.folder}: a flat sample needs grey images, got a mosaic, in which each colour shows only some of the "
-            "texels: use a monochrome camera"
+            "texels: give frames of a monochrome camera, and omit camera.cfa"
         )
     merged, radiometry = merge(capture, capture.region, progress, workers=workers, kept=kept)
     merged = under_one_light(merged, capture)
@@ -227,7 +231,7 @@ def reconstruct_flat(
     if len(pictures) < FEWEST:
         raise FitError(
             f"{capture.folder}: only {len(pictures)} of the images of the flat sample can be used, but {FEWEST} are required: "
-            "specify the lamp directions in frames.csv, and add shorter exposures if pixels are clipped"
+            "add images, specify the lamp directions in frames.csv, or add shorter exposures if pixels are clipped"
         )
     size = capture.stated("mm_per_px")
     left_out = tuple(text.split(" ")[0] for text in lost)
@@ -253,13 +257,14 @@ def reconstructed_flat(
         pictures: merged images with tilt and lamp.
         camera: lens and pixel.
         family: family of the lobe, with roughness as its only parameter. Default: "ggx".
-        masking: masking G of the lobe. Default: "smith".
+        masking: model of the masking of the lobe. Default: "smith".
         lens_std: relative standard deviation of the lens width. Default: 0, exact.
         mm_per_px: size of a texel and its standard deviation, mm. Default: None, unknown.
         left_out: names of images that could not be used. Default: ().
         remarks: remarks of the preceding steps. Default: ().
 
     Raises:
+        ArgumentError: the blur of the lens depends on direction, colour or position.
         FitError: the images are too small, or a lamp or the camera is behind the sample.
     """
     shares = LobeShares(
@@ -296,7 +301,7 @@ def reconstructed_flat(
 def _budgets(fitted: FlatRoughness, alpha: float, unit: float) -> tuple[UncertaintyBudget, ...]:
     """Build the uncertainty budgets of the roughness and of the mean of each map.
 
-    `unit` is the value to which both maps are relative.
+    `unit` is the value by which both maps are divided.
     """
     stated = [Statement("gains of the images, as specified", fitted.stated)]
     readings = Readings("images: texture of coarse frequencies", "A", fitted.freedom)
@@ -313,12 +318,14 @@ def _budgets(fitted: FlatRoughness, alpha: float, unit: float) -> tuple[Uncertai
 
 
 def _remarks(fitted: FlatRoughness, shares: LobeShares) -> list[Remark]:
-    found = [Remark("relative", "both maps are relative: the larger mean is 1")]
+    found = [Remark("relative", "both maps are relative: they are scaled so that the larger mean is 1")]
     spread = float(np.sqrt(fitted.covariance[0, 0]))
     if spread > _LOOSE:
         found.append(
             Remark(
-                "roughness-loose", f"the images determine the roughness only to {spread:.0%}: vary the half angle more"
+                "roughness-loose",
+                f"the images determine the roughness only to ±{spread:.0%}: tilt the sample or move the lamp, so that the "
+                "half angles of the images differ more",
             )
         )
     if np.ptp(shares.theta_d) > _THETA_D:

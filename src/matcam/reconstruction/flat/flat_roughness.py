@@ -1,7 +1,8 @@
 """Common roughness of all texels of a flat sample, and gain of each image, from coarse frequencies of the texture.
 
-The gain of an image is its relative irradiance. An image is a linear combination of both maps, with weights that depend on
-roughness and gain. The roughness minimises the residual of these combinations, with both maps solved for at every frequency.
+The gain of an image is its relative irradiance. An image is a linear combination of the diffuse and the specular map, with
+weights that depend on roughness and gain. Roughness and gains minimise the residual of these combinations. At every
+frequency, the residual is that of the best pair of maps.
 """
 
 from __future__ import annotations
@@ -32,13 +33,14 @@ class FlatRoughness(NamedTuple):
         log_alpha: ln of the roughness of the lobe.
         gains: ln of the gain of each image, (pictures,).
         covariance: covariance of log_alpha and gains, (1 + pictures, 1 + pictures).
-        weights: radiance of the diffuse and specular part in each image for maps of 1, times the gain, (pictures, 2).
-        mean: mean of each map, (2,).
-        mean_noise: covariance of the means for exact roughness and gains, (2, 2).
+        weights: gain times the radiance of the diffuse and of the specular part in each image if both maps are 1,
+            (pictures, 2).
+        mean: mean of the diffuse and of the specular map, in the unit of the images, (2,).
+        mean_noise: covariance of the means if roughness and gains are exact, (2, 2).
         mean_slope: derivatives of the means with respect to log_alpha and gains, (2, 1 + pictures).
         misfit: mean squared residual, relative to the variance of the noise.
-        stated: prior information matrix of the gains, with the axes of `covariance`.
-        freedom: number of degrees of freedom.
+        stated: prior information matrix of log_alpha and gains, same shape as `covariance`.
+        freedom: number of degrees of freedom of the residual.
     """
 
     log_alpha: float
@@ -54,11 +56,13 @@ class FlatRoughness(NamedTuple):
 
 
 class LobeShares:
-    """Radiance of a lobe of F = 1 and of a white Lambertian surface in each image.
+    """Radiance of a lobe with a Fresnel term of 1, and of a white Lambertian surface, in each image.
+
+    The irradiance perpendicular to the direction of the light is 1.
 
     Args:
         family: family of the lobe, with roughness as its only parameter.
-        masking: masking G of the lobe.
+        masking: model of the masking of the lobe.
         tilts: tilts of the sample, rad, (pictures,); positive if the normal tilts towards +x.
         towards: directions to the lamps, (pictures, 3).
     """
@@ -89,7 +93,7 @@ def fit_roughness(stack: FlatStack, shares: LobeShares, gain_std: np.ndarray) ->
     Args:
         stack: images on the texels.
         shares: radiance of the lobe and of a white surface in each image.
-        gain_std: standard deviation of ln of the gain of each image, (pictures,).
+        gain_std: prior standard deviation of ln of the gain of each image, (pictures,).
     """
     coarse = (stack.radius < _COARSE) & (stack.radius > 0)
     root = np.sqrt(stack.noise[:, coarse])

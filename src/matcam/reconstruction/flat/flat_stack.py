@@ -37,7 +37,7 @@ class FlatPicture(NamedTuple):
         picture: merged image, grey.
         tilt: tilt of the sample about the vertical axis of the image, rad; positive if the normal tilts towards +x.
         towards: direction to the lamp, x right, y up, z to the camera, (3,).
-        gain_std: standard deviation of ln of the relative irradiance in the image.
+        gain_std: standard deviation of ln of the relative irradiance of the image, no unit.
     """
 
     picture: MergedPicture
@@ -50,9 +50,10 @@ class FlatStack(NamedTuple):
     """Fourier transforms of images on the grid of texels.
 
     Attributes:
-        mean: mean of each image, (pictures,).
-        mean_std: standard deviation of the mean, (pictures,).
-        spectrum: transform of each image less its mean, divided by the root of the area, (pictures, rows, columns).
+        mean: mean of each image, weighted with `taper`, (pictures,).
+        mean_std: standard deviation of these means, (pictures,).
+        spectrum: transform of each image less its mean, times `taper`, divided by the root of the sum of the squares of
+            `taper`, (pictures, rows, columns).
         transfer: transfer function of the camera at each frequency, 0 beyond the band of the sensor; same shape.
         lens_slope: derivative of ln transfer with respect to ln of the lens width, same shape.
         noise: power of the noise in `spectrum`, same shape.
@@ -79,7 +80,10 @@ class FlatStack(NamedTuple):
         return np.hypot(*self.frequency)
 
     def sensor_transfer(self, k: int, along: np.ndarray, across: np.ndarray) -> np.ndarray:
-        """Compute the signed transfer function of the camera at texel frequencies in image k."""
+        """Compute the signed transfer function of the camera in image k.
+
+        The frequencies along the rows and across them are those of the texel grid, cycles/px.
+        """
         return _transfer(self.camera, along / np.cos(self.tilts[k]), across)
 
 
@@ -87,14 +91,15 @@ def flat_stack(pictures: Sequence[FlatPicture], camera: Camera) -> FlatStack:
     """Resample the images of a flat sample onto its texels.
 
     Args:
-        pictures: images of the same shape.
+        pictures: images of equal shape.
         camera: lens and pixel.
 
     Returns:
-        Transforms of the images, with noise.
+        Transforms of the images, with their noise.
 
     Raises:
-        FitError: the images are too small for borders of 24 texels.
+        ArgumentError: the blur of the lens depends on direction, colour or position.
+        FitError: a side of the images is shorter than 96 px, four times the border that is omitted from the maps.
     """
     checked_isotropic(camera.optics, "a reconstruction")
     height, width = pictures[0].picture.values.shape
@@ -131,7 +136,7 @@ def _transfer(camera: Camera, along: np.ndarray, across: np.ndarray) -> np.ndarr
 
 
 def _lens_slope(camera: Camera, frequency: np.ndarray) -> np.ndarray:
-    """Compute d ln MTF / d ln width of the lens by scaling the frequencies."""
+    """Compute the derivative of ln MTF with respect to ln of the lens width, by a change of scale of the frequencies."""
     here, beyond = (np.asarray(camera.optics.mtf(frequency * factor)) for factor in (1 - _STEP, 1 + _STEP))
     passed = (here > _PASSED) & (beyond > _PASSED)
     return np.where(passed, np.log(np.where(passed, beyond, 1.0) / np.where(passed, here, 1.0)) / (2 * _STEP), 0.0)

@@ -1,8 +1,8 @@
 """Diffuse albedo and specular strength of a flat sample, estimated separately at each frequency of the texture.
 
-At each frequency the images are linear in both maps: spectrum_k = transfer_k (white_k diffuse + lobe_k specular) + noise.
-With the power of each map as prior, the posterior mean is the Wiener estimate. Frequencies that the camera does not transmit
-have the variance of the prior.
+At each frequency, the spectrum of image k is linear in both maps: transfer_k (white_k diffuse + lobe_k specular) + noise.
+With the power of each map as prior variance, the posterior mean is the Wiener estimate. At frequencies that the camera does
+not transmit, the posterior variance is that of the prior.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class PowerLaw(NamedTuple):
     """Power of a texture: level * (frequency / 0.1)^slope, with the frequency in cycles/px.
 
     Attributes:
-        level: level at 0.1 cycles/px.
+        level: power at 0.1 cycles/px, in the squared unit of the map.
         slope: exponent of the frequency, no unit.
     """
 
@@ -34,12 +34,14 @@ class PowerLaw(NamedTuple):
     slope: float
 
     def at(self, radius: np.ndarray) -> np.ndarray:
-        """Evaluate the power at the given frequencies, cycles/px."""
+        """Evaluate the power at frequencies, cycles/px. Frequencies below 0.005 cycles/px have the power at 0.005."""
         return self.level * (np.maximum(radius, 0.005) / 0.1) ** self.slope
 
 
 class TexturePosterior(NamedTuple):
-    """Fourier transforms of both maps and their variances. The maps on the first axis are diffuse and specular.
+    """Posterior of the Fourier transforms of both maps.
+
+    The first axis of the arrays is that of the maps, diffuse and specular.
 
     Attributes:
         estimate: posterior mean, (2, rows, columns).
@@ -63,6 +65,8 @@ class TexturePosterior(NamedTuple):
     def cutoff(self, frequency: tuple[np.ndarray, np.ndarray], which: int) -> tuple[float, float]:
         """Find the frequencies along the rows and across them up to which a map is resolved, cycles/px.
 
+        A frequency is 0.5 if the map is resolved up to the Nyquist limit.
+
         Args:
             frequency: frequencies of the grid along the rows and across them, cycles/px.
             which: index of the map; 0: diffuse, 1: specular.
@@ -77,7 +81,7 @@ def texture_posterior(stack: FlatStack, weights: np.ndarray, lens_std: float = 0
 
     Args:
         stack: images on the texels.
-        weights: radiance of the diffuse and specular part in each image for maps of 1, (pictures, 2).
+        weights: radiance of the diffuse and of the specular part in each image if both maps are 1, (pictures, 2).
         lens_std: relative standard deviation of the lens width. Default: 0, exact.
     """
     scale = np.abs(weights).max(axis=0)
@@ -111,7 +115,10 @@ def _normal(stack: FlatStack, loadings: np.ndarray, noise: np.ndarray) -> tuple[
 
 
 def _inverse(information: np.ndarray, prior: np.ndarray) -> np.ndarray:
-    """Invert 2 x 2 information matrices plus a diagonal prior. Where both vanish, the inverse is large, but finite."""
+    """Invert the sums of 2 x 2 information matrices and a diagonal prior.
+
+    The inverse of a sum that is 0 is large, but finite.
+    """
     a, b = information[0, 0] + prior[0], information[1, 1] + prior[1]
     c = information[0, 1]
     floor = 1e-12 * max(float(a.max()), float(b.max()), 1e-300)
@@ -142,9 +149,9 @@ def _power_law(estimate: np.ndarray, variance: np.ndarray, radius: np.ndarray) -
 
 
 def _folded(stack: FlatStack, loadings: np.ndarray, laws: tuple[PowerLaw, ...]) -> np.ndarray:
-    """Compute the aliased power at each frequency of each image.
+    """Compute the aliased power at each frequency of each image, (pictures, rows, columns).
 
-    This power originates beyond the Nyquist limit of the sensor.
+    This power is that of the texture at frequencies beyond the Nyquist limit of the sensor.
     """
     along, across = stack.frequency
     folded = np.zeros(stack.noise.shape)

@@ -1,8 +1,8 @@
 """Effect of a change of distortion, or of blur over the field, on one image.
 
-Near a highlight the lens is approximated by an affine map, which depends on k1. Nodes are fixed on the sphere, so their
-image positions change. Scattered pixels are fixed in the image, so their undistorted positions change. The effect on the
-outline is part of the prior of the outline.
+Near a highlight, the lens is approximated by an affine map, which depends on the distortion coefficient k1. The integration
+nodes are fixed on the sphere, so their image positions change. Scattered pixels, far from the highlight, are fixed in the
+image, so their undistorted positions change. The effect on the outline is part of the prior of the outline.
 """
 
 from __future__ import annotations
@@ -22,7 +22,9 @@ STEP = 1e-4
 
 
 class FieldChange(NamedTuple):
-    """Effect of a change of k1 and of the growth of the blur, (2,), on the pixels of one image.
+    """Effect of a change of the lens field on the pixels of one image.
+
+    The change is that of the distortion coefficient k1 and of the growth of the blur over the field, no unit, (2,).
 
     Attributes:
         field: field of the lens, without the change.
@@ -42,17 +44,17 @@ class FieldChange(NamedTuple):
         return changed_field(self.field, change).true_position(*self.seen)
 
     def positions_slopes(self, change: np.ndarray) -> np.ndarray:
-        """Compute the derivatives of `positions` with respect to k1, (2, pixels)."""
+        """Compute the derivatives of `positions` with respect to k1, px, (2, pixels)."""
         ahead, here = (np.array(self.positions(np.array([change[0] + by, change[1]]))) for by in (STEP, 0.0))
         return (ahead - here) / STEP
 
     def widening(self, change: np.ndarray) -> float:
-        """Compute the derivative of ln of the lens width at the highlight with respect to the growth."""
+        """Compute the derivative of ln of the lens width at the highlight with respect to the growth of the blur."""
         return self.field.beyond(*self.highlight) / changed_field(self.field, change).blur_scale(*self.highlight)
 
 
 def changed_field(field: LensField, change: np.ndarray) -> LensField:
-    """Add changes to k1 and to the growth of a field, (2,), and limit both to their valid range."""
+    """Add the changes, (2,), to k1 and to the growth of the blur, and limit both to [-0.3, 0.3]."""
     k1, growth = (
         Coefficient(float(np.clip(one.value + by, -0.3, 0.3)), one.std)
         for one, by in zip((field.k1, field.growth), change, strict=True)
@@ -61,7 +63,7 @@ def changed_field(field: LensField, change: np.ndarray) -> LensField:
 
 
 def found_field(field: LensField, change: np.ndarray, std: np.ndarray) -> LensField:
-    """Build the fitted field from the changes of k1 and of the growth, (2,), and their standard deviations, (2,)."""
+    """Build the fitted field from the changes of k1 and of the growth of the blur, (2,), and their standard deviations."""
     found = changed_field(field, change)
     k1, growth = (Coefficient(one.value, float(by)) for one, by in zip((found.k1, found.growth), std, strict=True))
     return replace(found, k1=k1, growth=growth)

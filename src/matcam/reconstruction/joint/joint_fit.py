@@ -36,7 +36,7 @@ class JointSolution(NamedTuple):
         problem: problem that was solved.
         p: fitted parameters.
         covariance: covariance of the parameters, including unexplained residuals and an unspecified distortion.
-        fitted: covariance of the parameters without an unspecified distortion, for weights.
+        fitted: covariance of the parameters without the contribution of an unspecified distortion.
         cost: minus twice the logarithm of likelihood and prior, up to a constant.
         likelihood: likelihood of the pixels, with the unexplained light.
         theta_d: angle to which the strengths of each image apply, rad, (pictures,).
@@ -58,21 +58,21 @@ class JointSolution(NamedTuple):
 
     @property
     def unexplained(self) -> float:
-        """Share of the model that the noise does not explain, no unit."""
+        """Standard deviation of the residuals that the noise does not explain, as a share of the model, no unit."""
         return self.likelihood.share
 
     def covariance_with(self, information: np.ndarray) -> np.ndarray:
-        """Compute the covariance with additional information of low rank, (size, size)."""
+        """Compute `covariance` after information of low rank, (size, size), is added."""
         return self._informed(self.covariance, information)
 
     def covariance_without(self, information: np.ndarray) -> np.ndarray:
-        """Compute the covariance `fitted` after removal of information of low rank, (size, size)."""
+        """Compute `fitted` after information of low rank, (size, size), is removed."""
         return self._informed(self.fitted, -information)
 
     def _informed(self, covariance: np.ndarray, change: np.ndarray) -> np.ndarray:
-        """Update a covariance for a change of information by Woodbury's identity.
+        """Update a covariance for a change of the information matrix by Woodbury's identity.
 
-        Two matrix inversions would lose small contributions.
+        Inversion to the information matrix and back would lose small contributions.
         """
         judged = np.flatnonzero(self.problem.judged)
         inner = np.ix_(judged, judged)
@@ -91,10 +91,10 @@ class JointSolution(NamedTuple):
 
 
 def solve(problem: JointProblem, start: np.ndarray, judge: Likelihood, enough: float) -> np.ndarray:
-    """Minimise the cost at a given share of unexplained light.
+    """Minimise the cost for a given likelihood of the pixels.
 
-    Levenberg-Marquardt steps use the noise of the model at their start. Successive steps are combined as long as this
-    reduces the cost, because single steps are too short for the residuals of real images.
+    The noise in a Levenberg-Marquardt step is that of the model before the step. Successive steps are combined as long as
+    this reduces the cost, because single steps are too short for the residuals of real images.
 
     Args:
         problem: problem to fit.
@@ -246,7 +246,7 @@ def cost_at(
         problem: problem to fit.
         judge: likelihood of the pixels.
         p: parameters, (size,).
-        levels: reference level of the noise in each image. Default: None, the model.
+        levels: expected values of the pixels of each image, from which the noise follows. Default: None, the model.
     """
 
     def share(k: int) -> float:

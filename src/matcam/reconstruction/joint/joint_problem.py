@@ -4,7 +4,9 @@ The model of pixel i of channel c in image k is
 
     exp(g_k) [F_kc (1 + slope (theta_i - theta_k)) lobe_i + diffuse_c lambert_i]
 
-with a strength F_kc that is free in every image, and a prior for g_k, the logarithm of the gain.
+F_kc is the strength of the lobe, which is free in every image. g_k is the logarithm of the gain, which has a prior. theta_i
+is the difference angle of the pixel, theta_k that to which F_kc applies, and slope is d ln F / d theta_d. lobe_i and
+lambert_i are the records of a lobe with F = 1 and of a diffuse part of albedo 1.
 """
 
 from __future__ import annotations
@@ -26,7 +28,7 @@ class JointLayout(NamedTuple):
     The shared parameters are lobe, scene, diffuse parts, lens field, sample radius and diffuse shape.
 
     Attributes:
-        lobe: number of the lobe's parameters.
+        lobe: number of parameters of the lobe.
         channels: number of channels.
         pictures: number of images.
         shape: number of terms by which the diffuse part departs from Lambert's law. Default: 0.
@@ -81,7 +83,7 @@ class JointLayout(NamedTuple):
         return slice(self.sample_radius + 1, self.shared)
 
     def own(self, k: int) -> slice:
-        """Return the indices of the centre and the lamp of an image."""
+        """Return the indices of the parameters `OWN` of an image: centre and rotations of the lamp."""
         first = self.shared + k * self.each
         return slice(first, first + len(OWN))
 
@@ -109,12 +111,18 @@ class PixelModel(Protocol):
     """Model of pixels at unit strengths, with derivatives with respect to the parameters of one image."""
 
     def window(self, p: np.ndarray, frame: LampFrame, window: Any, *, slopes: bool) -> tuple[Recorded, Recorded | None]:
-        """Compute the record of the window about the highlight, an array with two pixel axes."""
+        """Compute the record of the window about the highlight, with two pixel axes, and its derivatives.
+
+        The derivatives have an additional last axis over the parameters. They are None if `slopes` is False.
+        """
 
     def pixels(
         self, p: np.ndarray, frame: LampFrame, column: np.ndarray, row: np.ndarray, *, slopes: bool
     ) -> tuple[Recorded, Recorded | None]:
-        """Compute the record of single pixels, (pixels,)."""
+        """Compute the record of single pixels, (pixels,), and its derivatives, (pixels, parameters).
+
+        The derivatives are None if `slopes` is False.
+        """
 
 
 @dataclass(frozen=True)
@@ -132,10 +140,10 @@ class JointProblem:
         low: smallest value of each parameter.
         high: largest value of each parameter.
         slope: d ln F / d theta_d of each image and channel, 1/rad, (pictures, channels).
-        fixed: mask of the parameters that are constant, (size,).
-        changes: effect of a change of the lens field on each image; empty if the field is exact.
+        fixed: True for parameters that are constant, (size,).
+        changes: effect of a change of the lens field on each image. Default: (), the lens has no field.
         unstated: effect of an unspecified distortion on each image. The distortion is not fitted, but is included in the
-            covariance.
+            covariance. Default: (), there is no unspecified distortion.
     """
 
     model: PixelModel
@@ -167,7 +175,7 @@ class JointProblem:
     def recorded(self, p: np.ndarray, k: int, *, slopes: bool) -> tuple[Recorded, Recorded | None]:
         """Compute the record of the pixels of image k at unit strengths, and its derivatives.
 
-        The pixels of the window precede the scattered pixels.
+        The pixels of the window precede the scattered pixels. The derivatives are None if `slopes` is False.
         """
         at, pixels, frame = p[self.layout.of_picture(k)], self.pixels[k], self.frames[k]
         window, column, row = pixels.window, pixels.column, pixels.row
@@ -247,7 +255,7 @@ class PictureFit(NamedTuple):
         value: model of the pixels, (pixels,).
         jacobian: derivatives of the model, (pixels, parameters); None: not requested.
         theta_d: angle to which the strengths apply, rad.
-        theta_d_slope: derivatives of `theta_d`, (parameters,).
+        theta_d_slope: derivatives of `theta_d`, (parameters,); None: not requested.
     """
 
     value: np.ndarray

@@ -1,7 +1,8 @@
-"""Likelihood of pixels, with residuals that exceed the noise: their share of the light, and their correlation between pixels.
+"""Likelihood of pixels whose residuals exceed the noise and are correlated.
 
 A wrong lobe, dirt or a second reflection causes residuals of one sign over many pixels. If such pixels were treated as
-independent, they would bias well determined quantities, and the estimated errors would be too small.
+independent, they would bias well determined quantities, and the estimated errors would be too small. The excess of the
+residuals is estimated as a share of the light, and its correlation as a number of pixels.
 """
 
 from __future__ import annotations
@@ -52,11 +53,11 @@ class Likelihood(NamedTuple):
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Compute standardised residuals, their derivatives with respect to the model, and robust weights, (pixels,).
 
-        The residual of a clipped pixel is the root of minus twice the logarithm of the probability of clipping.
+        The residual of a clipped pixel is -sqrt(-2 ln p), where p is the probability of clipping.
 
         Args:
             pixels: observed pixels.
-            value: the model, (pixels,).
+            value: model of the pixels, (pixels,).
             level: expected values from which the noise follows, (pixels,). Default: None, `value`.
         """
         level = value if level is None else level
@@ -91,8 +92,8 @@ class Likelihood(NamedTuple):
 def unexplained_share(problem: JointProblem, p: np.ndarray, pictures: Sequence[int] | None = None) -> float:
     """Compute the unexplained share of the light at given parameters.
 
-    It is estimated from squared residuals truncated at `_CUT` standard deviations, so that dust on few pixels has no
-    effect.
+    The share is estimated from the squared residuals of bright pixels. Residuals above `_CUT` standard deviations are
+    truncated, so that dust on few pixels has little effect. The share is 0 if there are fewer than `_FEWEST` bright pixels.
 
     Args:
         problem: problem of the fit.
@@ -146,7 +147,10 @@ def _share(pictures: list[_Bright]) -> float:
 
 
 def _correlated_pixels(pictures: list[_Bright], share: float) -> float:
-    """Compute the number of correlated pixels: the sum of correlations up to their first zero (Bartlett 1935)."""
+    """Compute the number of pixels whose unexplained residuals are treated as fully correlated.
+
+    It follows from the sum of the correlations up to their first zero (Bartlett 1935).
+    """
     together = np.zeros(1)
     total, count, unexplained = 0.0, 0, 0.0
     for one in pictures:

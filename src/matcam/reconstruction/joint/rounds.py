@@ -1,4 +1,4 @@
-"""Rounds of one joint fit: reports of progress, and termination if a round does not improve the fit."""
+"""Reports of the progress of a joint fit, and the criterion for its termination if a round does not improve the fit."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ If the ratio is larger, the model does not describe the images.
 
 
 class Rounds:
-    """Progress of the rounds of one fit.
+    """Progress of the rounds of one joint fit.
 
     Args:
         most: largest number of rounds.

@@ -1,7 +1,7 @@
 """Rig of an earlier reconstruction as a prior: lens, distances, lamps and distortion.
 
-Distances are in radii of the sphere, and are scaled for a sphere of another size. The outline is always that of the
-present sample. All parameters have a common covariance matrix, because the errors of the direction and the distance of a
+Distances are in radii of the sphere, and are scaled for a sphere of another size. The outline is not taken from the earlier
+reconstruction. All parameters have a common covariance matrix, because the errors of the direction and the distance of a
 lamp are correlated.
 """
 
@@ -25,11 +25,11 @@ class KnownRig(NamedTuple):
     """Prior knowledge of the rig of a set of images.
 
     Attributes:
-        values: ln of the lens width relative to the profile, inverse distances of camera and lamp (1/radii), changes of
-            k1 and of the growth of the blur, (5,).
+        values: ln of the lens width relative to the profile, inverse distances of camera and lamp (1/radii), and changes
+            of the distortion coefficient k1 and of the growth of the blur, (5,).
         lamps: index of the lamp of each image in `directions`, (pictures,); -1: unknown.
         directions: unit vectors to the lamps, (lamps, 3).
-        covariance: covariance of `values` and of the two rotations of each lamp, rad.
+        covariance: covariance of `values` and of the two rotations (rad) of each lamp, (5 + 2 lamps, 5 + 2 lamps).
     """
 
     values: np.ndarray
@@ -49,9 +49,9 @@ class KnownRig(NamedTuple):
         return np.sqrt(variance.mean(axis=1))
 
     def prior(self, layout: JointLayout, frames: Sequence[LampFrame]) -> tuple[np.ndarray, np.ndarray]:
-        """Build the rows and values of the prior: linear combinations of the parameters, and their means.
+        """Build the prior as linear combinations of the parameters with independent errors and unit variance.
 
-        The variance of each combination is 1.
+        The results are the combinations, (rows, size), and their means, (rows,).
 
         Args:
             layout: order of the parameters.
@@ -93,7 +93,7 @@ def known_rig(
 
     Args:
         rig: earlier rig, as returned by `read_rig`.
-        names: names of the lamp positions.
+        names: names of the lamp positions of these images.
         frame: width and height of the frames, px; None: unknown.
         sample_radius: radius of the sphere, mm; None: unknown.
         sigma: standard deviation of the lens according to the profile, px. None: the lens is not Gaussian, and the earlier
@@ -118,8 +118,8 @@ def known_rig(
         remarks.append(
             Remark(
                 "rig-lamp-unknown",
-                f"{rig.file}: the rig does not contain lamp{'s' * (len(unknown) > 1)} {', '.join(unknown)}, so the directions "
-                "of frames.csv are used",
+                f"{rig.file}: the rig does not contain lamp{'s' * (len(unknown) > 1)} {', '.join(unknown)}: the direction in "
+                "frames.csv is used or, if it is not specified, that of the highlight",
             )
         )
     ratio = 1.0
@@ -148,7 +148,7 @@ def known_rig(
 def rig_covariance(
     covariance: np.ndarray, layout: JointLayout, frames: Sequence[LampFrame], lamps: np.ndarray
 ) -> np.ndarray:
-    """Compute the covariance of the parameters of a rig in the order of its document.
+    """Compute the covariance of the parameters of a rig, in the order of the document of a reconstruction.
 
     Args:
         covariance: covariance of all parameters of a joint fit.

@@ -1,6 +1,6 @@
-"""JSON document of `matcam reconstruct`: its schema, and the reader of its rig.
+"""Schema of the JSON document of `matcam reconstruct`, and reader of the rig in this document.
 
-docs/reconstruct.md describes its fields; `json_schema()` is the published schema (docs/reconstruction-v1.schema.json).
+docs/reconstruct.md describes the fields. `json_schema()` is the published schema (docs/reconstruction-v1.schema.json).
 The parameters of the rig (lens, distances, lamps) are read as an `EarlierRig` with a common covariance matrix.
 """
 
@@ -117,7 +117,7 @@ class EarlierRig(NamedTuple):
     """Rig of an earlier reconstruction.
 
     Attributes:
-        file: file of the reconstruction.
+        file: path of the JSON file of the reconstruction.
         frame: width and height of the frames, px; None: unknown.
         sample_radius: radius of the sphere, mm, which is the unit of distances; None: unknown.
         sigma: standard deviation of the fitted lens, px; None: the lens is not Gaussian.
@@ -125,8 +125,8 @@ class EarlierRig(NamedTuple):
         field: field of the lens; None: uniform.
         lamps: names of the lamp positions.
         directions: unit vectors to the lamps, (lamps, 3).
-        covariance: covariance of ln of the lens width, both inverse distances, k1, the growth of the blur, and two
-            rotations of each lamp, rad.
+        covariance: covariance of ln of the lens width, inverse distances of camera and lamp, distortion coefficient k1,
+            growth of the blur, and two rotations (rad) of each lamp, (5 + 2 lamps, 5 + 2 lamps).
     """
 
     file: str
@@ -151,7 +151,8 @@ def read_rig(path: str | Path) -> EarlierRig:
         path: JSON file written by `matcam reconstruct`.
 
     Raises:
-        FileFormatError: the file is not a reconstruction, or its rig is inconsistent.
+        FileFormatError: the file cannot be read, is not a reconstruction of a sphere or cylinder, or has an inconsistent
+            rig.
     """
     geometry = _checked(read_json(path, _WHAT), path).geometry
     names = tuple(lamp.name for lamp in geometry.lamps)
@@ -161,14 +162,19 @@ def read_rig(path: str | Path) -> EarlierRig:
     except ValueError:
         covariance = np.zeros(0)
     if covariance.shape != (size, size) or len(geometry.covariance.names) != size:
-        raise FileFormatError(f"{path}: field geometry.covariance: must have {size} parameters: 5, and 2 for each lamp")
+        raise FileFormatError(
+            f"{path}: field geometry.covariance: names and matrix must cover {size} parameters: 5 of the rig, and 2 for "
+            "each lamp"
+        )
     if not np.allclose(covariance, covariance.T, rtol=1e-6, atol=1e-12) or np.diag(covariance).min() < 0:
-        raise FileFormatError(f"{path}: field geometry.covariance: must be symmetric with variances >= 0")
+        raise FileFormatError(f"{path}: field geometry.covariance: the matrix must be symmetric with variances >= 0")
     directions = np.array([lamp.direction for lamp in geometry.lamps], dtype=float).reshape(-1, 3)
     if not np.allclose(np.linalg.norm(directions, axis=1), 1, atol=1e-3):
-        raise FileFormatError(f"{path}: field geometry.lamps: directions must have length 1")
+        raise FileFormatError(f"{path}: field geometry.lamps: each direction must be a unit vector")
     if len(set(names)) != len(names):
-        raise FileFormatError(f"{path}: field geometry.lamps: two lamps have the same name")
+        raise FileFormatError(
+            f"{path}: field geometry.lamps: two lamps have the same name: each lamp must have its own name"
+        )
     try:
         field = None if geometry.field is None else field_from(geometry.field)
     except ArgumentError as error:

@@ -1,4 +1,4 @@
-"""Input of the joint fit from a capture: merged images, outline, first lamp directions, and prior knowledge."""
+"""Input of the joint fit from a capture of a sphere: merged images, outline, first lamp directions, prior knowledge."""
 
 from __future__ import annotations
 
@@ -61,15 +61,15 @@ class CapturedScene(NamedTuple):
     Attributes:
         pictures: merged images that can be fitted.
         scene: prior knowledge of the scene.
-        lamps: directions to the lamps as the starting point of the fit, mostly from the highlights, (pictures, 3).
-        radiometry: radiometric calibration of the codes.
+        lamps: unit vectors to the lamps with which the fit starts, mostly from the highlights, (pictures, 3).
+        radiometry: radiometric calibration of the frames.
         outline: outline of the sphere; None: the sample is not a sphere.
         left_out: names of the lamp positions that cannot be used.
         remarks: remarks on the capture.
-        units: unit of each channel: value of the images per radiance under unit irradiance, with its relative standard
-            deviation. Default: None, the capture has no reference of known reflectance.
-        frame: width and height of the frames, px; None: unknown. Default: None.
-        sample_radius: radius of the sphere, mm. Default: None, unknown.
+        units: unit of each channel, which is the image value per radiance under unit irradiance, with its relative
+            standard deviation. Default: None, the capture has no reference of known reflectance.
+        frame: width and height of the frames, px. Default: None, unknown.
+        sample_radius: radius of the sphere with its standard deviation, mm. Default: None, unknown.
     """
 
     pictures: list[MergedPicture]
@@ -98,13 +98,13 @@ def captured_scene(
         capture: capture, as returned by `read_capture`.
         progress: function that is called with the name of a step, the number of finished parts and the number of all parts.
             Default: None.
-        earlier: rig of an earlier reconstruction. Default: None.
+        earlier: rig of an earlier reconstruction, which replaces the specified values. Default: None, there is none.
         workers: number of lamp positions that are read at the same time. Default: 1.
-        kept: stored results from which an interrupted computation resumes. Default: None, no results.
+        kept: stored results from which an interrupted computation resumes. Default: None, nothing is stored.
 
     Raises:
         ArgumentError: the capture is not of a sphere, or `earlier` is of another rig.
-        FitError: no sphere was found, or fewer than three images contain a highlight.
+        FitError: the frames cannot be merged, no sphere was found, or fewer than three images contain a highlight.
     """
     kind = capture.settings["sample"]["kind"]
     if kind != "sphere":

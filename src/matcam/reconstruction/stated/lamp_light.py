@@ -1,4 +1,4 @@
-"""Relative irradiance of each lamp position, from a table, a reference in the image, or the specified stability of the lamp."""
+"""Relative irradiance of each lamp position, from a table, a reference, or the specified stability of the lamp."""
 
 from __future__ import annotations
 
@@ -21,7 +21,10 @@ _SEEN = float(np.radians(0.5))
 
 
 def under_one_light(pictures: Sequence[MergedPicture], capture: Capture) -> list[MergedPicture]:
-    """Divide the images by the intensities of their lamps, relative to the mean, if the capture has a table of intensities."""
+    """Divide the images by the relative intensities of their lamps if the capture has a table of intensities.
+
+    A FitError is raised if the number of intensities of a lamp is neither 1 nor the number of colours.
+    """
     if capture.settings["lamp"]["intensity"] != "table":
         return list(pictures)
     stated = {one.name: np.array(capture.lamps[one.name].intensity) for one in pictures}
@@ -31,8 +34,8 @@ def under_one_light(pictures: Sequence[MergedPicture], capture: Capture) -> list
         light = stated[one.name] / mean
         if len(light) not in (1, len(one.channels)):
             raise FitError(
-                f"{capture.folder}: the number of intensities of lamp {one.name} is {len(light)}; it must be 1 or the number "
-                f"of colours of its images, {len(one.channels)}"
+                f"{capture.folder}: the number of intensities of lamp {one.name} is {len(light)}, but it must be 1 or the "
+                f"number of colours of the images, {len(one.channels)}"
             )
         share = np.broadcast_to(light, len(one.channels))[one.channel]
         found.append(replace(one, values=one.values / share, std=one.std / share))
@@ -48,9 +51,9 @@ def gains_of(
     nearness: Stated,
     remarks: list[Remark],
 ) -> PatchLight:
-    """Determine the relative irradiance of each image, and the unit of values, from the reference.
+    """Determine the relative irradiance of each image, and the unit of the image values, from the reference.
 
-    Without a reference, the specified stability of the lamp is used.
+    Without a usable reference, the irradiance is assumed to be equal, with the specified standard deviation of the lamp.
     """
     count, drift = len(names), max(float(capture.settings["lamp"]["gain_std"]), 1e-5)
     stated = PatchLight(np.ones(count), drift**2 * np.eye(count), None, np.zeros(count, bool))
@@ -83,7 +86,8 @@ def gains_of(
         return stated
     if radiometry.reference_between >= drift:
         text = f"the light changes by {radiometry.reference_between:.1%} between images of reference and sample: "
-        remarks.append(Remark("reference-unsteady", f"{text}the reference was not used, and lamp.gain_std was kept"))
+        text += "the reference was not used, and lamp.gain_std was kept; to use it, include the reference in the frames of the "
+        remarks.append(Remark("reference-unsteady", f"{text}sample"))
         return stated
     gain = np.array([one.value if good and one is not None else 1.0 for one, good in zip(output, known, strict=True)])
     std = np.array(

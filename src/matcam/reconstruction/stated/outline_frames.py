@@ -1,4 +1,7 @@
-"""Outline of a capture, from outline frames, from a mask, or as specified; and the region of the frames about it."""
+"""Outline of the sphere of a capture, and region of the frames about the outline.
+
+The outline is specified, or is determined from a mask or from outline frames.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +33,7 @@ _LEAST_NOISE = 1e-4
 def about_disc(capture: Capture) -> Region | None:
     """Find the region about the dark disc of the first readable outline frame.
 
-    The result is None if there is no readable frame, or no disc in it.
+    The result is None if no outline frame is readable, or if the frame contains no disc.
     """
     for _, codes in MosaicReader(capture).readable(capture.of("outline")):
         column, row, radius = dark_disc(codes)
@@ -44,13 +47,13 @@ def found_outline(
 ) -> tuple[Outline | None, Region | None]:
     """Determine the outline of a capture, and the region of the frames about it.
 
-    The order of preference is: a specified circle, a mask, outline frames. Remarks report unusable inputs. The outline is
-    None if all of these are missing or unusable. The region is None for whole frames.
+    A specified circle is preferred to a mask, and a mask to outline frames. Remarks report unusable inputs. The outline is
+    None if all three are missing or unusable. The region is None if whole frames are to be read.
 
     Args:
         capture: the capture, as read by `read_capture`.
         sighting: geometry of the camera.
-        sigma: standard deviation of the lens's blur, px.
+        sigma: standard deviation of the blur of the lens, px.
         frame: width and height of the frames, px; None: unknown.
         remarks: list to which remarks for the user are added.
     """
@@ -64,7 +67,7 @@ def found_outline(
         try:
             outline = source()
         except MatcamError as error:
-            remarks.append(Remark("outline-left-out", f"{error}; the outline was found without this input"))
+            remarks.append(Remark("outline-left-out", f"{error}; this input was not used for the outline"))
             continue
         if outline is not None:
             return outline, capture.region or (None if frame is None else about_outline(outline, frame[::-1]))
@@ -74,14 +77,20 @@ def found_outline(
 def backlit_outline(
     capture: Capture, sighting: Sighting, sigma: float, region: Region | None, remarks: list[Remark]
 ) -> Outline:
-    """Measure the outline in front of a bright field, from the mean of such frames.
+    """Measure the outline of the sphere in the mean of the outline frames.
+
+    These frames show the sphere in front of a bright field.
 
     Args:
         capture: the capture, as read by `read_capture`.
         sighting: geometry of the camera.
-        sigma: standard deviation of the blur of the lens, px; used if the field is clipped, which sharpens its edge.
+        sigma: standard deviation of the blur of the lens, px. It is used if the field is clipped, because clipping shifts
+            the edge of the field.
         region: region of the frames that is read; None: the whole frame.
         remarks: list to which remarks for the user are added.
+
+    Raises:
+        FitError: no outline frame can be read, or no outline was found.
     """
     reader = MosaicReader(capture)
     mean, clipped = mean_outline_frame(reader, capture, region, remarks)
@@ -116,9 +125,10 @@ def backlit_outline(
 def mean_outline_frame(
     reader: MosaicReader, capture: Capture, region: Region | None, remarks: list[Remark]
 ) -> tuple[np.ndarray, bool]:
-    """Average the frames in front of a bright field, less the dark level, and check whether the field is clipped.
+    """Average the outline frames, less the dark level, and check whether the bright field is clipped.
 
-    Remarks report unusable frames.
+    The results are the mean, DN, and True if the field is clipped in a frame. Remarks report unusable frames. A FitError is
+    raised if no frame is usable.
     """
     total: np.ndarray | None = None
     count, clipped = 0, False
@@ -133,7 +143,8 @@ def mean_outline_frame(
             remarks.append(
                 Remark(
                     "bad-frame",
-                    f"{capture.folder / frame.file}: the frame differs in size from the other outline frames: repeat it",
+                    f"{capture.folder / frame.file}: the frame differs in size from the other outline frames, so it was not "
+                    "used: give outline frames of one size",
                 )
             )
             continue
@@ -141,15 +152,15 @@ def mean_outline_frame(
         count += 1
         clipped |= field_is_clipped(codes, reader.saturation)
     if total is None:
-        raise FitError(f"{capture.folder / 'outline'}: none of the frames can be read: add at least one readable frame")
+        raise FitError(f"{capture.folder / 'outline'}: none of the frames can be used: add at least one readable frame")
     return np.asarray(total / count), clipped
 
 
 def _dark(reader: MosaicReader, capture: Capture, frame: CaptureFrame, region: Region | None) -> np.ndarray | float:
     """Compute the dark level of a frame, DN, from the dark frames of its exposure.
 
-    Dark frames of all exposures are used if there are none of this exposure. Without readable dark frames the specified
-    black level is used, or 0.
+    If there are no dark frames of this exposure, dark frames of all exposures are used. Without readable dark frames, the
+    level is the specified black level, or 0.
     """
     frames = capture.of("dark", exposure=frame.exposure) or capture.of("dark")
     stack = [codes for _, codes in reader.readable(frames[:8], region)]
@@ -159,7 +170,7 @@ def _dark(reader: MosaicReader, capture: Capture, frame: CaptureFrame, region: R
 
 
 def about_outline(outline: Outline, shape: tuple[int, ...]) -> Region:
-    """Compute the region about an outline, with even first column and row to preserve the mosaic."""
+    """Compute the region about an outline, px. The first column and row are even, to preserve the order of a mosaic."""
     return _box(outline.column, outline.row, outline.radius * (1 + _MARGIN) + 4, shape)
 
 

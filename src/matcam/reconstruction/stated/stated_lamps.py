@@ -25,10 +25,12 @@ _UNKNOWN = float(np.radians(20.0))
 def stated_lamps(
     capture: Capture, names: Sequence[str], lamps: np.ndarray, remarks: list[Remark]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Choose the specified direction of each lamp, or the direction from its highlight if none is specified.
+    """Choose the specified direction of each lamp, or that of the highlight if no direction is specified.
+
+    Remarks report the comparison of both.
 
     Returns:
-        Directions, (pictures, 3), and their standard deviations, rad, (pictures,).
+        Unit vectors to the lamps, (pictures, 3), and standard deviations along each tangent, rad, (pictures,).
     """
     stated, stds = lamps.copy(), np.full(len(names), _UNKNOWN)
     for k, name in enumerate(names):
@@ -41,7 +43,8 @@ def stated_lamps(
         remarks.append(
             Remark(
                 "lamp-table",
-                f"highlights and given lamp directions differ by {np.sqrt(np.mean(apart**2)):.2g}° rms before the fit",
+                f"the highlights and the specified lamp directions differ by {np.sqrt(np.mean(apart**2)):.2g}° rms before the "
+                "fit: if this exceeds their accuracy, check the specified directions",
             )
         )
     if known.sum() >= FEWEST:
@@ -53,11 +56,9 @@ def stated_lamps(
 def first_lamps(lamps: np.ndarray, covariances: np.ndarray, stated: np.ndarray, stds: np.ndarray) -> np.ndarray:
     """Choose the directions from which a fit starts.
 
-    The direction of each lamp is that of its highlight, or that of the table if the two directions are inconsistent and
-    the highlight is less certain.
-
-    Near the limb a highlight narrower than a pixel hardly determines its lamp. A fit whose window does not contain the
-    highlight does not converge to it.
+    The direction of each lamp is that of the highlight. The specified direction is used if the two directions are
+    inconsistent and that of the highlight is less certain. Near the limb, a highlight narrower than a pixel hardly
+    determines the direction, and a fit does not converge if its window does not contain the highlight.
 
     Args:
         lamps: directions from the highlights, (pictures, 3).
@@ -73,14 +74,17 @@ def first_lamps(lamps: np.ndarray, covariances: np.ndarray, stated: np.ndarray, 
 
 
 def _table_mistake(lamps: np.ndarray, stated: np.ndarray, stds: np.ndarray, known: np.ndarray) -> Remark | None:
-    """Identify the mistake in a lamp table, and change `stated` and `stds` so that the fit does not depend on it."""
+    """Identify the mistake in a lamp table, and build a remark about it; None: the table is used as it is.
+
+    The entries `known` of `stated` and `stds` are changed in place, so that the fit does not depend on the mistake.
+    """
     verdict = explain_lamp_table(lamps[known], stated[known])
     if verdict.mistake == "none":
         return None
     (said,) = verdict.remarks
     if verdict.mistake != "unexplained":
         stated[known], stds[known] = lamps[known], _UNKNOWN
-        return Remark(said.code, f"{said.text}; the highlights are used instead")
+        return Remark(said.code, f"{said.text}; the directions from the highlights are used instead")
     usual = float(np.median(lamp_angles_apart(lamps[known], stated[known])))
     if usual < _FAR_OFF:
         return None  # the joint fit determines whether the table, the outline or a distance is wrong

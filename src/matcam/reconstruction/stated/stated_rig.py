@@ -23,9 +23,9 @@ that a wrong length can be detected.
 
 
 def captured_lens(capture: Capture, remarks: list[Remark]) -> tuple[Camera, float]:
-    """Determine the camera of a capture and the relative standard deviation of its lens.
+    """Determine the camera of a capture, and the relative standard deviation of the width of its lens.
 
-    If the profile is missing, unreadable or of another camera, both are guessed and a remark is added.
+    If the profile is missing, unreadable or of another camera, both results are guesses, and a remark is added.
     """
     value, std = GUESSED_LENS
     try:
@@ -35,7 +35,7 @@ def captured_lens(capture: Capture, remarks: list[Remark]) -> tuple[Camera, floa
         return Camera(GaussianOptics(value)), std / value
     if camera is not None:
         return camera, lens_std(camera)
-    remarks.append(Remark("lens-guessed", f"no camera profile: {unmeasured_lens()}"))
+    remarks.append(Remark("lens-guessed", f"the capture has no camera profile: {unmeasured_lens()}"))
     return Camera(GaussianOptics(value)), std / value
 
 
@@ -51,7 +51,7 @@ def frame_size(capture: Capture) -> tuple[int, int] | None:
 
 
 def without_field(camera: Camera, sample: str, remarks: list[Remark]) -> Camera:
-    """Remove the lens field from a camera, with a remark, because the sample does not support a field."""
+    """Remove the lens field from a camera, and add a remark. The models of flat samples and cylinders support no field."""
     if camera.field is None:
         return camera
     text = (
@@ -63,7 +63,7 @@ def without_field(camera: Camera, sample: str, remarks: list[Remark]) -> Camera:
 
 
 def known_radius(capture: Capture) -> Stated | None:
-    """Return the specified radius of the sample, mm; None: unknown."""
+    """Return the specified radius of the sample with its standard deviation, mm; None: unknown."""
     radius = capture.radius_mm
     return None if radius is None else Stated(radius.value, max(radius.std, _EXACT * radius.value))
 
@@ -74,10 +74,10 @@ def with_radius(nearness: Stated, radius: Stated | None) -> Stated:
 
 
 def known_nearness(capture: Capture, of: str, remarks: list[Remark]) -> Stated:
-    """Compute the inverse of a specified distance, 1/radii.
+    """Compute the inverse of a specified distance, and its standard deviation, 1/radii.
 
-    If the distance or the radius is unknown, a guess is returned and a remark is added. The standard deviation is that of the
-    distance only, because the error of the radius is common to both distances.
+    If the distance or the radius of the sample is unknown, a guess is returned and a remark is added. The standard deviation
+    is due to the distance alone, because the error of the radius is common to the distances of camera and lamp.
     """
     stated, radius = capture.settings["distances"][f"{of}_mm"], capture.radius_mm
     if stated is None or radius is None:
@@ -95,6 +95,6 @@ def known_nearness(capture: Capture, of: str, remarks: list[Remark]) -> Stated:
 
 
 def lamp_radius_of(capture: Capture) -> float:
-    """Compute the angular radius of the lamp, rad; 0 if its size or distance is unknown."""
+    """Compute the angular radius of the lamp, rad; 0 if the radius or the distance of the lamp is unknown."""
     radius, distance = capture.settings["lamp"]["radius_mm"][0], capture.settings["distances"]["lamp_mm"]
     return 0.0 if distance is None else float(radius / distance[0])
