@@ -107,7 +107,7 @@ class Rivals(NamedTuple):
 def rivals(
     brdf: xr.DataArray, rig: Rig, ndf: str = AUTO, *, slice_step: int = SEARCH_STEP, workspace: Workspace | None = None
 ) -> Rivals:
-    """Compare the explanations of a table by its camera and by free shadowing.
+    """Compare a fit through the camera with a fit of free shadowing.
 
     The first is the most probable lobe through the camera, with Smith's masking. The second is a spline-modified lobe without
     a camera, with free masking.

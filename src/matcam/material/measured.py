@@ -384,7 +384,10 @@ class Adaptive(Material):
 
     @property
     def finest(self) -> jax.Array:
-        """Half width of the lobe averaged over azimuths, rad, at least one grid step."""
+        """Half width of the mean lobe over azimuths, rad.
+
+        It is at least one step of the grid.
+        """
         profile = xp.mean(self.ndf, axis=0)
         below = xp.argmax(xp.append(profile, 0.0) < profile.max() / 2)
         return xp.maximum(below / (profile.size - 1), 1 / (profile.size - 1)) ** 2 * _HALF_PI

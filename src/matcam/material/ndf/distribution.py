@@ -237,7 +237,7 @@ class StretchedSlopes(SlopeDistribution):
         return self.unit_density(stretched2) / (self.alpha_along * self.alpha_across)
 
     def lambdas(self, shading: Shading) -> tuple[jax.Array, jax.Array]:
-        """Compute Smith's Lambda of light and view from the roughness alpha of each direction."""
+        """Compute Smith's Lambda from the roughness of each direction."""
         (x, y), (offset_x, offset_y) = _tangents(shading)
         return tuple(  # type: ignore[return-value]
             self._lambda(cos, offset_x + sign * x, offset_y + sign * y)
