@@ -56,7 +56,10 @@ SOURCE = matcam.UncertaintySource("a", 1.0, 0.1, 1.0, "B")
             lambda: matcam.correct_all([], RIG, "out", workers=SWITCH),
             "workers must be a whole number in [1, 1024] or None, got <xarray.DataArray",
         ),
-        (lambda: matcam.targets.design_chart(page=[[1], [1, 2]]), "page must be an array, got a list of rows"),
+        (
+            lambda: matcam.targets.design_chart(page=[[1], [1, 2]]),
+            "page must be an array with rows of equal length, got a list",
+        ),
         (
             lambda: matcam.fresnel_conductor([], np.ones(3), np.ones(2)),
             "theta, n and k must have shapes that broadcast, got (0,), (3,), (2,)",
@@ -69,7 +72,10 @@ SOURCE = matcam.UncertaintySource("a", 1.0, 0.1, 1.0, "B")
             lambda: matcam.inverse.tabulated_fresnel(xr.Dataset(), wavelengths=[]),
             "result must be a Dataset from fresnel, but these entries are missing or have other dimensions: theta_d, raw, corr",
         ),
-        (lambda: matcam.camera.LensField((1, 2), 3, k2=[[1], [1, 2]]), "k2 must be an array, got a list of rows"),
+        (
+            lambda: matcam.camera.LensField((1, 2), 3, k2=[[1], [1, 2]]),
+            "k2 must be an array with rows of equal length, got a list",
+        ),
         (lambda: matcam.camera.LensField(b"x", 3), "centre_px must be a number or an array of numbers, got b'x'"),
         (lambda: matcam.metal("Cr", 10**400), "wavelength must be a number or an array of numbers, got 1000"),
         (
@@ -87,7 +93,7 @@ SOURCE = matcam.UncertaintySource("a", 1.0, 0.1, 1.0, "B")
             lambda: matcam.targets.measure_targets(np.ones((20, 20)), matcam.targets.design_chart(), source=np.ones(3)),
             "source must be a str, got array([1., 1., 1.])",
         ),
-        (lambda: matcam.edge_mtf_stack([[1], [1, 2]]), "images must be an array, got a list of rows"),
+        (lambda: matcam.edge_mtf_stack([[1], [1, 2]]), "images must be an array with rows of equal length, got a list"),
         (lambda: matcam.calibration.level_frequency(TABLE, 0.5), "edge must be an EdgeMTF, got <xarray.DataArray"),
         (lambda: matcam.UncertaintyBudget("x", 1, [1]), "entry 1 of sources must be an UncertaintySource, got 1"),
         (
@@ -154,7 +160,7 @@ def test_a_picture_with_labels_is_measured_as_one_without():
 @pytest.mark.parametrize("name", ["x" * 300, "a\0b", "none"])
 def test_a_folder_that_cannot_be(tmp_path, monkeypatch, name):
     monkeypatch.chdir(tmp_path)
-    words = {"none": "none: no such folder", "a\0b": "a\\x00b: the path is not valid"}
+    words = {"none": "none: no such folder", "a\0b": "a\\x00b: the path is not valid: remove the special characters"}
     with pytest.raises(FileFormatError) as caught:
         matcam.reconstruct(name)
     assert str(caught.value) == words.get(name, f"{name}: cannot be read: {os.strerror(36)}")

@@ -54,7 +54,7 @@ def test_the_command(coloured, tmp_path, capsys):
     capsys.readouterr()
     for words, said in (
         ([coloured, "-o", done], "exists"),
-        ([coloured, coloured, "-o", str(tmp_path / "b.exr")], "contains one sphere"),
+        ([coloured, coloured, "-o", str(tmp_path / "b.exr")], "contains the image of one sphere"),
         ([coloured, coloured, coloured], "give one file, or two files to show side by side"),
         ([coloured, "-o", str(tmp_path / "b.gif")], "must end in"),
         ([coloured, "-o", str(tmp_path / "b.png"), "--exposure", "0"], "--exposure must be above 0"),

@@ -111,7 +111,7 @@ BAD_SETTINGS = {
     "lamp inside": ({**SETTINGS, "distances": {"lamp_mm": 24}}, "field distances.lamp_mm: must exceed the radius"),
     "too many digits": ("format = 'matcam capture'\nversion = " + "9" * 900, "version 9999"),
     "a number that no float holds": ({**SETTINGS, "sample": {"radius_mm": 10**400}}, "must be finite"),
-    "a key without end": ("a." * 30_000 + "a = 1", "line 1 has 60005 characters"),
+    "a key without end": ("a." * 30_000 + "a = 1", "line 1 has 60005 bytes"),
     "a name that is none": ({**SETTINGS, "camera": {"profile": "a\0.json"}}, "a name that is not plain text"),
     "infinite": ("format = 'matcam capture'\nversion = 1\n[sample]\nradius_mm = inf", "must be finite"),
 }

@@ -85,7 +85,7 @@ def bad_files():
         "oversized": (good + b"\0", "oversized: 34992013 bytes"),
         "foreign": (b"\x89PNG\r\n\x1a\n" + bytes(1000), "bytes 0 to 11 are"),
         "text": (b"theta_h,theta_d,phi_d,R,G,B\n" * 100, "not a MERL file"),
-        "other grid": (struct.pack("<3i", 90, 90, 360) + good[12:], "are (90, 90, 360), not (90, 90, 180)"),
+        "other grid": (struct.pack("<3i", 90, 90, 360) + good[12:], "are (90, 90, 360), but must be (90, 90, 180)"),
         "huge grid": (struct.pack("<3i", 2**31 - 1, 2**31 - 1, 2**31 - 1) + good[12:], "2147483647"),
         "negative grid": (struct.pack("<3i", -90, 90, 180) + good[12:], "-90"),
         "all missing": (struct.pack("<3i", 90, 90, 180) + (-np.ones(3 * CELLS)).tobytes(), "every value is negative"),

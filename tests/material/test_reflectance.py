@@ -86,5 +86,5 @@ def test_metals_refuse_what_they_do_not_know():
         metal("Crr", 550e-9)
     with pytest.raises(ArgumentError, match="did you mean 'sytchkova'"):
         metal("Cr", 550e-9, "sytchkov")
-    with pytest.raises(ArgumentError, match="550 nm is 550e-9"):
+    with pytest.raises(ArgumentError, match="550e-9 for 550 nm"):
         metal("Cr", 550)

@@ -192,8 +192,8 @@ def fit_ratios(
 def fit_gain(samples: Sequence[BracketSample], ratios: np.ndarray, clip: ClipLevel, noise: float) -> Stated:
     """Fit the gain, DN per electron, and its standard deviation, from differences between exposures of one scene.
 
-    Let d_a and d_b be the light of a pixel in two exposures, r the ratio of these exposures, K the gain, and m the mean of
-    d_a. The difference d_a - r d_b has the variance K m (1 + r) + read noise^2 (1 + r^2). K is fitted to this variance, so
+    Let d_a and d_b be the light of a pixel in exposures a and b, and r the ratio of a to b. K is the gain, and m is the mean
+    of d_a. The difference d_a - r d_b has the variance K m (1 + r) + read noise^2 (1 + r^2). K is fitted to this variance, so
     pairs of equal frames are not required. The variance is estimated robustly in bins of brightness. The result is
     `UNKNOWN_GAIN` if too few pixels are usable.
     """
@@ -242,9 +242,9 @@ def fit_gain(samples: Sequence[BracketSample], ratios: np.ndarray, clip: ClipLev
 def fit_gain_of_single(samples: Sequence[BracketSample], clip: ClipLevel, noise: float) -> Stated:
     """Estimate an upper bound of the gain, DN per electron, from differences between neighbouring pixels.
 
-    The longest exposure of each lamp position is used. Texture and gradients increase the variance of the differences, so
-    the bound is the lower quartile of the ratio of variance to mean in bins of brightness. Its standard deviation is
-    assumed to be 50 %. The result is `UNKNOWN_GAIN` if too few pixels are usable.
+    The longest exposure of each lamp position is used. Texture and gradients increase the variance of the differences. The
+    bound is therefore the lower quartile of the ratio of variance to mean among bins of brightness. The standard deviation
+    of the bound is assumed to be 50 %. The result is `UNKNOWN_GAIN` if too few pixels are usable.
     """
     light = np.concatenate([sample.light[-1] for sample in samples])
     around = np.concatenate([sample.around[-1] for sample in samples])

@@ -328,8 +328,9 @@ class OutlineFit:
     ) -> tuple[np.ndarray, LimbSectors, np.ndarray, np.ndarray, float]:
         """Iterate the fit to convergence.
 
-        The results are row, column and radius, px (3,), the edges, the mask of the used edges, the covariance, px^2 (3, 3),
-        and the rms distance of the used edges from the curve, px.
+        Returns:
+            Row, column and radius, px (3,); edges; mask of the used edges; covariance, px^2 (3, 3); rms distance of the used
+            edges from the curve, px.
         """
         for _ in range(turns):
             edges = self.edges(position, sigma, exponents, wider)
@@ -344,8 +345,11 @@ class OutlineFit:
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
         """Fit the curve to the edges.
 
-        The results are the step of row, column and radius, px (3,), the mask of the used edges, the covariance, px^2 (3, 3),
-        and the rms distance of the used edges from the curve, px. A FitError is raised if the edges are too few.
+        A FitError is raised if the edges are too few, or do not determine the curve.
+
+        Returns:
+            Step of row, column and radius, px (3,); mask of the used edges; covariance, px^2 (3, 3); rms distance of the used
+            edges from the curve, px.
         """
         with np.errstate(invalid="ignore"):
             used = self.usable(edges) & (np.abs(edges.offset) < 2.0 + wider)

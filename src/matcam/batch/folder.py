@@ -87,9 +87,9 @@ class RunFolder:
         omitted.
 
         Returns:
-            The output of each input, and the outcomes of rejected inputs. An input is rejected if its name is not plain
-            text, if it is a link to a file outside its folder, or if its name is that of another input or of a file of
-            the run.
+            The output of each input, and the outcomes of rejected inputs. An input is rejected if it is a link to a file
+            outside its folder, or if its name is not plain text. It is also rejected if another input or a file of the run
+            has the same name.
 
         Raises:
             ArgumentError: there is no table.

@@ -172,8 +172,9 @@ def correct_all(
 
     Raises:
         ArgumentError: if an argument is out of its range, or `paths` contain no table.
-        OutputError: if the folder belongs to a run with other settings, is in use by another run, or contains an input or
-            files of the same names that no run wrote. The message contains the first setting that differs.
+        OutputError: if the folder belongs to a run with other settings, or is in use by another run. The message contains
+            the first setting that differs. Also if the folder contains an input, or files of the same names that no run
+            wrote.
         FitError: if `fit_camera` is True, and the tables do not determine the blur or cannot be read.
         MatcamError: if no worker can be started, or the cluster cannot be used.
 

@@ -1,10 +1,10 @@
 """Edges of a sphere's limb in an image, one for each sector of azimuth, fitted with the blur of the lens.
 
 The sphere is foreshortened near the limb. At a distance t inside a limb of radius r, both in px, the cosine of the viewing
-angle is sqrt(2 t / r) to first order. The radiance of a lit sphere is therefore a series in powers of sqrt(t) inside the
-limb, a + b sqrt(t) + c t + ..., and the background outside. A dark sphere in front of a bright field is a step. Both models
-are blurred by the line spread function (LSF) of lens and pixel. Their coefficients and the position of the edge are fitted
-to the pixels of a sector.
+angle is sqrt(2 t / r) to first order. The radiance of a lit sphere inside the limb is therefore a series in powers of
+sqrt(t): a + b sqrt(t) + c t + ... Outside the limb, the radiance is that of the background. A dark sphere in front of a
+bright field is a step. Both models are blurred by the line spread function (LSF) of lens and pixel. The coefficients and the
+position of the edge are fitted to the pixels of a sector.
 """
 
 from __future__ import annotations

@@ -199,8 +199,7 @@ def calibrate(
         ArgumentError: if an argument is out of range, if the model requires a missing argument, or if the images are of
             different cameras.
         FitError: if measurements contradict one another, or do not determine the requested parameters. If edges are the only
-            measurements, also if they are fewer than 8, have one direction, or are sharpened or saturated in more than 30 %
-            of the cases.
+            measurements, at least 8 edges in two directions are required, and at most 30 % may be sharpened or saturated.
         MatcamError: if no image can be used; the message contains the error of the first image.
 
     Source:
@@ -318,8 +317,8 @@ class _Pictures:
     def check(self) -> None:
         """Check that the images determine one camera.
 
-        An ArgumentError is raised if the images are of different cameras. If no image could be used, the error of the only
-        image is raised, or for several images a FitError that quotes the error of the first image.
+        An ArgumentError is raised if the images are of different cameras. If the only image cannot be used, its error is
+        raised. If none of several images can be used, a FitError with the error of the first image is raised.
         """
         if len(self.cameras) > 1:
             listed = ", ".join(f"{camera} ({file})" for camera, file in self.cameras.items())

@@ -1,8 +1,8 @@
 """Fit of the camera of one colour: lens and pixel, fitted to all measurements of the colour.
 
 A lens model is fitted to all measurements jointly. The result is compared with the model-free mean MTF of the edges. This
-mean MTF can also be used as the lens itself (model "measured"). If the pixel is fitted and diffraction is included, the lens
-is returned as a tabulated MTF, because the product of core and diffraction is not one of the lens models.
+mean MTF can also be used as the lens itself (model "measured"). The product of a Gaussian core and diffraction is not one of
+the lens models. If the pixel is fitted and diffraction is included, the lens is therefore returned as a tabulated MTF.
 """
 
 from __future__ import annotations
