@@ -58,7 +58,7 @@ SOURCE = matcam.UncertaintySource("a", 1.0, 0.1, 1.0, "B")
         ),
         (
             lambda: matcam.targets.design_chart(page=[[1], [1, 2]]),
-            "page must be an array with rows of equal length, got a list",
+            "page must be an array with rows of equal length, got",
         ),
         (
             lambda: matcam.fresnel_conductor([], np.ones(3), np.ones(2)),
@@ -74,7 +74,7 @@ SOURCE = matcam.UncertaintySource("a", 1.0, 0.1, 1.0, "B")
         ),
         (
             lambda: matcam.camera.LensField((1, 2), 3, k2=[[1], [1, 2]]),
-            "k2 must be an array with rows of equal length, got a list",
+            "k2 must be an array with rows of equal length, got",
         ),
         (lambda: matcam.camera.LensField(b"x", 3), "centre_px must be a number or an array of numbers, got b'x'"),
         (lambda: matcam.metal("Cr", 10**400), "wavelength must be a number or an array of numbers, got 1000"),
