@@ -3,8 +3,8 @@
 The value of a pixel that is clipped in every exposure is a lower bound.
 
 The flux f of a pixel is a weighted mean over its exposures: f = sum w d / sum w e. The weights are w = e / (K e f + r^2).
-Here d is the dark-subtracted code in an exposure, e the relative exposure, K the gain, and r the read noise. Clipping of a pixel in an
-exposure is predicted from shorter exposures, because selection by the noisy code itself would bias the flux.
+Here d is the dark-subtracted code in an exposure, e the relative exposure, K the gain, and r the read noise. Clipping of a
+pixel in an exposure is predicted from shorter exposures, because selection by the noisy code itself would bias the flux.
 """
 
 from __future__ import annotations
