@@ -60,7 +60,7 @@ def test_measured_from_patches():
     colour = np.stack([picture, picture[:, ::-1], picture], -1)
     np.testing.assert_allclose(tone_from_patches(colour, patches, light, channel=0), table)
     for changed, words in (
-        ({"light": light[::-1]}, "must be monotone"),
+        ({"light": light[::-1]}, "must not decrease"),
         ({"light": light[:4]}, "one linear value of light for each"),
         ({"patches": patches[:2], "light": light[:2]}, "at least 3 patches"),
         ({"patches": [*patches[:-1], (340, 0, 30, 30)]}, "inside the image of 360 x 40"),
@@ -75,8 +75,8 @@ def test_measured_from_patches():
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        ("0\n1\n2\n1\n", "must be monotone, but decreases from code 2 to 3"),
-        ("0 0\n10 4\n20 3\n", "must be monotone, but decreases from code 10 to 20"),
+        ("0\n1\n2\n1\n", "must not decrease, but it decreases from code 2 to 3"),
+        ("0 0\n10 4\n20 3\n", "must not decrease, but it decreases from code 10 to 20"),
         ("0 0\n10 4\n10 5\n", "codes of the tone curve must increase strictly"),
         ("0\none\n", "line 2: 'one' must consist of numbers"),
         ("0 1\n2\n", "line 2 has 1 numbers"),
@@ -98,7 +98,7 @@ def test_what_does_not_fit():
     codes = np.array([[0, 30]], dtype=np.uint8)
     for tone, words in (
         ("film", "tone must be"), (9.0, "gamma must lie in"), (np.arange(20.0), "tone has 20 entries"),
-        (np.arange(60.0)[::-1], "must be monotone"), (np.ones((5, 2)), "one or three linear values each"),
+        (np.arange(60.0)[::-1], "must not decrease"), (np.ones((5, 2)), "one or three linear values each"),
     ):  # fmt: skip
         with pytest.raises(ArgumentError, match=words):
             linear_values(codes, tone)

@@ -215,7 +215,7 @@ def nested(depth):
         (changed(version=6), "version 6 is unknown"),
         (changed(version=3, field=field(unit_px=0.0)), "unit_px must lie in (0, inf) px"),
         (changed(version=3, field=field(k1=[0.1])), "field field.k1"),
-        (changed(version=3, field=field(k1=[-0.4, 0.1])), "fold the image"),
+        (changed(version=3, field=field(k1=[-0.4, 0.1])), "the distortion is not monotonic"),
         (changed(version=3, field=field(growth=[9.0, 0.1])), "growth must lie in"),
         (changed(version=True), "version True is unknown"),
         (changed(version="1"), "version '1' is unknown"),

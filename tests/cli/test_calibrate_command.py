@@ -123,7 +123,7 @@ def test_bad_input_is_one_line_and_code_2(calibrate, chart, tmp_path):
         ("huge.png",): "huge.png: an image of 900000 x 900000 px needs",
         ("one.dng", "two.dng"): "the images are of different cameras: Maker One (one.dng), Maker Two (two.dng)",
         ("chart.tif", "soft.tif"): "channel grey: the measurements are contradictory: ",
-        ("chart.tif", "--tone", "wavy.dat"): "wavy.dat: the tone curve must be monotone, but decreases from code 1",
+        ("chart.tif", "--tone", "wavy.dat"): "wavy.dat: the tone curve must not decrease, but it decreases from code 1",
         ("mosaic.tif",): "a mosaic of colours that is read as grey: give --cfa if",
         ("mosaic.tif", "--cfa", "RGBG"): "Invalid value for '--cfa'",
         ("empty",): "empty: this folder contains no images",

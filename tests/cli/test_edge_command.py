@@ -146,7 +146,7 @@ BAD = [
     (("text.tif",), "neither TIFF, PNG, JPEG, OpenEXR nor camera raw"),
     (
         ("cut.tif",),
-        "the file is damaged: its header specifies shape (200, 150), which exceeds the 3000 bytes of the file",
+        "the file is damaged: its header specifies an image of shape (200, 150), but the file has only 3000 bytes",
     ),
     (("chart.tif", "--roi", 100, 0, 80, 160), "--roi must lie inside the image of 150 x 200 px"),
     (("chart.tif", "--roi", 0, 0, 10, 60), "at least 16 x 16 px"),

@@ -373,6 +373,6 @@ def test_tables_without_a_highlight_are_refused(shot):
     with pytest.raises(FitError, match="no highlight"):
         fresnel(empty, rigs.merl())
     table = shot.table(light(shot, GAUSSIAN).mean(-1))
-    with pytest.raises(FitError, match="give other angles to normalise"):
+    with pytest.raises(FitError, match="choose another range of theta_d"):
         table[:, 10:45] = np.nan
         fresnel(table, recorded.rig(), ndf="gaussian", slice_step=EVERY)

@@ -11,7 +11,7 @@ from matcam.forward.integral.blur import blur_of
 from matcam.inverse.correction.rig_refits import rig_refits
 from matcam.inverse.fit.fit_setup import free_setup
 from matcam.inverse.operator.chosen_cells import ChosenCells, chosen_cells, positions_in
-from matcam.inverse.operator.lamp_lines import lamp_discs, lamp_kernel
+from matcam.inverse.operator.lamp_lines import chord_points, lamp_discs, lamp_kernel
 from matcam.inverse.operator.lobe_operator import lobe_operator, operator_in
 from matcam.inverse.operator.sample_view import SampleView, sample_view
 from matcam.inverse.rig.rig_axes import free_axis, rig_with
@@ -124,7 +124,8 @@ def test_the_derivative_to_a_disc():
 
     def total(radius):
         own = jax.tree.map(jnp.asarray, disc)._replace(radius=jnp.broadcast_to(radius, (16,)))
-        return jnp.sum(lamp_kernel(view.on_sphere, blur, (0,), own, normal, at, (zero, zero)), -1)
+        points = chord_points(view.on_sphere, own)
+        return jnp.sum(lamp_kernel(view.on_sphere, blur, (0,), own, points, normal, at, (zero, zero)), -1)
 
     known, step = np.radians(0.5), 1e-5
     _, slope = jax.jvp(total, (jnp.asarray(known),), (jnp.asarray(1.0),))

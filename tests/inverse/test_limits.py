@@ -27,8 +27,8 @@ def test_a_narrower_lobe_on_a_small_sphere_is_known_less_well():
 def test_the_blurs_are_small_in_the_image_of_a_large_sphere():
     found = limits(_rig(1e4), roughness=[0.01], slice_step=30)
     lamp, jitter, defocus = found["size"].values
-    assert np.radians(lamp) * 1e4 == pytest.approx(2.0)
-    assert (jitter, defocus * 1e4) == pytest.approx((0.15, 2.0))
+    assert np.radians(lamp) * 1e4 == pytest.approx(0.2)
+    assert (jitter, defocus * 1e4) == pytest.approx((0.15, 0.2))
 
 
 def test_lobes_between_the_nodes_are_refused():

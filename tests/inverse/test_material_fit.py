@@ -166,7 +166,7 @@ def test_bad_data_are_refused_before_the_operator_is_computed(monkeypatch):
     for bad, words in (
         (empty, "every value is missing"),
         (dark, "no value is above 0"),
-        (torn, "a fit requires at least"),
+        (torn, "in 1 of 5 slices of theta_d: give a table with at least 20% of them"),
         (few, "contains 0% of the required values, in 0 of 5 slices"),
     ):
         with pytest.raises(FitError, match=words):

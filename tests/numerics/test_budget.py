@@ -88,7 +88,7 @@ def test_wrong_budgets_are_refused(tmp_path):
         UncertaintyBudget("x", 0.0, [])
     with pytest.raises(ArgumentError, match=r"uncertainty of source .* must lie in \[0, inf\), got -1"):
         UncertaintyBudget("x", 0.0, [A._replace(uncertainty=-1.0)])
-    with pytest.raises(ArgumentError, match="correlation must be symmetric"):
+    with pytest.raises(ArgumentError, match="correlation must be a symmetric"):
         UncertaintyBudget("x", 0.0, [A, B], [[1, 0.5], [0.4, 1]])
     with pytest.raises(ArgumentError, match="must have shape"):
         UncertaintyBudget("x", 0.0, [A, B], [[1]])

@@ -65,7 +65,7 @@ def test_a_real_ball_without_a_profile(ball):
     value, std = found.parameters["sigma_px"]
     assert abs(value - 0.7) < 2 * std
     assert found.not_determined[0].names[0] == "lens"
-    assert "The images alone do not separate lens from" in found.verdict
+    assert "The images alone do not distinguish lens from" in found.verdict
     assert np.degrees(found.measured_range[1]) < 22.5
     codes = {remark.code for remark in found.remarks}
     assert {"processed", "lens-guessed", "not-determined"} <= codes

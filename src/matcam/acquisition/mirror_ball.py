@@ -161,18 +161,18 @@ def cylinder_line(
     height: Callable[[float], float] = lambda depth: 0.0,
     lean: float = 0.0,
 ) -> float:
-    """Compute the position of the brightest line of an upright cylinder in the image.
+    """Compute the image position of the brightest line of an upright cylinder.
 
-    The result is the distance of the line to the right of the axis, divided by the radius of the outline.
+    The position is the distance to the right of the axis, divided by the radius of the outline.
 
     Args:
         lamp: unit vector from the axis to the lamp (3,).
         distance: distance of the camera from the axis, radii. Default: infinite.
         lamp_distance: distance of the lamp from the axis, radii. Default: infinite.
-        height: function that returns the height of a point of the line above the centre from the depth of the point, both
-            in radii. Default: 0.
-        lean: ratio of the slope around the cylinder to the slope along it at the largest density of the lobe, no unit.
-            Default: 0, the lobe is symmetric.
+        height: function that converts the depth of a point of the line to its height above the centre, both in radii.
+            Default: height 0.
+        lean: ratio of the slope around the cylinder to the slope along it for which the density of the lobe is largest, no
+            unit. Default: 0, for a symmetric lobe.
     """
     camera, source = 1 / distance, 1 / lamp_distance
     u, end = float(np.arctan2(lamp[0], 1 + lamp[2])), np.arccos(camera) - 1e-3

@@ -343,7 +343,7 @@ class OutlineFit:
     def solve(
         self, position: np.ndarray, edges: LimbSectors, wider: float
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
-        """Fit the curve to the edges.
+        """Compute one least-squares step from the curve to the edges.
 
         A FitError is raised if the edges are too few, or do not determine the curve.
 

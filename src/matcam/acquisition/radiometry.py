@@ -303,8 +303,8 @@ def _clip_level(
     remarks = [
         Remark(
             "clip-by-pile-up",
-            f"{found.clip.pixels} pixels of {frames} pile up at the largest code, {found.clip.level:.0f} DN, which is used as "
-            "the clip level, because noise would distribute unclipped pixels over several codes",
+            f"{found.clip.pixels} pixels of {frames} have the largest code, {found.clip.level:.0f} DN, within the read noise: "
+            "this code is used as the clip level, because noise would distribute unclipped pixels over several codes",
         )
     ]
     if found.apart:

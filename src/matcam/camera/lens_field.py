@@ -77,7 +77,10 @@ class LensField:
             object.__setattr__(self, name, Coefficient(value, std))
         rho2 = np.linspace(0, 1.5, 30)
         if np.any(1 + 3 * self.k1.value * rho2 + 5 * self.k2.value * rho2**2 <= 0.1):
-            raise ArgumentError("k1 and k2 fold the image over itself within 1.2 units: give smaller coefficients")
+            raise ArgumentError(
+                "the distortion is not monotonic: the derivative of rho (1 + k1 rho^2 + k2 rho^4) must exceed 0.1 up to "
+                "rho = 1.2, where rho is the distance from the centre divided by unit_px: give smaller coefficients k1 and k2"
+            )
 
     def wider(self, factor: float) -> LensField:
         """Build a field with a larger uncertainty of the distortion.

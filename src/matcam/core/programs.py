@@ -46,7 +46,7 @@ def kept_program(function: Callable[P, T] | None = None, *, runs: Runs = "some",
     """Compile a function as `eqx.filter_jit` does, and cache the program.
 
     Programs are cached for the CPU backend with one device, after a call of `use_compilation_cache`. The program is not cached
-    inside another transformation of JAX, and for arguments that have no persistent description.
+    if the function is called inside another transformation of JAX, or if an argument has no persistent description.
 
     Args:
         function: a function of positional arguments, which returns an array or a tuple of arrays. Arrays are traced;

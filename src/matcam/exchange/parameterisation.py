@@ -137,8 +137,8 @@ def resampled_grid(
 ) -> xr.Dataset:
     """Resample a material that `adaptive_grid` supports to an RGL grid of the given size.
 
-    `peak_error` is the largest relative error, no unit, of a peak that is interpolated between two angles of the light
-    up to 45 degrees. Angles are added to satisfy this error. Default: None, no angles are added.
+    `peak_error` is the largest permitted relative error, no unit, of a peak that is interpolated between two angles of the
+    light up to 45 degrees. Angles are added until the error does not exceed this limit. Default: None, no angles are added.
     """
     square, light_angles = size.square, _light_angles(*size.angles)
     if peak_error is not None:

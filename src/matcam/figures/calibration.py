@@ -292,9 +292,9 @@ def targets_figure(samples: Sequence[MTFSamples], camera: Camera | None = None, 
 
     Args:
         samples: samples of all targets.
-        camera: camera to compare with; a second panel then shows the differences in standard deviations. Default: None,
-            no comparison.
-        title: title. Default: "", the title is "MTF".
+        camera: camera to compare with; a second panel then shows the differences between targets and camera, in units of the
+            standard deviations of the targets. Default: None, no comparison.
+        title: title of the figure. Default: "", the title is "MTF".
     """
     with drawing(9.2, 4.2) as figure:
         axes, left = figure.subplots(1, 2, width_ratios=(1.5, 1)) if camera is not None else (figure.subplots(), None)

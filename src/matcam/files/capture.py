@@ -385,7 +385,8 @@ def _frame(
         known = lamps.get(lamp)
         if known is not None and not np.allclose(known[:2], guess[:2], atol=1e-9, rtol=0, equal_nan=True):
             raise FileFormatError(
-                f"{path}: lamp {lamp} has a different position from that in an earlier line: give each position its own lamp"
+                f"{path}: lamp {lamp} has a different position from that in an earlier line: use a different lamp "
+                "name for each position"
             )
         if known is not None and known.intensity != guess.intensity:
             raise FileFormatError(

@@ -59,8 +59,8 @@ def _decoded(path: Path, start: bytes, there: int, *, in_part: bool = False) -> 
             ends = [a + n for a, n in zip(page.dataoffsets, page.databytecounts, strict=True)]
             if page.nbytes > DEFLATE_LIMIT * size or max(ends, default=0) > size:
                 raise FileFormatError(
-                    f"{path}: the file is damaged: its header specifies shape {page.shape}, which exceeds the {size} "
-                    "bytes of the file"
+                    f"{path}: the file is damaged: its header specifies an image of shape {page.shape}, but the file has only "
+                    f"{size} bytes; copy it again"
                 )
             # if the file stores the image uncompressed, only the memory pages of the region are read
             mapped = in_part and page.is_memmappable

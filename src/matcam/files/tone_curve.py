@@ -93,7 +93,7 @@ def checked_curve(values: np.ndarray) -> np.ndarray:
     falls = (np.diff(values, axis=0) < 0).reshape(len(values) - 1, -1).any(1)
     if falls.any():
         code = int(np.argmax(falls))
-        raise ArgumentError(f"the tone curve must be monotone, but decreases from code {code} to {code + 1}")
+        raise ArgumentError(f"the tone curve must not decrease, but it decreases from code {code} to {code + 1}")
     if (values[-1] <= values[0]).any():
         raise ArgumentError("the tone curve must increase, but all codes of a channel have the same linear value")
     return values
@@ -116,7 +116,7 @@ def curve_through(codes: np.ndarray, values: np.ndarray) -> np.ndarray:
     if (np.diff(values) < 0).any():
         bad = int(np.argmax(np.diff(values) < 0))
         raise ArgumentError(
-            f"the tone curve must be monotone, but decreases from code {codes[bad]:g} to {codes[bad + 1]:g}"
+            f"the tone curve must not decrease, but it decreases from code {codes[bad]:g} to {codes[bad + 1]:g}"
         )
     at = np.arange(int(np.ceil(codes[-1])) + 1)
     try:

@@ -1,4 +1,4 @@
-"""Previews of records, about a thousand times faster than the exact computation and nearly as accurate.
+"""Previews of records by an approximation that is much faster than the exact computation.
 
 - The radiance at the centres of pixels is the image of the sphere without a camera.
 - The highlight is a sum of Gaussians in the tangent plane (docs/model.md 4). The lens is also a sum of Gaussians.

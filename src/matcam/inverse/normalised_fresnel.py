@@ -179,5 +179,6 @@ def budget_parts(result: xr.Dataset) -> list[VariancePart]:
 def nothing_to_normalise_by(normalise: tuple[float, float]) -> FitError:
     low, high = np.degrees(normalise)
     return FitError(
-        f"at least one channel has no value of F at theta_d from {low:g} to {high:g} degrees; give other angles to normalise"
+        f"at least one channel has no value of F at theta_d from {low:g} to {high:g} degrees; choose another range of theta_d "
+        "for the normalisation (normalise)"
     )

@@ -44,9 +44,10 @@ BLURS: dict[str, tuple[str, float]] = {
 """Blurs of a highlight other than that of the lens, by name: field of `Rig`, and largest size for which the effect is computed,
 in the unit of the field.
 """
-_LARGEST_BLUR = 2.0
-"""Largest size of a lamp or a defocus for which the effect is computed, px in the image. Effects are scaled from a blur like
-that of a lens, because the image of a lamp on a large sample is much larger and would require many nodes.
+_LARGEST_BLUR = 0.2
+"""Largest size of a lamp or a defocus for which the effect is computed, px in the image. Effects are scaled with the square of
+the size, which holds for blurs much smaller than that of the lens. The smallest detectable lamp then differs by at most 4 %
+from the limit for small lamps (16 % with 2 px), for lobes of 0.001 to 0.02 on a sphere of 400 px.
 """
 _NAMES = {
     "width_std": "bound of ln roughness, lens exact",
@@ -212,17 +213,24 @@ class _View(NamedTuple):
     workspace: Workspace | None
 
 
+def _records(
+    view: _View, rig: Rig, roughness: float, axes: tuple[Axis, ...]
+) -> tuple[ChosenCells, np.ndarray, np.ndarray]:
+    """Choose cells, and compute their records and the derivatives to ln roughness and the coordinates of the axes."""
+    sampling: Sampling = "edge" if rig.cell_value == "edge" else "centre"
+    cells, operator = lobe_operator(rig, sampling, view.slice_step, axes, view.workspace)
+    at = np.array([np.log(roughness), *np.zeros(len(axes))])
+    return cells, *record_and_slopes(operator, LobeKind(view.ndf, "smith"), at)
+
+
 class _Information:
     """Fisher information of the logarithms of roughness and lens width in the chosen cells, with F free in every slice."""
 
     def __init__(self, view: _View, roughness: float):
         self.view, self.roughness = view, roughness
         rig, noise = view.rig, view.noise
-        sampling: Sampling = "edge" if rig.cell_value == "edge" else "centre"
         axis = Axis(LENS, float(rig.camera.parameters()[LENS]), 0.0, -_STEP, _STEP, (-_STEP, 0.0, _STEP))
-        cells, operator = lobe_operator(rig, sampling, view.slice_step, (axis,), view.workspace)
-        at = np.array([np.log(roughness), 0.0])
-        record, slopes = record_and_slopes(operator, LobeKind(view.ndf, "smith"), at)
+        cells, record, slopes = _records(view, rig, roughness, (axis,))
         peak = record.max(-1, keepdims=True, where=cells.valid, initial=0)
         share = cells.noise_share
         used = cells.valid & (peak > 0)
@@ -282,8 +290,8 @@ def _signature(own: _Information, field: str, size: float) -> tuple[float, float
     lamp is in degrees.
     """
     blurred = rig_with(own.view.rig, {field: size})
-    other = _Information(own.view._replace(rig=blurred), own.roughness)
-    change = own.free(other.record - own.record).ravel()
+    record = _records(own.view, blurred, own.roughness, ())[1]
+    change = own.free(record - own.record).ravel()
     width, lens = own.columns.reshape(2, -1)
     exact = float(change @ width / (width @ width))
 

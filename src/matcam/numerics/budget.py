@@ -98,7 +98,10 @@ class UncertaintyBudget:
             raise ArgumentError(f"the correlation of {n} sources must have shape ({n}, {n}), got {matrix.shape}")
         wrong = np.abs(matrix - matrix.T).max() > 1e-9 or np.abs(np.diag(matrix) - 1).max() > 1e-9
         if wrong or np.linalg.eigvalsh(matrix)[0] < -1e-9:
-            raise ArgumentError("correlation must be a symmetric, positive semidefinite matrix with 1 on its diagonal")
+            raise ArgumentError(
+                "correlation must be a symmetric, positive semidefinite matrix with 1 on its diagonal, "
+                f"got {matrix.tolist()!s:.60}"
+            )
         self.correlation = matrix
 
     @classmethod

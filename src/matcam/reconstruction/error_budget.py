@@ -132,7 +132,7 @@ def error_budget(
 ) -> dict[str, dict[str, float]]:
     """Compute the contribution of each source to the standard deviation of the results.
 
-    The contribution is the root of the decrease of the variance that an exact source would cause.
+    The contribution of a source is the square root of the decrease of the variance if the source is exact.
 
     Args:
         fit: the fit.

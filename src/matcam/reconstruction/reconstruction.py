@@ -257,7 +257,10 @@ class Reconstruction(Summarised):
             )
         if self.not_determined:
             pairs = ", nor ".join(one.text for one in self.not_determined)
-            words.append(f"The images alone do not separate {pairs}: the result depends on their specified values.")
+            given = " and ".join(one.names[0] for one in self.not_determined)
+            words.append(
+                f"The images alone do not distinguish {pairs}: the result depends on the values given for {given}."
+            )
         if not self.absolute:
             words.append(
                 "F is relative, with a maximum of 1, because the capture has no reference of known reflectance."
@@ -397,7 +400,8 @@ def reconstructed(
     every.extend(
         Remark(
             "not-determined",
-            f"the images alone do not separate {one.text}: the result depends on their specified values",
+            f"the images alone do not distinguish {one.text}: the result depends on the value given for the {one.names[0]}; "
+            "check this value",
         )
         for one in pairs
     )

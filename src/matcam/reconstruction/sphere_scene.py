@@ -269,7 +269,10 @@ def _bounds(layout: JointLayout, kind: LobeKind, scene: SphereScene) -> tuple[np
 
 
 def lens_std(camera: Camera) -> float:
-    """Compute the relative standard deviation of the lens width, no unit, from the profile or as assumed; 0: exact."""
+    """Compute the largest relative standard deviation of the parameters of the lens.
+
+    The standard deviations are those of the profile, or assumed. The result has no unit, and is 0 if there are none.
+    """
     known = known_lens(camera)
     if known.uncertainty is None:
         return 0.0

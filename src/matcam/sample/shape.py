@@ -114,7 +114,8 @@ class Flat(Sample):
     def frequency_on_sensor(self, frequency: ArrayLike, theta_o: ArrayLike) -> jax.Array:
         """Compute the frequency of a texture on the sensor, cycles/px.
 
-        The texture varies along the direction in which the tilt shortens the image of the sample.
+        The texture varies along the direction in which the tilt shortens the image of the sample, by the factor
+        cos(theta_o).
 
         Args:
             frequency: frequency of the texture without tilt, cycles/px.

@@ -63,10 +63,15 @@ def angle_on_circle(slope: jax.Array, tilt: jax.Array) -> jax.Array:
 
 
 def depth_of(slope: AnyValues, q: ArrayLike) -> tuple[AnyValues, AnyValues]:
-    """Compute the depth cos t of the point at which a line of sight meets a circle of radius 1.
+    """Compute the depth of the visible point on a line of sight.
 
-    The point satisfies sin t = slope (1 - q cos t). slope: lateral slope of the line of sight. q: inverse of the distance
-    of the camera, 1/radii. The second result is a mask, True for lines of sight that meet the circle.
+    The line of sight meets a circle of radius 1. The depth is cos t, where t is the angle between the optical axis and the
+    normal at the point. It follows from sin t = slope (1 - q cos t). The second result is a mask, True for lines of sight
+    that meet the circle.
+
+    Args:
+        slope: distance between the line of sight and the optical axis at depth 0, radii.
+        q: inverse of the distance of the camera, 1/radii.
     """
     square = slope**2
     root = 1 + square * (q**2 - 1)

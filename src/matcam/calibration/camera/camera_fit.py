@@ -366,7 +366,8 @@ def _measured_camera(found: _FittedLens, table: EdgeTable, curve: MeanCurve, shi
     """Create a camera whose lens has the mean MTF of the edges, divided by that of the pixel.
 
     Beyond the frequency at which the standard deviation is too large, the curve is extrapolated by the fitted Gaussian.
-    `shift` is the standard deviation of the MTF due to disagreement, which is fully correlated over the frequencies.
+    `shift` is the standard deviation of the MTF due to the disagreement of the measurements. This error is fully correlated
+    over the frequencies.
     """
     mean, std = curve.mtf, curve.mtf_std
     c, s = np.abs(np.cos(table.angle))[:, None], np.abs(np.sin(table.angle))[:, None]

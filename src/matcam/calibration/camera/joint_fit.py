@@ -329,13 +329,13 @@ def _inverse(information: np.ndarray) -> np.ndarray:
         )
     if (np.diag(information) <= 0).any():
         raise FitError(
-            "the measurements do not determine the camera, because a parameter of the camera has no effect on the "
-            "measurements; add targets"
+            "the measurements do not determine the camera, because a parameter of the camera has no effect on them: "
+            "add targets"
         )
     if least_eigenvalue(information) < FLOOR:
         raise FitError(
-            "the measurements do not determine the camera, because parameters of the camera have the same effect on the "
-            "measurements; add targets"
+            "the measurements do not determine the camera, because parameters of the camera have the same effect on "
+            "them: add targets"
         )
     return scaled_inverse(information)
 

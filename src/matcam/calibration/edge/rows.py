@@ -262,8 +262,8 @@ def refusals(found: EdgeFits, region: EdgeRegions, clear: np.ndarray, *, accept_
                 "the raw image, or accept the MTF of lens and sharpening together (accept_sharpened=True)",
             )
         if veiled[i]:
-            text = f"a lens does not cause glare of {glare[i]:.0%} with a radius above {VEIL:.0%} of the region width "
-            text += f"together with a misfit of {found.misfit[i]:.1%} of the step"
+            text = f"a lens alone does not explain glare of {glare[i]:.0%} of the step, with a radius above {VEIL:.0%} of the "
+            text += f"region width, and a misfit of {found.misfit[i]:.1%} of the step"
             why = describe_content(region.value[i]) or "the region may contain a ghost, a second edge or dirt"
             return Remark("unexplained", f"{text}; {why}: choose another region")
         second = bool(ghost.share[i] > _SECOND)

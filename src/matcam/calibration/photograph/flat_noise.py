@@ -210,7 +210,11 @@ def _variance(value: FloatArray, there: np.ndarray, lag: int) -> tuple[float, fl
 
 
 def _is_rounded_light(value: FloatArray, there: np.ndarray) -> bool:
-    """Check whether the codes of a side change only along the contours of smooth light, without noise."""
+    """Check whether the codes on one side of an edge are rounded smooth light without noise.
+
+    Such codes change only where the light crosses a rounding level, so most neighbours are equal, and most successive changes
+    along a row have the same sign.
+    """
     both = there[:, 1:] & there[:, :-1]
     change = np.diff(value, axis=1) * both
     if not 2 <= np.count_nonzero(change) <= (1 - _EQUAL) * both.sum():

@@ -240,9 +240,11 @@ def _unknown(
 def _ghost(field: FloatArray, distance: FloatArray) -> float:
     """Compute the share of a ghost that may have been fitted as light.
 
-    A ghost of share q is a step q along a line parallel to the edge. The light is compared with a function of the distance
-    from the edge. The probability of a ghost decreases steeply with the share of the variance that this function does not
-    explain. `field`: relative light of n pixels. `distance`: their distances from the edge, px.
+    A ghost of share q is a step of height q along a line parallel to the edge, so its light depends only on the distance
+    from the edge. The mean of the light is computed as a function of this distance. The result is the height of a step with
+    the variance of this mean, multiplied by the fourth power of the share of this variance in that of the light. The factor
+    makes the result small if the light also varies along the edge. `field`: relative light of n pixels. `distance`: their
+    distances from the edge, px.
     """
     _, name = np.unique(np.floor(distance / _SMALLEST_BIN), return_inverse=True)
     count = np.bincount(name)

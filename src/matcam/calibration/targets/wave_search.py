@@ -127,8 +127,8 @@ def find_star(values: FloatArray, cycles: int | None = None) -> FoundStar:
     if len(agreeing) < 4 or winner < 8:
         raise FitError(
             f"the region contains no Siemens star{f' of {cycles} cycles' if cycles else ''}: "
-            f"of {len(rings)} rings with a regular wave, {len(agreeing)} have {winner} cycles, but at least 4 rings with at "
-            "least 8 cycles are needed; give a region of one star"
+            f"{len(agreeing)} of {len(rings)} rings with a regular wave have {winner} cycles, but at least 4 rings must have "
+            "the same number of cycles, 8 or more; give a region of one star"
         )
     # Beyond the rim, the amplitude of the wave on a ring is small.
     strong = _KEPT * float(np.median([ring.amplitude for ring in agreeing[len(agreeing) // 2 :]]))

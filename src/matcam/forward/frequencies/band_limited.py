@@ -62,7 +62,7 @@ class BandLimit(NamedTuple):
 def band_limit(camera: Camera, enough: float = EXACT) -> BandLimit | None:
     """Choose the sampling of images of a camera.
 
-    The result is None if a sum of Gaussians describes the lens at least as well, or if parameters are traced. `enough`
+    The result is None if a sum of Gaussians has at most the error of this sampling, or if parameters are traced. `enough`
     is the error of a transfer function below which no finer sampling is used, no unit. Default: `EXACT`.
     """
     if not concrete(camera):

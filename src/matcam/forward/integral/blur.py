@@ -388,7 +388,7 @@ def blur_of(rig: Rig, *, in_discs: bool = False, whole: bool = False, residual: 
 
 
 def _with_residual(optics: Optics) -> GaussianSum:
-    """Approximate a lens by the Gaussians of a blur that also has a residual term.
+    """Approximate a lens by Gaussians, for a blur that adds the residual of this approximation.
 
     More Gaussians are used if parameters are traced, because derivatives neglect the residual.
     """

@@ -43,8 +43,8 @@ def peak_response(
         rig: camera, sample and lamp.
         ndf: distribution of the microfacets' normals, such as `GGX(0.01)`.
         theta: viewing angle of the highlight, half the angle between lamp and camera, in [0, pi/2), rad, any shape.
-        dims: 2 for a real sample, 1 for the one-dimensional model of Holzschuch and Pacanowski, towards the limb
-            only. Default: 2.
+        dims: 2 for a real sample, 1 for the one-dimensional model of Holzschuch and Pacanowski, which includes only the blur
+            along the direction towards the limb. Default: 2.
         exact: True for the curved sample with its limb, in two dimensions, for any NDF. Default: False, the tangent
             plane, which is faster and accurate to 1e-3 up to 75 degrees for lobes narrower than 0.05 rad.
         masking: "smith" (height-correlated), "smith-separable", "van-ginneken" or None (no masking). Only the exact

@@ -1,4 +1,4 @@
-"""Nodes on arcs of circles of normals of a sphere."""
+"""Quadrature nodes on arcs of circles on the unit sphere of normals."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _Direction = tuple[jax.Array, jax.Array]
 
 
 class CircleArcs(NamedTuple):
-    """Arcs of circles of normals, arrays of one shape.
+    """Arcs of circles on the unit sphere of normals, as arrays of one shape.
 
     Attributes:
         frame: axis of the circle, and the directions of azimuth 0 and pi/2, three arrays each.

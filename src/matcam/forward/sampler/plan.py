@@ -1,8 +1,7 @@
 """Plan of a record: the quadrature nodes of each pixel.
 
-Number and positions of the nodes depend on the rig and on the narrowest scale of the lobe. A record must nevertheless
-be a continuous function of the parameters of rig and lobe. A plan is therefore constant: with one plan, a record is a
-smooth function of material and camera.
+Number and positions of the nodes depend on the rig and on the narrowest scale of the lobe. The plan is kept constant
+while the parameters of material and camera vary. The record is then a smooth function of these parameters.
 """
 
 from __future__ import annotations

@@ -78,8 +78,8 @@ class RigRefit(NamedTuple):
             included = f"the uncertainty includes {self.counted:g} times the difference"
         return Remark(
             f"{code}-contradicts-data",
-            f"a fit with free {what} gives {gives} {unit} instead of {base:.{decimals}f} {unit}: the camera, the radius of the "
-            f"sample, the lamp or the family of the lobe contradicts the data; check them; {included}",
+            f"a fit with free {what} gives {gives} {unit} instead of {base:.{decimals}f} {unit}; {included}: check the "
+            "specified camera, radius of the sample, lamp and family of the lobe",
         )
 
     def to_dict(self) -> dict[str, Any]:

@@ -110,7 +110,8 @@ class LobeKind(NamedTuple):
 
         q: coordinates in the order of `names`. The coordinates of a family are the logarithms of its parameters. The family
             TWO_LOBES is an exception: the share of the second lobe is the logistic function of its coordinate, and the
-            shares of Beckmann are coordinates themselves. So are the coefficients of spline and free masking.
+            shares of Beckmann are coordinates themselves. The coefficients of spline and free masking are also coordinates
+            themselves.
         """
         own = len(self.family_names)
         if self.family == TWO_LOBES:

@@ -132,7 +132,14 @@ def lamp_discs(
 
 
 def lamp_kernel(
-    view: SphereView, blur: Blur, terms: tuple[int, ...], disc: LampDisc, normal: tuple, at: tuple, variances: tuple
+    view: SphereView,
+    blur: Blur,
+    terms: tuple[int, ...],
+    disc: LampDisc,
+    points: ChordPoints,
+    normal: tuple,
+    at: tuple,
+    variances: tuple,
 ) -> jax.Array:
     """Integrate the kernel over the source disc at nodes, 1/px^2.
 
@@ -144,19 +151,86 @@ def lamp_kernel(
         blur: the blur for a point source.
         terms: terms of the blur.
         disc: source disc for the pixel of each group.
+        points: result of `chord_points` for the disc.
         normal: components of the normals for the centre of the lamp, (groups, nodes) each.
         at: position of the pixel along the plane of camera and lamp and across it, (groups, 1) each, px.
         variances: variances that are added to the blur along x and y, px^2, (groups, 1) each.
     """
-    if not (is_concrete(view.camera) and is_concrete(view.lamp) and view.distant):
-        return _by_chords(view, blur, terms, disc, normal, at, variances)
-    # an image along the axes of the pixel that is much smaller than the blur is an ellipse
-    small = jnp.all((disc.relative <= LARGEST) & (jnp.abs(disc.turn[:, 1]) < _ALIGNED))
+
+    def by_chords() -> jax.Array:
+        return _by_chords(view, blur, terms, disc, points, normal, at, variances)
+
+    if not _is_distant(view):
+        return by_chords()
     return jax.lax.cond(
-        small,
+        jnp.all(of_gaussians(view, disc)),
         lambda: _by_gaussians(view, blur, terms, disc, normal, at, variances),
-        lambda: _by_chords(view, blur, terms, disc, normal, at, variances),
+        by_chords,
     )
+
+
+def of_gaussians(view: SphereView, disc: LampDisc) -> Any:
+    """Select the pixels in which a sum of Gaussians describes the disc, (pixels,).
+
+    An image along the axes of the pixel that is much smaller than the blur is nearly an ellipse.
+    """
+    small = (disc.relative <= LARGEST) & (abs(disc.turn[:, 1]) < _ALIGNED)
+    return small if _is_distant(view) else small & False
+
+
+def _is_distant(view: SphereView) -> bool:
+    return is_concrete(view.camera) and is_concrete(view.lamp) and view.distant
+
+
+class ChordPoints(NamedTuple):
+    """Highlights of three points of each chord of a disc: start, middle and end.
+
+    Attributes:
+        share: share of the light of each chord, no unit, (chords, pixels). A chord with the share 0 is not used.
+        centre: components of the normal at the highlight of the lamp's centre, (3, pixels).
+        normal: components of the normals at the highlights of the points, (chords, 3, points, pixels).
+        light: share of the chord times the record of each point relative to that of the lamp's centre, no unit,
+            (chords, points, pixels).
+        less: third-order term of the image of the chord as a share of half the difference between its ends, no unit,
+            (chords, pixels).
+    """
+
+    share: jax.Array
+    centre: jax.Array
+    normal: jax.Array
+    light: jax.Array
+    less: jax.Array
+
+
+def chord_points(view: SphereView, disc: LampDisc) -> ChordPoints:
+    """Compute the highlights of the chords, which are the same for all nodes of a pixel.
+
+    All entries are 0 if Gaussians describe all discs.
+    """
+    radius, lamp = jnp.maximum(disc.radius, _SMALLEST), disc.lamp_angle
+    centre, own_light = _highlights(view, 0.0, 0.0, radius, lamp)
+    # start, middle and end of a chord, and two points in between
+    on_chord = np.array([-1.0, 0.0, 1.0, -0.5, 0.5])[:, None]
+
+    def of_chord(chord):  # type: ignore[no-untyped-def]
+        distance, half_length, share = chord
+        u, v = (
+            distance * disc.chord[:, 1 - n] * side + on_chord * half_length * disc.chord[:, n]
+            for n, side in ((0, 1), (1, -1))
+        )
+        to, light = _highlights(view, u, v, radius, lamp)
+        run = _rotated(*_position(view, to), *disc.turn.T)[1]
+        less = (4 - 8 * (run[4] - run[3]) / (run[2] - run[0])) / 3
+        return jnp.stack([a[:3] for a in to]), share * light[:3] / own_light, less
+
+    chords = tuple(jnp.asarray(table)[disc.rule].T for table in (_AT, _HALF, _SHARE))
+    used = jnp.any(chords[2] > 0, axis=1)
+    if _is_distant(view):
+        used &= ~jnp.all(of_gaussians(view, disc))
+    like = jax.eval_shape(of_chord, jax.tree.map(lambda a: a[0], chords))
+    nothing = jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), like)
+    found = jax.lax.map(lambda one: jax.lax.cond(one[0], of_chord, lambda _: nothing, one[1]), (used, chords))
+    return ChordPoints(chords[2], jnp.stack(centre), *found)
 
 
 def _by_gaussians(view, blur: Blur, terms, disc: LampDisc, normal, at, variances):  # type: ignore[no-untyped-def]
@@ -176,33 +250,21 @@ def _by_gaussians(view, blur: Blur, terms, disc: LampDisc, normal, at, variances
     return jax.lax.scan(of_width, start, tuple(jnp.asarray(a) for a in DISC_GAUSSIANS.T))[0]
 
 
-def _by_chords(view, blur: Blur, terms, disc: LampDisc, normal, at, variances):  # type: ignore[no-untyped-def]
+def _by_chords(view, blur: Blur, terms, disc: LampDisc, points: ChordPoints, normal, at, variances):  # type: ignore[no-untyped-def]
     """Integrate the kernel over a disc as a sum over chords, in closed form along each chord."""
     cosine, sine = (a[:, None] for a in disc.turn.T)
     own_x, own_y = _rotated(at[0], at[1], cosine, sine)
-    radius, lamp = jnp.maximum(disc.radius, _SMALLEST), disc.lamp_angle
-    peak, own_light = _highlights(view, 0.0, 0.0, radius, lamp)
-    from_ = [a[:, None] for a in peak]
-    # start, middle and end of a chord, and two points in between
-    on_chord = np.array([-1.0, 0.0, 1.0, -0.5, 0.5])[:, None]
+    from_ = [a[:, None] for a in points.centre]
 
     def of_chord(total, chord):  # type: ignore[no-untyped-def]
-        distance, half_length, share = chord
-        u, v = (
-            distance * disc.chord[:, 1 - n] * side + on_chord * half_length * disc.chord[:, n]
-            for n, side in ((0, 1), (1, -1))
-        )
-        to, light = _highlights(view, u, v, radius, lamp)
-        run = _rotated(*_position(view, to), *disc.turn.T)[1]
-        # the y coordinate of the image is a cubic polynomial of the position on the chord; `less` is the third-order
-        # term as a share of half the difference between the ends
-        less = ((4 - 8 * (run[4] - run[3]) / (run[2] - run[0])) / 3)[:, None]
-        light = [(share * part / own_light)[:, None] for part in light[:3]]
-        there = _turned(from_, [a[:3, :, None] for a in to], normal)
+        _, to, light, less = chord
+        light, less = light[..., None], less[:, None]
+        there = _turned(from_, [a[:, :, None] for a in to], normal)
         x, y = _rotated(*_position(view, there), cosine, sine)
         x, (y_0, y_1, y_2) = x - own_x, y - own_y
         half, curvature = (y_2 - y_0) / 2, (y_2 + y_0) / 2 - y_1
-        # position on the chord, in [-1, 1], whose image has the y coordinate of the pixel
+        # position on the chord, in [-1, 1], whose image has the y coordinate of the pixel; the y coordinate of the image is
+        # a cubic polynomial of the position on the chord
         on = -y_1 / half
         on = jnp.clip(on - curvature * on**2 / half - less * (on**3 - on), -1, 1)
         seen = sum(
@@ -215,11 +277,10 @@ def _by_chords(view, blur: Blur, terms, disc: LampDisc, normal, at, variances): 
         return total + seen * _parabola(*light, on) / density
 
     def step(total, chord):  # type: ignore[no-untyped-def]
-        return jax.lax.cond(jnp.any(chord[2] > 0), of_chord, lambda total, _: total, total, chord), None
+        return jax.lax.cond(jnp.any(chord[0] > 0), of_chord, lambda total, _: total, total, chord), None
 
     start = jnp.zeros(jnp.broadcast_shapes(*(a.shape for a in normal)))
-    chords = tuple(jnp.asarray(table)[disc.rule].T for table in (_AT, _HALF, _SHARE))
-    return jax.lax.scan(step, start, chords)[0]
+    return jax.lax.scan(step, start, (points.share, points.normal, points.light, points.less))[0]
 
 
 def _moved(
@@ -279,15 +340,15 @@ def _highlights(view: SphereView, u: Any, v: Any, radius: Any, lamp_angle: Any) 
     length = xp.where(distant, 1.0, xp.sqrt(1 + square * xp.tan(radius) ** 2))
     sin, cos = xp.sin(lamp_angle), xp.cos(lamp_angle)
     lamp = [a / length for a in (up * sin + aside * u * cos, aside * v, up * cos - aside * u * sin)]
-    off = xp.sqrt(xp.maximum(lamp[0] ** 2 + lamp[1] ** 2, 1e-30))
     w = view.lamp / length
-    lamp_angle = xp.arctan2(off, lamp[2])
-    if is_concrete(view.camera) and is_concrete(view.lamp) and view.distant:
-        angle = lamp_angle / 2
+    if _is_distant(view):  # the half vector of the lamp and the optical axis
+        twice = xp.sqrt(xp.maximum(2 * (1 + lamp[2]), 1e-30))
+        normal = lamp[0] / twice, lamp[1] / twice, twice / 2
     else:
-        angle = highlight_between(jnp.asarray(lamp_angle), view.camera, w)
+        off = xp.sqrt(xp.maximum(lamp[0] ** 2 + lamp[1] ** 2, 1e-30))
+        angle = highlight_between(jnp.asarray(xp.arctan2(off, lamp[2])), view.camera, w)
         angle = np.asarray(angle) if xp is np else angle
-    normal = xp.sin(angle) * lamp[0] / off, xp.sin(angle) * lamp[1] / off, xp.cos(angle)
+        normal = xp.sin(angle) * lamp[0] / off, xp.sin(angle) * lamp[1] / off, xp.cos(angle)
     up = sum(a * b for a, b in zip(normal, lamp, strict=True))
     depth, view_2 = 1 - view.camera * normal[2], 1 + view.camera**2 - 2 * view.camera * normal[2]
     return normal, xp.sqrt(view_2) / depth**3 / (1 + w**2 - 2 * w * up) / length**2

@@ -35,7 +35,7 @@ from matcam.forward.sampler.arc_rules import MOST_NODES, arc_rules
 from matcam.forward.sampler.arcs import CHUNK, Arcs, Clips, gaps_of
 from matcam.forward.sampler.circles import CircleLayout, Circles, about_highlight, from_highlight
 from matcam.forward.sampler.windows import SphereView, Windows
-from matcam.inverse.operator.lamp_lines import LampDisc, lamp_kernel
+from matcam.inverse.operator.lamp_lines import LampDisc, chord_points, lamp_kernel, of_gaussians
 from matcam.inverse.operator.theta_nodes import (
     FROM_MOMENTS,
     NODES,
@@ -267,18 +267,21 @@ def _kernel_sums(
     per_pixel = (
         windows.x, windows.y, windows.cosine, windows.sine, windows.lamp, windows.peak, theta_d, *spacing,
     )  # fmt: skip
-    near, least = not view.distant, 0
-    if kernel.disc is not None:  # its image has borders
-        layout, least = layout._replace(arcs=arcs._replace(vanishes=np.zeros_like(arcs.vanishes))), _BESIDE_BORDER
+    near = not view.distant
+    with_borders = np.zeros(arcs.circle.size, dtype=bool)
+    if kernel.disc is not None:
+        with_borders = ~of_gaussians(view, kernel.disc)[pixel]
     reach = windows.half.max(axis=0)
     fineness = np.max([fineness_of(one.blur, one.terms, reach) for one in kernels], axis=0)
     nodes, evenly = nodes_on_arcs(view, windows, layout, fineness, 1.0)
-    rule = -(-np.maximum(nodes, least) // _GROUP) + evenly * _MIDPOINT
+    nodes = np.where(with_borders & ~evenly, np.maximum(nodes, _BESIDE_BORDER), nodes)
+    rule = -(-nodes // _GROUP) + evenly * _MIDPOINT
     per_arc = angle[arcs.circle], arcs.middle, arcs.half
     program = _arc_sums if kernel.disc is None else _arc_sums_of_disc
     sums = np.zeros((count, 7 + 2 * NODES[0].size if near else 4, arcs.circle.size))
-    # all arcs of a block have one rule, so the sums of an arc do not depend on the others
-    of_rules = np.split(np.argsort(rule, kind="stable"), np.cumsum(np.bincount(rule))[:-1])
+    # all arcs of a block have one rule and one description of the disc, so the sums of an arc do not depend on the others
+    described = rule + 2 * _MIDPOINT * with_borders
+    of_rules = np.split(np.argsort(described, kind="stable"), np.cumsum(np.bincount(described))[:-1])
     order = np.concatenate(
         [np.pad(own, (0, -own.size % _BLOCK), mode="edge") for own in of_rules if own.size] or of_rules
     )
@@ -367,6 +370,7 @@ def _arc_sums(
         arc = half, *(function(angle) for angle in (middle, circle, peak) for function in (jnp.sin, jnp.cos))
         nothing = jnp.zeros((most, 7 + 2 * NODES[0].size if near else 4, circle.shape[0]))
         rule = rules[own, 0], rules[own, 1]
+        disc = disc and (disc, chord_points(view, disc))
         return repeated_sum(
             lambda node: sums(pixel, arc, variances, disc, nothing, *node), own % _MIDPOINT, rule, nothing
         )
@@ -414,7 +418,7 @@ def _arc_sums(
             if disc is None:
                 seen = sum((blur.share(term) * through(blur, term, var_x, var_y) for term in terms), jnp.zeros(()))
             else:
-                seen = lamp_kernel(view, blur, terms, disc, normal, in_plane(x, y), (var_x, var_y))
+                seen = lamp_kernel(view, blur, terms, *disc, normal, in_plane(x, y), (var_x, var_y))
             share = jax.lax.optimization_barrier(seen * measure)
             own = jnp.stack([jnp.sum(share * one, axis=1) for one in factors])
             if near:

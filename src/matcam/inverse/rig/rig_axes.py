@@ -136,15 +136,16 @@ class Axis(NamedTuple):
 
 
 def scaled_changes(axes: Sequence[Axis], coordinates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Multiply the changes of the lens by powers of the share of the lens in the variance of the whole blur.
+    """Scale the changes of the lens by its share of the variance.
 
-    The changes are relative to the moments of the lens, so their effect vanishes with the width of the lens. Moments of order
-    2 k are divided by the k-th power of the variance. A change d of such a moment of the lens changes the moment of the whole
-    blur by d times the k-th power of the share.
+    The share is that of the lens in the variance of the whole blur, relative to the share at coordinate 0. The changes are
+    relative to the moments of the lens, so their effect vanishes with the width of the lens. Moments of order 2 k are divided
+    by the k-th power of the variance. A change d of such a moment of the lens changes the moment of the whole blur by d times
+    the k-th power of the share.
 
     Returns:
-        Coordinates at which the lens of the rig has the same effect, (axes,), and their derivatives with respect to the given
-        coordinates, (axes, axes). Coordinates of other parameters are not changed.
+        Coordinates at which a lens with the width of the rig's lens has the same effect, (axes,), and their derivatives with
+        respect to the given coordinates, (axes, axes). Coordinates of other parameters are not changed.
     """
     scaled, slopes = np.array(coordinates, dtype=float), np.eye(len(axes))
     for lens in (n for n, axis in enumerate(axes) if axis.name == LENS and axis.base > 0):

@@ -62,11 +62,17 @@ class JointSolution(NamedTuple):
         return self.likelihood.share
 
     def covariance_with(self, information: np.ndarray) -> np.ndarray:
-        """Compute `covariance` after information of low rank, (size, size), is added."""
+        """Compute the covariance `covariance` with additional information.
+
+        information: information matrix of low rank that is added, (size, size).
+        """
         return self._informed(self.covariance, information)
 
     def covariance_without(self, information: np.ndarray) -> np.ndarray:
-        """Compute `fitted` after information of low rank, (size, size), is removed."""
+        """Compute the covariance `fitted` without some of its information.
+
+        information: information matrix of low rank that is subtracted, (size, size).
+        """
         return self._informed(self.fitted, -information)
 
     def _informed(self, covariance: np.ndarray, change: np.ndarray) -> np.ndarray:

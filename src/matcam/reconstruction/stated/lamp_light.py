@@ -85,9 +85,11 @@ def gains_of(
     if not known.any():
         return stated
     if radiometry.reference_between >= drift:
-        text = f"the light changes by {radiometry.reference_between:.1%} between images of reference and sample: "
-        text += "the reference was not used, and lamp.gain_std was kept; to use it, include the reference in the frames of the "
-        remarks.append(Remark("reference-unsteady", f"{text}sample"))
+        text = (
+            f"the light changes by {radiometry.reference_between:.1%} between images of reference and sample, so the "
+        )
+        text += "reference is not used, and lamp.gain_std applies: include the reference in the frames of the sample"
+        remarks.append(Remark("reference-unsteady", text))
         return stated
     gain = np.array([one.value if good and one is not None else 1.0 for one, good in zip(output, known, strict=True)])
     std = np.array(

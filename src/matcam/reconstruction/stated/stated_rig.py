@@ -85,8 +85,8 @@ def known_nearness(capture: Capture, of: str, remarks: list[Remark]) -> Stated:
         remarks.append(
             Remark(
                 f"{of}-distance-not-stated",
-                f"the {of} distance in radii of the sample is unknown, so about 25 radii or more are assumed: specify "
-                f"{' and '.join(missing)}",
+                f"the distance of the {of} in radii of the sample is unknown, so a distance above about 25 radii is assumed: "
+                f"specify {' and '.join(missing)}",
             )
         )
         return GUESSED_NEARNESS
