@@ -15,6 +15,7 @@ from matcam.cli.app import app
 from matcam.core.grid import brdf_table, merl_grid
 from matcam.inverse.operator.lobe_operator import lobe_operator
 from matcam.material.ndf.ggx import GGX
+from tests.conftest import REPOSITORY
 from tests.inverse import recorded
 
 
@@ -158,6 +159,12 @@ def test_limits_speaks(monkeypatch):
     document = json.loads(done.stdout)
     assert 0 < document["width_std"][0] < document["width_std_free"][0] < 1
     assert document["fresnel_std"]
+    # the page states the same
+    (row,) = re.findall(r"\| 0\.002 \|(.*)\|", (REPOSITORY / "docs" / "understand" / "limits.md").read_text())
+    exact, free, *sizes = (float(re.search(r"[\d.]+", cell)[0]) for cell in row.split("|"))
+    found = np.array([document["width_std"], document["width_std_free"]])[:, 0]
+    assert [exact / 100, free / 100] == pytest.approx(found, abs=5e-5)
+    assert sizes == pytest.approx(document["smallest"][0], rel=0.04)
 
 
 def test_limits_of_a_cylinder_speak_of_it():
