@@ -135,7 +135,7 @@ def read_netcdf(path: str | Path) -> xr.Dataset:
     try:
         return xr.decode_cf(xr.Dataset(_variables(stored), attrs=stored["attrs"]))
     except Exception as error:  # inconsistent labels
-        raise FileFormatError(f"{path}: the NetCDF file is damaged, create it again: {one_line(error)}") from None
+        raise FileFormatError(f"{path}: the NetCDF file is damaged: {one_line(error)}; create it again") from None
 
 
 def write_zarr(path: str | Path, data: xr.Dataset, *, force: bool = False) -> None:
@@ -212,7 +212,7 @@ def read_zarr(path: str | Path) -> xr.Dataset:
                 variable["attrs"]["_FillValue"] = FillValueCoder.decode(fill, variable["values"].dtype)
         return xr.decode_cf(xr.Dataset(_variables(stored), attrs=stored["attrs"]))
     except Exception as error:  # inconsistent labels
-        raise FileFormatError(f"{path}: the Zarr store is damaged, create it again: {one_line(error)}") from None
+        raise FileFormatError(f"{path}: the Zarr store is damaged: {one_line(error)}; create it again") from None
 
 
 def _variables(stored: dict[str, Any]) -> dict[str, xr.Variable]:

@@ -26,8 +26,8 @@ _FEWEST = 30
 def refuse_unnamed_mosaic(plane: LinearImage) -> None:
     if plane.channel == "grey" and plane.cfa is None and (share := alternation(plane.values)) > 0:
         raise FitError(
-            f"every second pixel differs by {share:.0%}, as in a mosaic of colours that is read as grey: "
-            "give cfa if the image is a mosaic (the colours of its first 2 x 2 px)"
+            f"alternate pixels differ by {share:.0%}, as in a colour mosaic that is read as grey: if the image is a mosaic, "
+            "give cfa (the colours of its first 2 x 2 px)"
         )
 
 

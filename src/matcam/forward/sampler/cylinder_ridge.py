@@ -21,7 +21,7 @@ _STEPS = 6
 
 
 class PlacedLamps(NamedTuple):
-    """Lamps of some positions, as arrays that broadcast.
+    """Directions and distances of lamps, as arrays that broadcast.
 
     Attributes:
         towards: direction to the lamp, seen from the centre of the cylinder.

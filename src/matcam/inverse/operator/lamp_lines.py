@@ -102,8 +102,8 @@ def lamp_discs(
 
     Returns:
         List with the disc of each blur, and the largest shifts of highlight and pixel along the axes of the pixels, px,
-        (blurs, 2, pixels). A disc is None for a point source. If Gaussians of the same variances suffice for all blurs, all
-        discs are None, and the shifts are 0.
+        (blurs, 2, pixels). A disc is None for a point source. If a Gaussian of the same variance can replace the
+        disc of every blur, all discs are None, and the shifts are 0.
     """
     half = float(blurs[0].pixel.half_width)
     turn = view.azimuth - np.pi / 2 * np.round(

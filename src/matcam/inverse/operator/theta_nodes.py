@@ -119,7 +119,7 @@ class Scale(NamedTuple):
 class NodeSpacing(NamedTuple):
     """Spacing of the nodes in a range of angles: equal in asinh(theta / scale).
 
-    It is linear in theta below the scale, and logarithmic above it. The arrays have one shape, of NumPy or JAX.
+    It is linear in theta below the scale, and logarithmic above it. The fields are NumPy or JAX arrays of the same shape.
 
     Attributes:
         scale: the scale, rad.

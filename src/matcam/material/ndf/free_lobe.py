@@ -127,7 +127,7 @@ def _spline_slopes(
 ) -> tuple[jax.Array, jax.Array]:
     """Differentiate `spline_at` by the chain rule.
 
-    The functions and their derivatives are evaluated once, not for every direction of differentiation.
+    The basis functions B_k and their derivatives are evaluated once, not for every direction of differentiation.
     """
     coefficients, slope2 = values
     value, by_slope2 = jax.jvp(lambda at: cubic_spline(coefficients, _knot_at(at)), (slope2,), (jnp.ones_like(slope2),))
