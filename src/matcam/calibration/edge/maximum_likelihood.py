@@ -183,8 +183,8 @@ def curve_step(phased: PhasedRows, cells: EdgeCells, at: EdgeModel, noise: Noise
 
     The model of a pixel is that of its bin, extrapolated linearly in the distance. Distances in a bin differ from the
     mean by at most a sixteenth of a px; the neglected second-order term is even in the distance, and does not bias the
-    position. The coefficients of the curve above the second order are free only if they are significant. Otherwise they would fit the noise of a
-    few rows, and bias the blur.
+    position. The coefficients of the curve above the second order are free only if they are significant. Otherwise they
+    would fit the noise of a few rows, and bias the blur.
     """
     aligned, curve, state = phased.rows, phased.curve, at.state
     near = aligned.near

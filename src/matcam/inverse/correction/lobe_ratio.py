@@ -156,8 +156,8 @@ def lobe_ratio(
 def _plain(where: ResponseLattice, at: FitCoordinates, shifts: np.ndarray) -> np.ndarray:
     """Compute a damped ln(true / recorded), (slices, cells), of which only differences are used.
 
-    The result tends to 0 for records below the accuracy of the operator. The dependence of a record on the lens is a polynomial, so a
-    faint record may become negative, and its logarithm would be arbitrary.
+    The result tends to 0 for records below the accuracy of the operator. The dependence of a record on the lens is a
+    polynomial, so a faint record may become negative, and its logarithm would be arbitrary.
 
     shifts: coordinates along the axes of the lattice.
     """
