@@ -239,7 +239,8 @@ def _checked_header(path: Path) -> tuple[tuple[str, ...], int, int]:
             version = struct.unpack_from("<i", head, 4)[0]
             if version & 0xFF != 2 or version & 0x1A00:
                 raise FileFormatError(
-                    f"{path}: OpenEXR with tiles, deep data or several parts is not supported: store the image as one part with scan lines"
+                    f"{path}: OpenEXR with tiles, deep data or several parts is not supported: "
+                    "store the image as one part with scan lines"
                 )
             attributes, start = _attributes(head)
             channels, height, width = _described(path, attributes, size)

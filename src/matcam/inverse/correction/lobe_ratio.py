@@ -44,9 +44,9 @@ class CorrectionFits(NamedTuple):
     Attributes:
         fit: fit of the lobe.
         shape: uncertainty of the shape of the lobe.
-        base: fit of the same lobe in the slices of `refits`, for comparison with them.
+        base: fit of the lobe of `fit` in the slices of `refits`, for comparison with `refits`.
         refits: fits with a parameter of the rig free.
-        others: other lobes through the same camera, over which the ratio is averaged.
+        others: fits of other lobes through the camera of `fit`. The ratio is averaged over `fit` and these fits.
         maskings: predictions of `fit` with other maskings, whose differences are included in the uncertainty.
         expected: parameters of the rig that may be fitted, as given to `lattices_ahead`.
     """
@@ -156,8 +156,8 @@ def lobe_ratio(
 def _plain(where: ResponseLattice, at: FitCoordinates, shifts: np.ndarray) -> np.ndarray:
     """Compute a damped ln(true / recorded), (slices, cells), of which only differences are used.
 
-    The result tends to 0 for records below the accuracy of the operator. The dependence of a record on the lens is a polynomial, so a
-    faint record may become negative, and its logarithm would be arbitrary.
+    The result tends to 0 for records below the accuracy of the operator. The dependence of a record on the lens is a
+    polynomial, so a faint record may become negative, and its logarithm would be arbitrary.
 
     shifts: coordinates along the axes of the lattice.
     """
