@@ -43,7 +43,7 @@ def peak_eq11(
 ) -> jax.Array:
     """Evaluate equation (11), the recorded peak divided by the true peak.
 
-    It is erf((sigma_p / radius) / (sqrt2 sigma_m)) with sigma_m = sqrt(sigma^2 + (sigma_mtf / (radius cos theta))^2),
+    The ratio is erf((sigma_p / radius) / (sqrt2 sigma_m)) with sigma_m = sqrt(sigma^2 + (sigma_mtf / (radius cos theta))^2),
     equation (10). The arguments broadcast.
 
     Use this equation only to reproduce Figure 5, and `peak_response` otherwise. It uses a lobe of unit area and neglects
@@ -51,7 +51,7 @@ def peak_eq11(
 
     Args:
         sigma: width of the lobe, rad, positive.
-        sigma_mtf: standard deviation of the optics, px, positive.
+        sigma_mtf: standard deviation of the blur of the optics, px, positive.
         sigma_p: half width of a pixel, px, positive.
         radius: radius of the sphere in the image, px, positive.
         theta: angle between normal and view at the highlight, rad, [0, pi/2).
@@ -81,9 +81,10 @@ def peak_eq11(
 def figure_3_4(ratio: float, rig: Rig | None = None) -> xr.Dataset:
     """Compute Figure 3 (ratio 10) or 4 (ratio 1) of the paper.
 
-    The lobe is a Gaussian with a standard deviation of ratio * sigma_mtf / radius, rad. Its highlight is computed on
-    the sensor, after the optics, and as recorded by the pixels. The positions are on a line in the plane of camera and
-    lamp, at several theta_o.
+    The lobe is a Gaussian with a standard deviation of ratio * sigma_mtf / radius, rad. sigma_mtf is the standard
+    deviation of the blur of the optics, and radius is the radius of the sphere in the image, both in px. The highlight
+    of the lobe is computed without blur, after the optics, and as recorded by the pixels. The positions are on a line
+    in the plane of camera and lamp. theta_o is the angle between normal and view at the highlight, rad.
 
     Args:
         ratio: width of the lobe divided by sigma_mtf / radius, no unit.
@@ -129,14 +130,16 @@ def figure_3_4(ratio: float, rig: Rig | None = None) -> xr.Dataset:
 def figure_5(rig: Rig | None = None) -> xr.Dataset:
     """Compute Figure 5 of the paper, the peak loss against theta.
 
-    The loss is relative to theta = 0, for lobes of several widths.
+    theta is the angle between normal and view at the highlight, rad. The recorded peak is divided by the recorded peak
+    at theta = 0, for lobes of several widths.
 
     Args:
         rig: rig with Gaussian optics and a sphere. Default: None, `rigs.merl()`.
 
     Returns:
         Dataset over (ratio, theta), no unit. `loss` is computed as in docs/model.md 4, and `loss_printed` by equation
-        (11). `cosine` is over theta only. `ratio` is the width of the lobe divided by sigma_mtf / radius.
+        (11). `cosine` is cos(theta). `ratio` is the width of the lobe divided by sigma_mtf / radius, where sigma_mtf is
+        the standard deviation of the blur of the optics, px, and radius is the radius of the sphere in the image, px.
 
     Source:
         Holzschuch & Pacanowski (2017), Figure 5.

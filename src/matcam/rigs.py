@@ -63,7 +63,7 @@ class Rig(Module):
             meaning, and for a simulated table. Default: "centre".
         pixel_phase: position (x, y) of the real pixels, px, each coordinate in [-0.5, 0.5], for "nearest", "bilinear" and
             "mean". The coordinates of the centres of the pixels, relative to the centre of the sphere, are whole numbers
-            plus (x, y). Alternatively, 90 such pairs, one for the image of each slice of theta_d. Default: None, a fit
+            plus (x, y). 90 such pairs specify one phase for the image of each slice of theta_d. Default: None, a fit
             estimates the phase from the table. If `cell_value` is "mean" and the table does not determine the phase, the
             fit averages over all phases.
         lamp_azimuth: azimuth of the lamp about the optical axis, from +x towards +y, rad, in [-2 pi, 2 pi]. It applies to

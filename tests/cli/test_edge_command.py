@@ -160,7 +160,10 @@ BAD = [
     (("chart.tif", *ROI, "-o", "a.bmp"), "must end in"),
     (("flat.tif",), "only one value"),
     (("white.tif",), "saturated"),
-    (("chart.tif",), "choose another region with --roi, or measure all edges: matcam calibrate chart.tif"),
+    (
+        ("chart.tif",),
+        "choose another region; give the region with --roi, or measure all edges: matcam calibrate chart.tif",
+    ),
     (("chart.tif", "--method", "iso12233"), "with --roi, or measure all edges: matcam calibrate chart.tif"),
 ]
 

@@ -1,7 +1,7 @@
 """Selected pixels of every lamp position in all its exposures, for estimates of exposure ratios, gain and clip level.
 
 A pixel is selected, and assigned to a range of brightness, by the mean of its neighbours of the same colour. Selection by
-its own noisy code would bias the estimates.
+the noisy code of the pixel itself would bias the estimates.
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ def same_colour_neighbours(light: np.ndarray, step: int) -> np.ndarray:
 
 
 def noise_correlation(light: np.ndarray, noise: float) -> tuple[float, float]:
-    """Estimate the correlation of noise between neighbouring dark pixels, and its standard deviation.
+    """Estimate the noise correlation of neighbouring dark pixels, and the standard deviation of the correlation.
 
     The noise of raw pixels is uncorrelated. Sharpening causes a negative correlation, demosaicing and smoothing a
     positive correlation. If the frame has too few dark pixels, the result is 0 with an infinite standard deviation.

@@ -170,8 +170,8 @@ def _lamp_remarks(capture: Capture, radiometry: Radiometry | None, sample: tuple
     Args:
         capture: capture with the specified properties of the lamps.
         radiometry: radiometric calibration with the light of the reference.
-        sample: column, row and radius of the sample, px; NaN: unknown. Its centre is the origin of the position of a
-            diffuse reference.
+        sample: column, row and radius of the sample, px; NaN: unknown. The position of a diffuse
+            reference is relative to the centre of the sample.
     """
     if radiometry is None or capture.reference_position is None:
         return []

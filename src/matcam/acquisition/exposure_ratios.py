@@ -68,7 +68,7 @@ class ExposureRatios(NamedTuple):
     def std(self, reference: int = 0) -> np.ndarray:
         """Compute the relative standard deviation of the ratio of each exposure to the exposure `reference`, (k,).
 
-        `reference` is an index. The standard deviation is infinite if it is not determined.
+        `reference` is an index. The standard deviation is infinite if the ratio is not determined.
         """
         own = np.diag(self.covariance)
         with np.errstate(invalid="ignore"):

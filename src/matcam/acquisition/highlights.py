@@ -212,7 +212,7 @@ class _LobeFit:
     def residual(self, p: np.ndarray) -> np.ndarray:
         """Compute (value - model) / error of each pixel, followed by the residual of the prior of the exponent.
 
-        The residual of a clipped pixel is 0 if the model exceeds its value.
+        The residual of a clipped pixel is 0 if the model exceeds the value of the pixel.
         """
         residual = (self.values - self.model(p)) / self.error
         # weak prior: the exponent of the lobe is about 2

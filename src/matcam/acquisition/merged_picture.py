@@ -11,11 +11,11 @@ class MergedPicture:
 
     Attributes:
         name: name of the lamp position in `frames.csv`.
-        values: linear radiance of each pixel, of shape (height, width), in one unit for all images of a capture:
-            electrons, or digital numbers, of the reference exposure. The dark level is subtracted. NaN: no value.
+        values: linear radiance of each pixel without the dark level, (height, width); NaN: no value. The unit is the same
+            for all images of a capture: electrons or digital numbers (DN) of the reference exposure.
         std: standard deviation of `values` due to photon and read noise, same shape and unit.
-        clipped: mask of the pixels that were clipped in every exposure, same shape; their true value is at least `values`.
-        channel: index into `channels` of each pixel, same shape; mosaics are not interpolated.
+        clipped: mask of the pixels that were clipped in every exposure, (height, width). `values` is a lower bound there.
+        channel: index of each pixel's colour in `channels`, (height, width); mosaics are not interpolated.
         channels: names of the colours, ("R", "G", "B") or ("grey",).
         origin: row and column of the first pixel in the whole frame, px. Default: (0, 0).
     """

@@ -66,14 +66,16 @@ def merge(
 
     Raises:
         FitError: no lamp position has a frame that can be read, every frame is dark or clipped, or the frames are processed
-            (sharpened, tone curve) without accept_processed.
+            (sharpened, tone curve) and accept_processed is not set.
     """
     radiometry = measure_radiometry(capture, region, progress, workers=workers, kept=kept)
     if not capture.settings["camera"]["accept_processed"]:
         sharpened = next((one for one in radiometry.remarks if one.code == "sharpened"), None)
         if sharpened is not None:
             why = sharpened.text.removesuffix("; use raw frames")
-            raise FitError(f"{why}: give raw frames, or accept these with camera.accept_processed = true")
+            raise FitError(
+                f"{why}: give raw frames, or accept the processed frames with camera.accept_processed = true"
+            )
         proof = tone_curve_proof(radiometry.tone_exponent)
         if proof is not None:
             raise FitError(

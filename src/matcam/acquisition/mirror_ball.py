@@ -108,7 +108,7 @@ class MirrorBall(NamedTuple):
         return unit(self.towards_camera * self.distance - normals)
 
     def lamp_seen_at(self, normals: np.ndarray, lamp_distance: float | np.ndarray = np.inf) -> np.ndarray:
-        """Compute the direction of a lamp from the normal of the sphere at its mirror image.
+        """Compute the direction of a lamp from the normal at the mirror image of the lamp.
 
         Args:
             normals: normals of the mirror points (..., 3).
@@ -171,8 +171,8 @@ def cylinder_line(
         lamp_distance: distance of the lamp from the axis, radii. Default: infinite.
         height: function that converts the depth of a point of the line to its height above the centre, both in radii.
             Default: height 0.
-        lean: ratio of the slope around the cylinder to the slope along it for which the density of the lobe is largest, no
-            unit. Default: 0, for a symmetric lobe.
+        lean: slope around the cylinder at which the density of the lobe is largest, divided by the given slope along the
+            cylinder, no unit. Default: 0, for a symmetric lobe.
     """
     camera, source = 1 / distance, 1 / lamp_distance
     u, end = float(np.arctan2(lamp[0], 1 + lamp[2])), np.arccos(camera) - 1e-3

@@ -1,8 +1,8 @@
 """Frames of a capture as mosaics of linear codes: one value per pixel, with its colour.
 
 Grey images and raw mosaics are used directly. In an image in full colour, only one of the three values of each pixel is
-used, as in a mosaic of the specified colours. If the image was demosaiced from the same mosaic, the used values are the
-measured ones.
+used, as in a mosaic of the specified colours. If the image was demosaiced from a mosaic of these colours, the used
+values are the measured ones.
 """
 
 from __future__ import annotations

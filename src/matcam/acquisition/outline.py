@@ -138,7 +138,7 @@ def stacked(pictures: Sequence[MergedPicture]) -> MergedPicture:
     """Average several images, so that all lamps together light the whole limb.
 
     Args:
-        pictures: images of one sphere at one position, of one shape and origin.
+        pictures: images of one sphere at one position. All images must have the same shape and origin.
 
     Returns:
         The mean image. Each pixel is the mean over the images in which the pixel has a value. A pixel is marked as clipped
@@ -184,8 +184,8 @@ def find_outline(
         picture: image of one lamp or of all lamps (`stacked`), or a frame with light from behind.
         light: "lit" for a sphere brighter than its background, "backlit" for a dark sphere in front of a bright field.
         sighting: geometry of the camera. Default: infinitely distant.
-        backlight_reach: angular extent beyond the limb of the bright field that the sphere mirrors, and its standard
-            deviation, rad. Default: unknown; the error includes the reflection of a field of 3 degrees.
+        backlight_reach: angle by which the bright field extends beyond the limb, and the standard deviation of this angle,
+            rad. The sphere mirrors the field. Default: unknown; the error includes the reflection of a field of 3 degrees.
 
     Returns:
         The outline, in px of the frame.

@@ -289,7 +289,10 @@ def _clip_level(
     saturation: float,
     noise: float,
 ) -> tuple[ClipLevel, list[Remark]]:
-    """Determine the clip level from shorter exposures, from a pile-up at one code, or from the file format; and remarks."""
+    """Determine the clip level, and collect remarks.
+
+    The level is determined from shorter exposures, from a pile-up at one code, or from the file format.
+    """
     clip = measure_clip_level(samples, guess, largest)
     if clip.pixels:
         return clip, []
@@ -361,8 +364,8 @@ def _between(
 ) -> float:
     """Determine the relative standard deviation of the change of light between images of reference and sample.
 
-    It is specified, or it is estimated from the images of the reference. If there are too few images, it is
-    lamp.gain_std.
+    The value is specified in the capture, or estimated from the images of the reference. If there are too few images, the
+    value is lamp.gain_std.
     """
     stated = capture.settings["reference"]["between_std"]
     if stated is not None:

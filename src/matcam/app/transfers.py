@@ -1,7 +1,7 @@
 """Uploads and downloads of the page.
 
-Dropped files are stored in a folder of the session, which is removed at its end. Files that the page offers to save are in
-memory, under addresses that cannot be guessed.
+Dropped files are stored in a folder of the session. The folder is removed at the end of the session. Files that the page
+offers to save are in memory, under addresses that cannot be guessed.
 """
 
 from __future__ import annotations

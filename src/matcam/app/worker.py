@@ -1,6 +1,6 @@
 """Background work of the page: the newest request replaces older requests that have not started.
 
-A thread computes while the server reads the messages of the browser, so that the last value of a slider is available. A
+A thread computes, so that the server can read messages of the browser, such as new values of a slider, at the same time. A
 result is shown before the next request starts, so that neither requests nor results queue up. A computation starts after a
 few milliseconds, so that it uses the last of several values that arrive in this time.
 """

@@ -139,9 +139,10 @@ class RunFolder:
     def check(self, settings: dict[str, Any], jobs: Sequence[Job], *, force: bool) -> bool:
         """Check whether the folder already belongs to a run with these settings.
 
-        Unless `force` is True, an OutputError is raised if the folder belongs to a run with other settings; the message
-        contains the first setting that differs. It is also raised if files with the names of the outputs exist, but were
-        not written by a run.
+        Unless `force` is True, an OutputError is raised if the folder belongs to a run with other settings. The message
+        contains the first setting that differs. Unless `force` is True, an OutputError is also raised if the folder
+        belongs to no run, but contains files with the names of the outputs. An OutputError is always raised if the
+        settings file in the folder is not that of a run.
         """
         if not is_there(self._settings):
             for path in (*(path for job in jobs for path in job.files), self.index, self._failed, self.camera):

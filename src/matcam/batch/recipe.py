@@ -110,7 +110,8 @@ class Recipe:
         page: True to write a page for each table. Default: True.
         compress: True to compress the NetCDF files. Default: True.
         corrector: function that corrects one table. Default: `correct_table`.
-        version: version of matcam of the recipe; workers of other versions reject the recipe. Default: the current version.
+        version: version of matcam that created the recipe. Workers with another version reject the recipe. Default: the
+            installed version.
     """
 
     rig: Rig

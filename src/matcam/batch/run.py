@@ -173,8 +173,8 @@ def correct_all(
     Raises:
         ArgumentError: if an argument is out of its range, or `paths` contain no table.
         OutputError: if the folder belongs to a run with other settings, or is in use by another run. The message contains
-            the first setting that differs. Also if the folder contains an input, or files of the same names that no run
-            wrote.
+            the first setting that differs. The error is also raised if an output would replace its own input, or a file
+            that no run wrote.
         FitError: if `fit_camera` is True, and the tables do not determine the blur or cannot be read.
         MatcamError: if no worker can be started, or the cluster cannot be used.
 

@@ -148,9 +148,9 @@ def _stored(store: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
 
 
 def _bytes_of(store: Path, names: Sequence[str], row: int | None = None) -> int:
-    """Compute the total size of the chunks of arrays, or of the chunks of one row, bytes.
+    """Compute the total size of the chunks of the arrays, bytes.
 
-    A FileFormatError is raised if a chunk is a link.
+    If `row` is given, only the chunks of this row are counted. A FileFormatError is raised if a chunk is a link.
     """
     total = 0
     for name in names:

@@ -1,4 +1,4 @@
-"""Exposure bracketing: several images of one scene are merged to the radiance of the scene, with its uncertainty.
+"""Exposure bracketing: several images of one scene are merged into an estimate of its radiance, with uncertainty.
 
 The weight of an image is the inverse of its variance. The model of the sensor predicts the variance from the merged
 radiance (docs/model.md 8), not from the noisy pixels of the image. Near saturation the weight decreases smoothly to 0,
@@ -23,7 +23,7 @@ class RadianceEstimate(NamedTuple):
 
     Attributes:
         radiance: estimate, in the unit of radiance to which the exposures refer, shape (H, W) or (H, W, channels); NaN
-            where every image is saturated, or the data are missing.
+            where every image is saturated, or any image is NaN.
         std: standard deviation of `radiance`, including fixed patterns, same unit and shape.
         saturated: True where every image is saturated, same shape.
 
@@ -76,7 +76,7 @@ def expose_bracket(
 def merge_bracket(
     sensor: Sensor, pictures: AnyArray, exposures: Sequence[float], times: Sequence[float] | None = None
 ) -> RadianceEstimate:
-    """Merge images of one scene to its radiance.
+    """Merge images of one scene into an estimate of its radiance.
 
     The mean dark signal is subtracted from each image, and the difference is divided by the exposure. The estimate is
     the weighted mean of these values with the smallest variance. Without saturation, the estimate is unbiased, except

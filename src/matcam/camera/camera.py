@@ -154,8 +154,8 @@ class Camera(Module, Summarised):
     def mtf(self, f: ArrayLike, angle: ArrayLike = 0.0) -> jax.Array:
         """Compute the signed transfer function of optics and pixel.
 
-        The factor of a `BoxPixel` changes sign at 1 / (2 half_width). If the lens is not isotropic, the result is the
-        modulus; `transfer` includes the phase.
+        The factor of a `BoxPixel` changes sign at 1 / (2 half_width), cycles/px. If the lens is not isotropic, the
+        result is the modulus; `transfer` includes the phase.
 
         Args:
             f: frequency, cycles/px; broadcasts with angle.
@@ -200,7 +200,7 @@ class Camera(Module, Summarised):
             values: new values by name, in the units of the names.
 
         Raises:
-            ArgumentError: `values` is not a dict, or the camera has no such parameter.
+            ArgumentError: `values` is not a dict, or names a parameter that the camera lacks.
         """
         known = self.parameters()
         for name in checks.instance("values", values, dict):

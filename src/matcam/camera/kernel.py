@@ -6,7 +6,7 @@ functions are for lenses of one component; `Camera` sums over components.
 Closed form: let p be the half width of the pixel, and a the angle between a direction and the grid. The projection of
 the square along this direction is the convolution of two boxes with the half widths p |cos a| and p |sin a|. A Gaussian
 convolved with both boxes is a second difference of H, the integral of the normal distribution function. The value at an
-edge is a second difference of the integral of H. Both functions are split into a polynomial for x > 0 and a vanishing
+edge is a second difference of the integral of H. H and its integral are split into a polynomial for x > 0 and a vanishing
 remainder, so that no large terms cancel. If the short box is much narrower than the Gaussian, the second difference
 loses digits. In this case, the mean over the short box is computed by quadrature. Polynomial and remainder have kinks
 at x = 0 that cancel, and both use the left-hand derivative there.
@@ -66,7 +66,7 @@ def line(optics: Optics, pixel: PixelResponse, x: jax.Array, angle: jax.Array) -
 def edge(optics: Optics, pixel: PixelResponse, x: jax.Array, angle: jax.Array) -> jax.Array:
     """Compute the value of a pixel at a unit step edge.
 
-    x: distance of the centre of the pixel from the edge, px, positive on its bright side. angle: direction of the
+    x: distance of the centre of the pixel from the edge, px, positive on the bright side of the edge. angle: direction of the
     normal of the edge, rad.
     """
     if isinstance(optics, GaussianOptics) and isinstance(pixel, BoxPixel):
@@ -174,7 +174,7 @@ def _polynomial_difference(
 ) -> jax.Array:
     """Compute the second difference of a function that is 0 for x < 0.
 
-    Outside the boxes the result is exactly 0 on the left, and exactly far * 4 long short on the right.
+    Outside the boxes the result is exactly 0 on the left, and exactly 4 * far * long * short on the right.
     """
     reach = long + short
     inside = xp.abs(x) < reach
@@ -189,7 +189,7 @@ def _first_remainder(x: jax.Array, std: jax.Array) -> jax.Array:
 
 
 def _second_remainder(x: jax.Array, std: jax.Array) -> jax.Array:
-    """Evaluate the integral of H, less (x^2 + std^2) / 2 for x > 0."""
+    """Evaluate the integral of H (see `_first_remainder`), less (x^2 + std^2) / 2 for x > 0."""
     # beyond 40 standard deviations the normal density underflows to 0
     t = xp.minimum(xp.where(x > 0, x, -x) / std, 40.0)
     tail = std**2 / 2 * ((t**2 + 1) * special.ndtr(-t) - t * normal_density(t))

@@ -105,8 +105,8 @@ class LensField:
         """Map distorted positions to undistorted ones, px.
 
         Args:
-            column: distorted column, px; broadcasts with row. Beyond 1.5 units from the centre, the ratio of the
-                distances at 1.5 units is used.
+            column: distorted column, px; broadcasts with row. Beyond 1.5 units from the centre, the ratio of
+                undistorted to distorted distance at 1.5 units is used.
             row: distorted row, px.
         """
         x, y, seen2 = self._from_centre(column, row)

@@ -126,8 +126,8 @@ class Provenance:
 
     Attributes:
         source: measurement or assumption behind the profile. Default: "".
-        created: ISO 8601 date. Default: "", replaced by the date of writing in a file.
-        software: program and version. Default: "", replaced by matcam and its version in a file.
+        created: ISO 8601 date. Default: "", replaced by the current date in the profile.
+        software: program and version. Default: "", replaced by matcam and its version in the profile.
         notes: further remarks. Default: "".
 
     Example:

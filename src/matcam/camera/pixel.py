@@ -37,8 +37,7 @@ _GAUSS48 = np.polynomial.legendre.leggauss(48)
 class PixelResponse(Module):
     """Sensitivity of one pixel over its area, without the lens.
 
-    This function is the pixel response function. It differs from the *point* response function (PRF) of astronomy, which
-    includes the lens.
+    The pixel response function differs from the *point* response function (PRF) of astronomy, which includes the lens.
 
     Attributes:
         profile_fields: attribute for each field in a camera profile, such as {"half_width_px": "half_width"}. The

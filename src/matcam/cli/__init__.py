@@ -158,7 +158,7 @@ def _run(arguments: list[str] | None) -> int:
 
 
 def _in_groups(error: Any) -> str:
-    """Suggest commands in groups that have the name of an unknown command, such as `matcam data merl` for `matcam merl`."""
+    """Suggest the commands of groups whose name was given without the group, such as `matcam data merl` for `matcam merl`."""
     from matcam.cli.app import app
 
     found = [

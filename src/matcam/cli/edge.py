@@ -162,7 +162,7 @@ def command(
             if roi is not None:
                 raise
             whole = shlex.join(["matcam", "calibrate", str(picture)])
-            raise RegionError(f"{error} with --roi, or measure all edges: {whole}") from error
+            raise RegionError(f"{error}; give the region with --roi, or measure all edges: {whole}") from error
     files = [
         *([output, output.with_suffix(".csv")] if output else []),
         *(path for path in (sfr, table, budget) if path),

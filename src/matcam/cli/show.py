@@ -47,7 +47,7 @@ def wording(translate: Callable[[str], str]) -> Iterator[None]:
     """Translate all lines and remarks while a command runs.
 
     Args:
-        translate: function that replaces arguments of the library by options of the command.
+        translate: function that replaces the names of Python arguments in a line by options of the command.
     """
     _wordings.append(translate)
     try:

@@ -72,7 +72,7 @@ def _after_predict(values: dict[str, Any]) -> list[Any] | None:
 
 
 def _after_edge(values: dict[str, Any]) -> list[Any] | None:
-    """Suggest a calibration with the same options if the images may contain enough edges, and otherwise a chart.
+    """Suggest a calibration with the options of `edge` if the images may contain enough edges, and otherwise a chart.
 
     If regions were measured, each photograph may contain more edges than its regions. The result is None for a
     through-focus series, because its photographs do not have the same blur.

@@ -28,7 +28,7 @@ _trusted: ContextVar[bool] = ContextVar("trusted", default=False)
 
 @contextmanager
 def trusted() -> Iterator[None]:
-    """Disable the checks of type, finiteness and range in the block, because a fit may temporarily leave a range."""
+    """Disable the checks of type, finiteness and range in a `with` block, because a fit may temporarily leave a range."""
     token = _trusted.set(True)
     try:
         yield

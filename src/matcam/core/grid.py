@@ -99,7 +99,7 @@ def merl_grid(sampling: Sampling) -> Grid:
     """Compute the angles at which the cells of a MERL table are sampled.
 
     The spacing of theta_h is quadratic: theta_h = ((i + s) / 90)^2 pi / 2 for cell i, where s = 0.5 for "centre" and s = 0
-    for "edge". It follows from the reader of MERL, in which i = floor(90 sqrt(theta_h / (pi / 2))).
+    for "edge". This spacing follows from the reader of MERL, in which i = floor(90 sqrt(theta_h / (pi / 2))).
     """
     shift = 0.5 if sampling == "centre" else 0.0
     n_h, n_d, n_p = GRID_SHAPE
@@ -290,7 +290,7 @@ def azimuth_of(table: xr.DataArray) -> float | None:
     """Read the azimuth of the lamp in the images of a table, rad.
 
     The azimuth is the attribute `lamp_azimuth` of the table. The result is None if the attribute is missing. An ArgumentError
-    is raised if it is not a number in [-2 pi, 2 pi].
+    is raised if the attribute is not a number in [-2 pi, 2 pi].
     """
     azimuth = table.attrs.get("lamp_azimuth")
     if azimuth is None:

@@ -201,8 +201,8 @@ def _discard_unfinished() -> None:
 def replacing(path: str | Path, *, force: bool = False) -> Iterator[Path]:
     """Yield the path of an empty temporary file, which gets the name `path` after the block.
 
-    Inside `all_or_nothing`, it gets this name at the end of the outer block. After an exception the temporary file is removed.
-    The temporary file is in the same folder and has the same suffix, because the suffix determines the format.
+    Inside `all_or_nothing`, the file gets this name at the end of the outer block. After an exception the temporary
+    file is removed. It is in the same folder as `path` and has the same suffix, because the suffix determines the format.
     """
     path = check_output(path, force=force)
     try:
@@ -219,7 +219,7 @@ def replacing(path: str | Path, *, force: bool = False) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def all_or_nothing() -> Iterator[Outputs]:
-    """Rename the files that are written in the block to their final names together, at the end of the block.
+    """Rename all files of the block to their final names together, at the end of the block.
 
     After an exception no file gets its final name. A nested block is part of the outer block. Files that other threads write
     are not included. A termination signal during the renaming is delayed until all files are renamed.
@@ -277,8 +277,8 @@ class _Waiting:
 def uninterrupted() -> Iterator[_Waiting]:
     """Delay Ctrl-C and termination signals until the end of the block.
 
-    An exception at the wrong moment could leave a library locked, or only some of the files renamed that belong together. The
-    function has no effect in other threads than the main thread, because signals interrupt only the main thread.
+    An exception at the wrong moment could leave a library locked, or only some files of a group renamed. The function has
+    no effect outside the main thread, because signals interrupt only the main thread.
     """
     waiting = _Waiting()
     if threading.current_thread() is not threading.main_thread():  # signals interrupt only the main thread
@@ -335,8 +335,8 @@ def where_written(path: Path) -> Path:
 def reading(path: Path, what: str = "") -> Iterator[None]:
     """Convert OSErrors in the block to a FileFormatError whose message contains `path`.
 
-    A FileFormatError is also raised if `path` is a pipe or a device. `what` is the expected content, such as "an image". If
-    it is not empty, a folder is an error, too.
+    A FileFormatError is also raised if `path` is a pipe or a device. `what` is the expected content, such as "an image". A
+    folder causes the same error unless `what` is empty.
     """
     if "\0" in str(path):
         raise FileFormatError(f"{printable(str(path))}: the path is not valid: remove the null character")

@@ -96,9 +96,9 @@ def use_device(device: Device) -> None:
 
 
 def without_derivatives(tree: T) -> T:
-    """Replace the arrays of JAX in a pytree by constants of the same value, which have no derivatives.
+    """Replace each JAX array in a pytree by a constant with the value of the array.
 
-    The constants are concrete under `jax.grad`, but not under `jax.jit`.
+    The constants have no derivatives. They are concrete under `jax.grad`, but not under `jax.jit`.
     """
     return jax.tree.map(lambda leaf: jax.lax.stop_gradient(leaf) if isinstance(leaf, jax.Array) else leaf, tree)
 
@@ -127,7 +127,7 @@ def plainly_compiled(runs: Runs = "some") -> dict[str, Any] | None:
         "many"      three quarters of the compile time; few programs are slower
         "mostly"    the default options, for a program that takes most of the time of a command
 
-    With the default options, elementary functions in loops take half the time that they take with the others.
+    With the default options, elementary functions in loops take half the time that they take with the other options.
     """
     if runs == "mostly":
         return None

@@ -48,7 +48,7 @@ def check_address_space() -> None:
 def free_for_the_next() -> None:
     """Free the garbage of a job. The first call also excludes all existing objects from later garbage collections.
 
-    These objects are those of the libraries and caches, about a million, which each collection would scan. The freed memory is
+    About a million objects belong to the libraries and caches, and each collection would scan them. The freed memory is
     not returned to the operating system if the process has the environment of `one_core_environment`.
     """
     gc.collect()

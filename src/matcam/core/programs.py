@@ -1,7 +1,7 @@
 """Cache on disk of compiled programs that are ready to run: the next process does not trace or lower them again.
 
-The cache of JAX saves only the work of XLA. To find a function in it, JAX must trace the function in Python and lower it. This
-takes as long as the arithmetic of a short command. The key of the cache in this module consists of the source of the
+The cache of JAX saves only the work of XLA. To find a function in it, JAX must trace the function in Python and lower it. These
+steps take as long as the arithmetic of a short command. The key of the cache in this module consists of the source of the
 package, the versions of the libraries, the kind of processor, the name of the function, and the kinds of the arguments.
 """
 
@@ -52,7 +52,8 @@ def kept_program(function: Callable[P, T] | None = None, *, runs: Runs = "some",
         function: a function of positional arguments, which returns an array or a tuple of arrays. Arrays are traced;
             all other arguments are part of the key of the cache. Default: None, a decorator is returned.
         runs: expected number of runs, as in `plainly_compiled`. Default: "some".
-        returns: class of the result if it is a named tuple, or `tuple[...]` of such classes. Default: None.
+        returns: class of the result if it is a named tuple, or `tuple[...]` of such classes. Default: None, for other
+            results.
 
     Returns:
         The compiled function.

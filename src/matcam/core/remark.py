@@ -124,7 +124,7 @@ def from_attribute(attribute: str) -> tuple[Remark, ...]:
         attribute: one line for each remark, "code: text".
 
     Returns:
-        The remarks in the same order.
+        The remarks in the order of the lines.
 
     Example:
         >>> from_attribute("clipped: 3 pixels are clipped; they were left out")[0].code

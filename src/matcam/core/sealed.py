@@ -103,8 +103,8 @@ def remove_sealed(path: Path, names: Iterable[str]) -> None:
 class _Folder(NamedTuple):
     """Open folder of a cache.
 
-    `number` is its file descriptor. It is None on systems that access files by path only, where the folder is not
-    checked.
+    `number` is the file descriptor of the folder. It is None on systems that access files only by path. On such
+    systems the folder is not checked.
     """
 
     number: int | None

@@ -21,8 +21,8 @@ class Shading(NamedTuple):
     Attributes:
         cos_i: cosine of the angle of incidence.
         cos_o: cosine of the viewing angle.
-        slope_along: slope of the half vector along the first tangent of the surface, no unit: its component along this
-            tangent, divided by its component along the normal.
+        slope_along: slope of the half vector along the first tangent of the surface, no unit. This is the
+            component of the half vector along this tangent, divided by the component along the normal.
         slope_across: slope of the half vector along the second tangent (normal x first tangent), no unit.
         theta_d: difference angle, rad.
         phi_d: azimuth of the light about the half vector, rad, in (-pi, pi]. It is relative to the azimuth of the half

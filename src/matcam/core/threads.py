@@ -56,7 +56,7 @@ def use_one_heap() -> None:
 def available_cores() -> int:
     """Count the cores that this process may use.
 
-    The environment variable NPROC, which XLA also reads, is an upper limit. In the workers of a run it is 1.
+    The environment variable NPROC, which XLA also reads, is an upper limit. In the workers of a run this limit is 1.
     """
     count = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     limit = os.environ.get("NPROC", "")
@@ -153,9 +153,9 @@ def _at_a_time(workers: int) -> int:
 
 @contextlib.contextmanager
 def done_behind(work: Callable[[], object]) -> Iterator[None]:
-    """Run work that fills caches in a background thread during the block.
+    """Run work in a background thread during the block, to fill caches.
 
-    During the block, `in_order` computes one item of this work at a time. Afterwards it uses all its workers. The end
+    During the block, `in_order` computes one item of this work at a time. After the block, it uses all workers. The end
     of the block waits for the work. After an error in the block, the work stops at the end of its current item. Errors
     of the work are ignored, and occur again where the result is used. If only one core is available, the work is
     skipped.

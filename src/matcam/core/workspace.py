@@ -86,8 +86,8 @@ class Workspace:
             kind: kind of the result; each kind has its own memory.
             key: all dependencies of the result.
             make: function that computes the result.
-            most: number of results of this kind in memory if it is below `entries`, for large results. Default: None,
-                `entries`.
+            most: largest number of results of this kind in memory, for large results. `entries` is also an upper limit.
+                Default: None, the limit is `entries`.
 
         Returns:
             The result, which is shared and must not be changed.
@@ -108,9 +108,9 @@ class Workspace:
         """Return the arrays of a description from disk, or compute and store them.
 
         The name of the file is a hash of the description and of the version of the package. The file ends in a SHA-256
-        hash of both and of its content. If the file is damaged, or another user may change it, one line is logged and
-        the arrays are computed again. A file that cannot be written is skipped. An empty result is not stored. Without
-        a folder, every call computes the arrays.
+        hash of the description, the version and the content. If the file is damaged, or another user may change it, one
+        line is logged and the arrays are computed again. A file that cannot be written is skipped. An empty
+        result is not stored. Without a folder, every call computes the arrays.
 
         Args:
             description: text with all dependencies of the arrays.

@@ -128,7 +128,7 @@ def contents_of(thing: Any, name: str = "thing", others: str = "a Camera or a Ch
     """Wrap a table, RGL's fields, samples, a result or an image as contents.
 
     An ArgumentError is raised for an object of another type, and for an invalid table, fields or samples. `name` is the name of
-    the object in its message, and `others` are the further types that the caller supports.
+    the object in the message of the error, and `others` are the further types that the caller supports.
     """
     if isinstance(thing, Contents):
         return thing
@@ -236,8 +236,8 @@ def read_table(path: str | Path, sampling: Sampling = "centre") -> xr.DataArray:
 def _read_merl(path: Path, sampling: Sampling) -> xr.DataArray:
     """Read a MERL file, and mark the table as corrected if the NetCDF file of the same name contains the same correction.
 
-    A MERL file has no attributes. The NetCDF file contains the same correction if its supported values equal those of
-    the table.
+    A MERL file has no attributes. The NetCDF file contains the same correction if the supported values in this file
+    equal those of the table.
     """
     table = read_merl(path, sampling=sampling)
     try:

@@ -49,8 +49,7 @@ def convert(
         target: output: .binary, .bsdf (RGL's), .brdf, .mtlx (a fitted OpenPBR surface), .csv, .nc, .zarr.zip, .exr,
             .tif or .tiff.
         sampling: position in a cell at which a MERL value was sampled, "centre" or "edge", see `read_merl`. If an RGL
-            file is resampled to a table, the table is sampled at this position. Default: "centre", because readers of
-            MERL files differ.
+            file is resampled to a table, the table is sampled at this position. Default: "centre".
         square: nodes along each side of the square of a new RGL file, see `adaptive_grid`. Default: 192; fewer nodes give
             a smaller file.
         error: largest relative error of a new RGL file, no unit; it replaces `square`. Eight grids (0.2 to 70 MB) are

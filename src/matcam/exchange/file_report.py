@@ -38,8 +38,8 @@ def inspect(source: Any, *, sampling: Sampling = "centre", radius: float = 256.0
         range and share of saturated values.
 
     Raises:
-        FileFormatError: the file is missing or damaged, its format is not supported, or the folder contains nothing of
-            these kinds.
+        FileFormatError: the file is missing or damaged, its format is not supported, or the folder contains none of
+            the contents that are listed at `source`.
         ArgumentError: `source` is of another type, an image has no values, or the radius is not positive.
 
     Example:

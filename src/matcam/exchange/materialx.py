@@ -61,7 +61,7 @@ def fit_openpbr(material: Material) -> OpenPBRSurface:
     """Fit an OpenPBR surface to a material.
 
     A metal and a dielectric are fitted, and the better fit is returned. The fit minimises squared differences between
-    cube roots. A root is that of the BRDF times cos theta_i cos theta_o, which balances highlight and tail.
+    cube roots of the BRDF times cos theta_i cos theta_o. The cube root balances highlight and tail.
 
     Args:
         material: isotropic material with one or three channels, such as `Tabulated(table)`.

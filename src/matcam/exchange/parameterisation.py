@@ -5,15 +5,15 @@ that of the view, and m the half vector:
 
 - `ndf`: the facet distribution D(theta_h). Here it is the mean over difference angles of 4 BRDF cos theta_i cos theta_o,
   which also includes the Fresnel term, masking and any other part of the BRDF. Its nodes are equally spaced in
-  sqrt(theta_h), with at least twice the density of a MERL table. They therefore include the points of the table and its
-  kinks.
+  sqrt(theta_h), with at least twice the density of a MERL table. They therefore include the grid points of such a
+  table, where the interpolated BRDF has kinks.
 - `sigma`: the projected area of facets with the distribution D. The integral over azimuth has a closed form.
 - `vndf`: density of visible normals, D max(0, i . m) / sigma. It is mixed with a density proportional to
   sqrt(D) cos theta_h, which resolves the tail, and with a uniform density. Visible normals alone would assign only a
   few per cent of the square to the tail.
 - `rgb`: BRDF cos theta_o 4 sigma / D. For views below the horizon it is extrapolated linearly in cos theta_o, so that
   interpolation is correct above the horizon. Negative values are set to 0, because renderers would reject them.
-- `luminance`: the density of samples on the square after the map by `vndf`. With it, samples are distributed as
+- `luminance`: the density of samples on the square after the map by `vndf`. With this density, samples are distributed as
   BRDF cos theta_o.
 """
 

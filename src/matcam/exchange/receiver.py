@@ -3,8 +3,8 @@
 A camera and a sphere have an equivalent solid angle of the receiver. The kernel k of lens and pixel averages over the
 area A = 1 / integral of k^2 (px^2). For a lens without blur, A is the area of the pixel. On a sphere of radius r px
 this area covers normals in a solid angle of A / (r^2 cos theta_o). A goniophotometer has a fixed sample, and averages
-over directions of view. Normals in a solid angle omega_h correspond to views that move the half vector by the same
-amount. These views fill a solid angle omega_o,
+over directions of view. Normals in a solid angle omega_h correspond to half vectors in an equal solid angle
+on the fixed sample. The views with these half vectors fill a solid angle omega_o,
 
     d omega_o = 4 cos theta_d d omega_h,
 
@@ -71,8 +71,8 @@ def solid_angles(rig: Rig) -> dict[str, float | None]:
 def metadata(rig: Rig, **about: str) -> dict[str, Any]:
     """Describe the measurement of a table as a JSON document.
 
-    The document has metadata for a table in any format: geometry with the solid angle of the receiver, instrument and
-    quantity.
+    The document contains metadata for a table in any format: the quantity, the instrument, and the solid angles of the
+    receiver and the source.
 
     Args:
         rig: camera, sample and lamp.

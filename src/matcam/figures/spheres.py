@@ -51,7 +51,7 @@ def table_sphere(
 
 
 def whole_sphere(values: np.ndarray, size: int) -> np.ndarray:
-    """Compute the image of `table_sphere`, averaged over the pixel of the highlight.
+    """Compute the image of `table_sphere`, with an average over the pixel that contains the highlight.
 
     The average is required, because a highlight may be much narrower than a pixel and lie between pixel centres.
 
@@ -160,7 +160,7 @@ def write_thumbnail(path: str | Path, raw: xr.DataArray, corrected: xr.DataArray
 
     The image has 128 x 64 px. The sphere of the recorded table is on the left, and that of the corrected table on the
     right. Both have the same logarithmic scale. Each half shows the magnified highlight in its lower left corner, on a
-    linear scale. It is omitted if no magnification shows the highlights completely.
+    linear scale. This inset is omitted if no magnification shows the highlights completely.
     """
     tables = raw.values, corrected.values
     spheres = [whole_sphere(table, SIZE) for table in tables]

@@ -65,9 +65,10 @@ def styled() -> AbstractContextManager[None]:
 
 @contextmanager
 def drawing(width: float, height: float, layout: Any = "constrained", **options: Any) -> Iterator[Figure]:
-    """Create a figure in the style of all figures, which applies during the block.
+    """Create a figure in the style of the package.
 
-    `width` and `height` are the size of the figure, inches. For `layout` and `options`, see `Figure`.
+    The style applies during the block. `width` and `height` are the size of the figure, inches. For `layout` and
+    `options`, see `Figure`.
     """
     with styled():
         yield Figure(figsize=(width, height), layout=layout, **options)

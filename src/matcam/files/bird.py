@@ -5,8 +5,8 @@ reading. The arrays are BRDF and the angles of light (theta_i, phi_i) and view (
 uncertainty uBRDF, wavelength_i, polarization_i and others.
 
 The reader arranges readings of one pair of directions as channels. A channel has one wavelength, polarisation and name.
-The writer stores the wavelengths of channels that are named by them ("550 nm"). It stores other names in the ad hoc
-variable "channel".
+If every channel is named by its wavelength ("550 nm"), the writer stores the wavelengths. Otherwise it stores the names of
+several channels in the ad hoc variable "channel". It does not store another name of a single channel.
 """
 
 from __future__ import annotations

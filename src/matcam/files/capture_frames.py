@@ -35,7 +35,7 @@ class CaptureFrame(NamedTuple):
 
 
 class LampGuess(NamedTuple):
-    """Specified direction and intensity of a lamp, seen from the centre of the sample.
+    """Specified direction of a lamp, seen from the centre of the sample, and relative intensity of the lamp.
 
     Attributes:
         angle: angle between lamp and optical axis, rad; NaN: unknown.

@@ -1,8 +1,8 @@
 """List of a capture from a folder of photographs: names, lamp positions, exposures and their times.
 
 Images in the folder itself, or in its subfolder frames/, are images of the sample. Images in dark/, flat/, outline/ and
-reference/ are of the kind of their folder. Exposure times are read from the metadata of the files, directions of the
-lamp from a light position file.
+reference/ are of the kind of their folder. Exposure times are read from the metadata of the files. Directions of the
+lamp are read from a light position file.
 """
 
 from __future__ import annotations
@@ -50,10 +50,10 @@ class Listing:
 
         Args:
             folder: folder of the capture.
-            force: True to replace existing files of these names. Default: False.
+            force: True to replace existing files that have the name of a copy. Default: False.
 
         Raises:
-            OutputError: another file of one of these names exists and `force` is False, or a file cannot be written.
+            OutputError: another file with the name of a copy exists and `force` is False, or a file cannot be written.
         """
         wanted = [(source, folder / name) for source, name in self.copies.items()]
         wanted = [(source, target) for source, target in wanted if source.resolve() != target.resolve()]

@@ -274,7 +274,7 @@ def chunk_shape(document: dict[str, Any]) -> tuple[int, ...]:
 
 
 def _width(kind: Any) -> np.dtype | None:
-    """Find a type with the width of one value. The result is None for text of variable length."""
+    """Find a NumPy type with the width of one value of a Zarr array. The result is None for text of variable length."""
     if isinstance(kind, dict):
         length = kind.get("configuration", {}).get("length_bytes")
         return np.dtype(f"V{int(length)}") if length else None
@@ -320,6 +320,6 @@ def _check_directory(path: Path, size: int) -> None:
     length, start = struct.unpack_from("<II", end, at + 12)
     if length + start > size:
         raise FileFormatError(
-            f"{path}: the list of members of the zip, {length} bytes at byte {start}, exceeds the file: it is "
+            f"{path}: the list of members of the zip, {length} bytes at byte {start}, exceeds the file: the file is "
             "damaged; copy or create it again"
         )

@@ -186,8 +186,8 @@ class _Web:
         """Check that the response is a range of bytes that starts at the requested byte."""
         if reply.status_code != 206:
             raise DownloadError(
-                f"{address}: the server sends only the whole archive: download and unpack the archive, or give a folder of "
-                "files as source"
+                f"{address}: the server sends only the whole archive: download and unpack the archive, or give the "
+                "address of a folder with the unpacked files as source"
             )
         stated = reply.headers.get("Content-Range", "")
         if not re.fullmatch(rf"bytes {span[0]}-[0-9]{{1,18}}/[0-9]{{1,18}}", stated):
@@ -208,13 +208,13 @@ class _Web:
 
 
 class _RemoteFile(io.RawIOBase):
-    """File on a server, as zipfile reads it.
+    """Read-only file on a server, with the methods that zipfile requires.
 
     The last 128 KiB of the file are in memory. The remainder is streamed sequentially.
 
     Attributes:
         size: size of the file, bytes.
-        end: byte before which a stream ends.
+        end: index of the first byte after a stream, unless the stream starts with a longer read.
     """
 
     def __init__(self, web: _Web, address: str):

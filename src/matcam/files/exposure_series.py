@@ -65,7 +65,7 @@ class ExposureSeries:
 
     Attributes:
         source: folder or descriptor that was read.
-        sets: frames of each exposure, dark frames first, then in ascending order of `light`.
+        sets: exposures with their frames; dark exposures first, each kind in ascending order of `light`.
         bits: number of bits of a code; None if it is unknown.
     """
 
@@ -79,7 +79,7 @@ class ExposureSeries:
         return "photons" if all(math.isfinite(one.photons) for one in self.sets if one.lit) else "s"
 
     def light(self, one: ExposureSet) -> float:
-        """Return the number of photons per pixel, or the exposure time, s (see `light_unit`)."""
+        """Return the photons per pixel of an exposure, or the exposure time, s (see `light_unit`)."""
         return one.photons if self.light_unit == "photons" else one.time
 
 

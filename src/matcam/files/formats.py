@@ -225,7 +225,7 @@ def format_named(name: str) -> Format:
 
 
 def suffixes_for(*contents: str) -> tuple[str, ...]:
-    """List the suffixes of output formats for any of these contents.
+    """List the suffixes of the output formats that support at least one of the given contents.
 
     `contents` are keys of `CONTENTS`. The suffixes are in the order of `FORMATS`.
     """
@@ -315,7 +315,7 @@ _DECODERS = {
 def decoded_by(paths: Iterable[Path]) -> list[str]:
     """List the modules that decode files, by the suffixes of the files.
 
-    `paths` are files, and folders, of which at most 100 files are considered. Missing files are ignored.
+    `paths` are files or folders. At most 100 files of each folder are considered. Missing paths are ignored.
     """
     suffixes = set()
     for path in paths:

@@ -37,8 +37,8 @@ def read_merl(path: str | Path, sampling: Sampling = "centre") -> xr.DataArray:
     Args:
         path: MERL file (.binary).
         sampling: position in a cell at which its value was sampled, "centre" or "edge". Default: "centre". The file
-            does not specify this position. At a sharp peak the choice changes values by up to 45 %. It is stored in
-            `attrs["sampling"]` and determines the angle coordinates.
+            does not specify this position. At a sharp peak the choice changes values by up to 45 %. `sampling` is
+            stored in `attrs["sampling"]` and determines the angle coordinates.
 
     Returns:
         Table in 1/sr, dims (theta_h, theta_d, phi_d, channel), shape (90, 90, 180, 3); NaN where missing.

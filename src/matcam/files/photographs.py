@@ -78,7 +78,8 @@ def read_photograph(path: str | Path, region: tuple[int, int, int, int] | None =
     """Read the codes of an image or of a region of it.
 
     The result has shape (height, width) or (height, width, 3), and the type of the file. An alpha channel is omitted.
-    A FileFormatError is raised if the file is missing, unsupported or damaged.
+    A FileFormatError is raised if the file is missing, unsupported, damaged, too large, or smaller than `region` (see
+    `open_photograph`).
     """
     path = Path(path)
     there = _memory_for(path)

@@ -48,9 +48,9 @@ def picture_memory() -> int:
 def check_memory(path: Path, height: int, width: int, channels: int, depth: int, there: int) -> None:
     """Check that an image and its working copies fit into memory.
 
-    `depth` is the number of bytes per sample, and `there` the available memory, bytes. A FileFormatError is raised if
-    the image does not fit. Unless files are trusted, an image that needs more than 1 GiB is also rejected if it is more
-    than 100 times as large as its file.
+    `depth` is the number of bytes per sample, and `there` the memory that the image may use, bytes. A FileFormatError is
+    raised if the image does not fit. Unless files are trusted, an image that needs more than 1 GiB is also rejected if
+    it is more than 100 times as large as its file.
     """
     decoded = height * width * channels * depth
     # a plane of float64, its mask, and two temporary copies take 24 bytes per pixel

@@ -71,7 +71,7 @@ _ORDER = (
 def read_rgl(path: str | Path) -> xr.Dataset:
     """Read a BRDF in RGL's parameterisation.
 
-    Each field of the file becomes a variable with its type.
+    Each field of the file becomes a variable of the same name and data type.
 
     Args:
         path: RGL file (.bsdf).

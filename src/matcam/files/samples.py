@@ -44,7 +44,7 @@ _LABEL = re.compile(r"[^,\x00-\x1f\"]{1,60}")
 def samples_of(table: xr.DataArray) -> xr.DataArray:
     """Convert a table to samples, dims (sample, channel).
 
-    Cells without a value in any channel are omitted.
+    Cells that are missing in all channels are omitted.
     """
     stacked = checked_table(table).transpose("phi_d", "theta_d", "theta_h", "channel")
     known = np.isfinite(stacked.values).any(axis=-1)

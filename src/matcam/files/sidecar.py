@@ -121,7 +121,7 @@ def sidecar_path(picture: str | Path) -> Path:
         picture: file of the image.
 
     Returns:
-        The same name with ".json" appended.
+        Path of the image with ".json" appended.
 
     Example:
         >>> matcam.io.sidecar_path("copper.exr").name

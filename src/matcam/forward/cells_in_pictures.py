@@ -33,7 +33,7 @@ def cell_sampling(cell_value: CellValue) -> Sampling:
 
 
 class CellChoice(NamedTuple):
-    """Parameters that determine the pixels of the cells of a table.
+    """Parameters that determine the pixels of each table cell.
 
     Attributes:
         cell_value: origin of the value of a cell, as in `Rig`.
@@ -56,7 +56,7 @@ class CellChoice(NamedTuple):
     finest: float | None = None
 
     def cells(self, sample: Curved, lamp_nearness: jax.Array | None = None) -> TableCells | RealCells:
-        """Compute the cells of a table of a sample.
+        """Compute the table cells on a sample.
 
         `lamp_nearness` is the inverse of the distance of the lamp, 1/radii. Default: None, a distant lamp.
         """
@@ -83,7 +83,7 @@ class CellChoice(NamedTuple):
 class TableCells(NamedTuple):
     """Cells of a table in one of the two reciprocal directions.
 
-    The arrays have the shape (theta_d, theta_h, phi_d, points along theta_h, points along phi_d).
+    `irradiance` and `weight` have the shape (theta_d, theta_h, phi_d, points along theta_h, points along phi_d).
 
     If the lamp is in the x direction of the sensor, the positions at phi_d + pi are mirror images of the positions at
     pi - phi_d. Reversing the order of phi_d, and of the points along phi_d, therefore yields the other direction. For
@@ -92,7 +92,7 @@ class TableCells(NamedTuple):
     Attributes:
         positions: positions of the visible points that are not on rings, followed by the positions from which rings are
             interpolated.
-        flat_index: indices of the visible points that are not on rings, in the flattened arrays.
+        flat_index: indices, in the flattened `irradiance`, of the visible points that are not on rings.
         rings: rings of cells that are interpolated.
         irradiance: irradiance at each point divided by the irradiance of a surface that faces the lamp at the centre of
             the sample, no unit.
@@ -172,7 +172,7 @@ class RealCells(NamedTuple):
         positions: centres of the pixels of all slices.
         irradiance: cosine of the angle of incidence at the centre of each pixel, (pixels,).
         cell: index of a cell in the flattened (theta_d, theta_h, phi_d), (entries,).
-        pixel: index of a pixel of this cell, (entries,).
+        pixel: index in `positions` of a pixel of this cell, (entries,).
         share: share of this pixel in the value of the cell, no unit, (entries,).
         pixels: number of pixels of each cell, no unit, (theta_h, theta_d, phi_d).
     """

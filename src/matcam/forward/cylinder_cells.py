@@ -34,11 +34,13 @@ _AT_ONCE = 1 << 17
 
 
 class CylinderCells(NamedTuple):
-    """Cells of a table on a cylinder, as arrays over (theta_h, theta_d, phi_d, the two reciprocal directions).
+    """Cells of a table on a cylinder.
+
+    `irradiance` and `seen` have the shape (theta_h, theta_d, phi_d, reciprocal directions).
 
     Attributes:
         positions: positions of the visible cells.
-        flat_index: indices of the visible cells in the flattened arrays.
+        flat_index: indices of the visible cells in the flattened `seen`.
         irradiance: irradiance at each cell divided by the irradiance of a surface that faces the lamp at the centre of
             the sample, no unit.
         seen: True for visible cells.
@@ -114,8 +116,8 @@ def cylinder_cells(rig: Rig) -> CylinderCells:
 def line_positions(rig: Rig, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> RecordPositions:
     """Compute the image positions and the lamp azimuths of cells on the cylinder of a rig.
 
-    The angles of the cells are in rad. The distance of a position from the optical axis and the lamp angle are those on
-    a sphere of the same radius.
+    The angles of the cells are in rad. The lamp angle, and the distance of a position from the
+    optical axis, are those on a sphere whose radius equals that of the cylinder.
     """
     sample: Cylinder = rig.sample  # type: ignore[assignment]
     sphere = Sphere(float(sample.radius), float(sample.distance))

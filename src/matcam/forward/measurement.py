@@ -307,7 +307,8 @@ def with_pixel_noise(table: xr.DataArray, rig: Rig, noise: PixelNoise, seed: int
         table: BRDF on the MERL grid, (90, 90, 180, channels), 1/sr.
         rig: rig that recorded the table; its sample must be a `Sphere`, or a `Cylinder` with separate pixels for each
             cell.
-        noise: standard deviation of a pixel, relative to its value and to the brightest pixel of its image (no unit).
+        noise: standard deviations relative to the value of the pixel and to the brightest pixel of its image, no unit.
+            `picture_gain` is not used.
         seed: seed of the random numbers, an integer; the same seed gives the same noise.
 
     Returns:
@@ -363,7 +364,7 @@ def with_pixel_noise(table: xr.DataArray, rig: Rig, noise: PixelNoise, seed: int
 
 
 class CellPixels(NamedTuple):
-    """Numbers of the pixels of each cell (`pixel_numbers`), arrays of shape (theta_d, theta_h, phi_d).
+    """Indices of the pixels of each cell (see `pixel_numbers`). Both arrays have the shape (theta_d, theta_h, phi_d).
 
     The optical axis is at the centre of a pixel.
 

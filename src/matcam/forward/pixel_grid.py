@@ -103,8 +103,8 @@ def looked_up(rule: CellValue, phase: ArrayLike, x: np.ndarray, y: np.ndarray) -
 
     Args:
         rule: "nearest" or "bilinear".
-        phase: phase of the pixel grid, px, shape (2,), or (..., 2) if it depends on the position; it then has the
-            leading axes of the positions.
+        phase: phase of the pixel grid, px: (2,) for one phase, or (..., 2) for one phase per position. The axes before
+            the last one broadcast with `x` and `y`.
         x: positions along the rows of the sensor, px from the centre of the sphere.
         y: positions along the columns of the sensor, px from the centre of the sphere.
     """
@@ -122,7 +122,7 @@ def looked_up(rule: CellValue, phase: ArrayLike, x: np.ndarray, y: np.ndarray) -
 
 
 class PixelAngles(NamedTuple):
-    """Angles at pixels of the image of a distant sphere; arrays of one shape.
+    """Angles at pixels of the image of a distant sphere. All arrays have the same shape.
 
     Attributes:
         theta_h: half angle, rad.

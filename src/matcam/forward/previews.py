@@ -226,10 +226,10 @@ class _SumOfGaussians(eqx.Module):
     """Highlight on the sensor, as a sum over all pairs of a Gaussian of the lobe and a Gaussian of the lens.
 
     Attributes:
-        weights: weights of the lobe, (n,), no unit.
-        std: standard deviations of the lobe along x and y, (n,) each, px.
+        weights: weights of the Gaussians of the lobe, (n,), no unit.
+        std: standard deviations of these Gaussians along x and y, (n,) each, px.
         lens_weights: weights of the Gaussians of the lens, (k,), no unit.
-        spread: standard deviation of lens, jitter and lamp along x and y, (k,) each, px.
+        spread: combined standard deviations of lens, jitter and lamp along x and y, (k,) each, px.
     """
 
     weights: jax.Array
@@ -251,14 +251,14 @@ def _sum_of_gaussians(rig: Rig, ndf: MixtureNDF, theta: jax.Array) -> _SumOfGaus
 
 
 def _recorded_lines(rig: Rig, std: jax.Array, spread: jax.Array, at: jax.Array) -> jax.Array:
-    """Compute the one-dimensional records of the Gaussians of a lobe, whose peaks are 1, (..., k, n).
+    """Compute the one-dimensional records of the Gaussians of a lobe, (..., k, n).
 
-    The lens has k Gaussians, and the lobe has n.
+    The lens has k Gaussians, and the lobe has n Gaussians. Each Gaussian of the lobe has the peak 1.
 
     Args:
         rig: the rig.
         std: standard deviations of the Gaussians of the lobe, (n,), px.
-        spread: standard deviations of lens, jitter and lamp, (k,), px.
+        spread: combined standard deviations of lens, jitter and lamp, (k,), px.
         at: positions, px, (...).
     """
     total = jnp.hypot(std, spread[:, None])

@@ -107,9 +107,9 @@ def rig_highlights(
 ) -> Highlights:
     """Compute the highlights of a lobe on the sphere of a rig.
 
-    The lobe is Gaussian, and the sphere is replaced by its tangent plane. The results include the effects of a near
-    lamp or camera on irradiance and half vector. The source disc, defocus and registration jitter are replaced by
-    Gaussians of the same variance. Masking is neglected.
+    The lobe is Gaussian, and the sphere is replaced by its tangent plane. The results include the effects of a near lamp or
+    camera on irradiance and half vector. Source disc, defocus and registration jitter are each replaced by a Gaussian with
+    the variance of the replaced blur. Masking is neglected.
 
     Args:
         rig: camera, sample and lamp; the sample is a `Sphere`. Lens and pixel do not affect the result.
@@ -167,7 +167,7 @@ def rig_highlights(
 
 
 class _Lights(NamedTuple):
-    """Highlights as arrays of one shape."""
+    """Parameters of highlights, broadcast to a common shape."""
 
     flux: jax.Array
     x: jax.Array

@@ -84,7 +84,7 @@ def synthetic_sample(rig: Rig, shape: tuple[int, int] | None, seed: int) -> Synt
 
     Args:
         rig: camera, sample and lamp.
-        shape: (height, width) of the images, px; None: the shape of the sample. For flat samples only.
+        shape: (height, width) of the images of a flat sample, px; None: 256 x 256. Must be None for a curved sample.
         seed: seed of a flat sample's textures.
 
     Raises:
@@ -151,7 +151,7 @@ class _CurvedSample:
         return image if image.ndim == 3 else image[..., None]
 
     def _past_edge(self, beyond: np.ndarray, angle: np.ndarray) -> np.ndarray:
-        """Compute the share of a bright field beyond a straight edge in each pixel.
+        """Compute the share of each pixel that a bright field beyond a straight edge covers.
 
         Args:
             beyond: distance of the pixel from the edge, px, positive on the side of the field.

@@ -64,7 +64,7 @@ def textured_picture(
     """Simulate the image of a textured flat sample, tilted along x.
 
     The camera is distant. The texture is periodic, and its centre is at the centre of the image. The result is exact to
-    rounding if the MTF of the lens vanishes at its `band()`.
+    rounding if the MTF of the lens vanishes above the frequency `band()` of the lens, or if the texels are band-limited.
 
     Args:
         texture: albedo, or any other factor of the radiance, (H, W) or (H, W, channels), finite and >= 0; row 0 on top.

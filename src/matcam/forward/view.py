@@ -51,7 +51,7 @@ class View(NamedTuple):
         points: points of the lamp, each with one angle and azimuth.
         x: positions of the columns, px.
         y: positions of the rows, px.
-        lens: filter for a fine record; None: `imaging` includes the blur of the lens.
+        lens: filter for a record with several positions per pixel; None: `imaging` includes the blur of the lens.
     """
 
     imaging: Imaging
@@ -76,7 +76,8 @@ def view_of(
     Args:
         material: material of the sample.
         rig: camera, sample and lamp.
-        lamp: angle between lamp and optical axis, and azimuth of the lamp, rad; None: the azimuth of the rig.
+        lamp: angle between lamp and optical axis, rad, and azimuth of the lamp, rad. If the azimuth is None, the azimuth of
+            the rig is used.
         shape: (height, width) of the image, px. None: an area that contains the sample.
         error: twice the target for the largest error of a transfer function, no unit. Default: None, full accuracy.
 

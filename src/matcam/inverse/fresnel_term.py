@@ -124,9 +124,9 @@ def fresnel(
         - `width`, `width_std`: first parameter of the lobe, such as alpha; half width, rad, of a lobe without parameters of a
             family. `width_std` is infinite if the lobe is too narrow to be resolved.
         - `hwhm`, `hwhm_std`: half width at half maximum of the lobe, rad.
-        - `budget_std`: part of corrected_std due to each source, over (source, theta_d, channel). Its squares add up to the
-          square of corrected_std. `budget_type`, `budget_value`, `budget_uncertainty` and `budget_degrees` are the type, value,
-          standard uncertainty and degrees of freedom of each source (see `fresnel_budget`).
+        - `budget_std`: part of corrected_std due to each source, over (source, theta_d, channel). The sum of the squares of
+          the parts is the square of corrected_std. `budget_type`, `budget_value`, `budget_uncertainty` and `budget_degrees`
+          are the type, value, standard uncertainty and degrees of freedom of each source (see `fresnel_budget`).
 
         `corrected` and `corrected_peak` have mean 1 over the range `normalise`. `raw` is `corrected_peak` times the
         relative response. The attribute `picture_gain` is the standard deviation of the image gain, estimated from the
@@ -360,7 +360,7 @@ def _check_highlight(brdf: xr.DataArray, normalise: tuple[float, float]) -> None
     typical = [np.nanmedian(row) for row in fall if np.isfinite(row).any()]
     if min(typical) >= 0.5:
         raise FitError(
-            "the table has no highlight: it does not fall to half of its peak value; give a table with a specular lobe"
+            "the table has no highlight: the BRDF does not fall to half of its peak value; give a table with a specular lobe"
         )
     theta_d = merl_grid(sampling_of(brdf)).theta_d
     inside = (theta_d >= normalise[0]) & (theta_d <= normalise[1])

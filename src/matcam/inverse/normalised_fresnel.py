@@ -20,8 +20,9 @@ NO_CAMERA = "no camera, instead of the specified camera"
 class NormalisedFresnel:
     """Fresnel term F of the slices of a fit, divided by its mean, with standard deviations.
 
-    The arrays have shape (channels, slices). `parts` contains the sources of the variance of the normalised term. The variances
-    of the sources add up to the sum of the squares of `std_noise` and `std_camera`.
+    The arrays have shape (channels, slices), except `relative`, the covariance of ln F, (channels, slices, slices). `parts`
+    contains the sources of the variance of the normalised term. The variances of the sources add up to the sum of the squares
+    of `std_noise` and `std_camera`.
     """
 
     def __init__(self, found: MaterialFit, normalise: tuple[float, float]):

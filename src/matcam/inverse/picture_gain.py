@@ -30,7 +30,7 @@ _GRID = np.geomspace(0.03, 300.0, 120)
 def picture_gain(theta_d: np.ndarray, curves: np.ndarray, covariances: np.ndarray) -> float:
     """Estimate the relative standard deviation of the image gain.
 
-    The result is 0 if the noise explains the scatter of F between slices.
+    The result is 0 if the noise explains the scatter of F between slices, or if there are too few slices.
 
     Args:
         theta_d: theta_d of the slices, rad, (n,).
@@ -80,9 +80,10 @@ def gain_remarks(gain: float) -> tuple[Remark, ...]:
 
 
 def _likelihood(theta_d: np.ndarray, curve: np.ndarray, covariance: np.ndarray) -> tuple[float, np.ndarray] | None:
-    """Compute the mean variance of the noise, and the log likelihoods of a gain of 0 and of the gains of `_GRID`.
+    """Compute the mean variance of the noise, and the log likelihoods of standard deviations of the gain.
 
-    The result is None if there are too few slices.
+    The first standard deviation is 0. The others are the entries of `_GRID` times the standard deviation of the noise. The
+    result is None if there are too few slices.
     """
     good = np.isfinite(curve) & (curve > 0) & np.isfinite(np.diagonal(covariance))
     if good.sum() < _TERMS + _FEWEST:

@@ -97,7 +97,7 @@ def limits(
         - `width_std_free`: the same bound if the width of the lens is free.
         - `lens_std_free`: bound of the standard deviation of the logarithm of the lens width if this width is free.
         - `fresnel_std`: bound of the relative standard deviation of F at each theta_d, without the image gain. The lens has the
-            uncertainty that the camera specifies, or is exact without an uncertainty.
+            uncertainty that the camera specifies. If the camera specifies none, the lens is exact.
         - `correlation`, (roughness, blur): correlation between the effects of a blur and of a wider lens, after roughness and
             F are fitted. If it is 1, the effects cannot be distinguished.
         - `smallest`, (roughness, blur): size, in the unit in the name of the blur, at which the blur is detected at 3 standard
@@ -185,9 +185,9 @@ def limits(
 
 
 def changed_rigs(rig: Rig) -> dict[str, Rig]:
-    """Build feasible variants of a rig by name.
+    """Build feasible variants of a rig, and name them.
 
-    They differ in the radius in the image, in the width of the lens, or in both.
+    The variants differ from the rig in the radius in the image, in the width of the lens, or in both.
     """
     radius, sigma = float(rig.sample.radius), float(rig.camera.parameters()[LENS])  # type: ignore[attr-defined]
 
@@ -216,7 +216,10 @@ class _View(NamedTuple):
 def _records(
     view: _View, rig: Rig, roughness: float, axes: tuple[Axis, ...]
 ) -> tuple[ChosenCells, np.ndarray, np.ndarray]:
-    """Choose cells, and compute their records and the derivatives to ln roughness and the coordinates of the axes."""
+    """Choose cells, and compute their records and the derivatives of the records.
+
+    The derivatives are with respect to ln roughness and the coordinates of the axes.
+    """
     sampling: Sampling = "edge" if rig.cell_value == "edge" else "centre"
     cells, operator = lobe_operator(rig, sampling, view.slice_step, axes, view.workspace)
     at = np.array([np.log(roughness), *np.zeros(len(axes))])
@@ -286,8 +289,8 @@ def _exact_and_free(information: _Information) -> tuple[float, float]:
 def _signature(own: _Information, field: str, size: float) -> tuple[float, float, float]:
     """Compute correlation, smallest size and bias of one blur, as in `limits`.
 
-    `field` is the field of `Rig` that causes the blur, and `size` is its value in the unit of the field. The smallest size of a
-    lamp is in degrees.
+    `field` is the field of `Rig` that causes the blur, and `size` is the value of this field in its unit. The smallest size of
+    a lamp is in degrees.
     """
     blurred = rig_with(own.view.rig, {field: size})
     record = _records(own.view, blurred, own.roughness, ())[1]

@@ -142,10 +142,10 @@ class NearLamp(Lamp):
 
 
 def closeness(lamp_nearness: ArrayLike | None, cos_i: jax.Array) -> jax.Array:
-    """Compute the ratio of the lamp's distance from the centre of the sample to its distance from the surface.
+    """Compute the lamp's distance from the centre of the sample, divided by its distance from a point of the surface.
 
-    The ratio is 1 for a distant lamp. Its square is the irradiance of a surface that faces the lamp, relative to the
-    irradiance at the centre.
+    The ratio is 1 for a distant lamp. The square of the ratio is the irradiance of a surface that faces the lamp,
+    relative to the irradiance at the centre.
 
     Args:
         lamp_nearness: inverse of the lamp's distance from the centre, 1/radii; None: a distant lamp.
@@ -252,7 +252,7 @@ def checked_lamp_angles(lamp_angle: ArrayLike, lamp: Lamp, camera_distance: Arra
         camera_distance: distance of the camera from the sample's centre, radii.
 
     Raises:
-        ArgumentError: the lamp is behind the visible surface, or inside the camera.
+        ArgumentError: an angle is negative, or the lamp is behind the visible surface or inside the camera.
     """
     camera_distance = checks.outside_jit(camera_distance, "the rig's parameters")
     nearness = 0.0 if lamp.nearness is None else checks.outside_jit(lamp.nearness, "the lamp's parameters")

@@ -4,7 +4,7 @@ The directions of the table are the same for all lobes. The position of a direct
 the number of entries. A fit evaluates successive lobes in the same directions, so it computes each position once. An
 entry is ln(cot theta (1 + Lambda)), which is finite at the horizon. The entries are equally spaced in asinh(cot theta /
 1e-5). For roughnesses from 1e-4 to 1, the error of 1 / (1 + Lambda) is at most 3e-6 with 187 entries, and 1e-9 with 2400
-entries. For lobes as steep as an EPD with a power of 1.8, it is at most 1e-5 with 187 entries.
+entries. For lobes as steep as an EPD with a power of 1.8, the error is at most 1e-5 with 187 entries.
 """
 
 from __future__ import annotations

@@ -127,10 +127,10 @@ def theta_h_of(shading: Shading) -> jax.Array:
 def albedo(material: Material, theta: ArrayLike) -> np.ndarray:
     """Compute the directional albedo of a material, no unit.
 
-    The directional albedo, or directional-hemispherical reflectance, is the integral of BRDF cos theta_i over the directions
-    of the light. A midpoint rule is used for half vectors that are evenly spaced in sqrt(theta_h). The solid angle of the
-    light is 4 cos theta_d times that of the half vector, where theta_d is the angle between the two. The rule resolves lobes
-    down to a width of 1e-4 rad.
+    The directional albedo, or directional-hemispherical reflectance, is the integral of BRDF cos theta_i over the directions of
+    the light. A midpoint rule is used for half vectors that are evenly spaced in sqrt(theta_h). The solid angle of the light is
+    4 cos theta_d times that of the half vector, where theta_d is the angle between light and half vector. The rule resolves
+    lobes down to a width of 1e-4 rad.
 
     Args:
         material: any material. Directions of light with missing values (NaN) are omitted, so the albedo is then a lower bound.

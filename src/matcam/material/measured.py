@@ -10,8 +10,8 @@ is tabulated:
 
     BRDF cos theta_o = rgb(s) ndf(u_m) / (4 sigma(u_i))           with `jacobian`; otherwise rgb(s) alone.
 
-theta_o is the angle of the view to the normal. A measured file need not be reciprocal, and its tables contain some negative
-values.
+theta_o is the angle of the view to the normal. The fields `ndf` and `sigma` are the density of facet normals and the projected
+area of the facets. A measured file need not be reciprocal, and its tables contain some negative values.
 
 Densities are tabulated for some directions of light, and are bilinear between the nodes of a grid. The map consists of
 two cumulative distributions (section 4 of the paper): the marginal distribution of the rows maps y, and the conditional
@@ -384,9 +384,9 @@ class Adaptive(Material):
 
     @property
     def finest(self) -> jax.Array:
-        """Half width of the mean lobe over azimuths, rad.
+        """Half width of the lobe averaged over azimuths, rad.
 
-        It is at least one step of the grid.
+        The half width is at least one step of the grid.
         """
         profile = xp.mean(self.ndf, axis=0)
         below = xp.argmax(xp.append(profile, 0.0) < profile.max() / 2)

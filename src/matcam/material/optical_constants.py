@@ -37,7 +37,8 @@ def metals(name: str | None = None) -> dict[str, tuple[str, ...]]:
         name: name of one metal, such as "Cr" or "brass". Default: None, all metals.
 
     Returns:
-        Names of the tables of each metal, by the name of the metal. `metal` accepts these names as `source` and `name`.
+        Names of the tables of each metal, by the name of the metal. `metal` accepts the name of a table as `source`, and the
+        name of a metal as `name`.
 
     Raises:
         ArgumentError: the metal is unknown. The message contains the nearest name, or all names.

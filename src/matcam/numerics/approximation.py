@@ -48,7 +48,7 @@ def between_entries(table: jax.Array, position: jax.Array) -> jax.Array:
 
 
 def four_about(position: Any, entries: int) -> tuple[Any, list[Any]]:
-    """Compute the index of the first of the four entries about each position, and the Lagrange weights of the four."""
+    """Compute the index of the first of the four entries about each position, and the Lagrange weights of these entries."""
     left = constant(xp.clip(xp.floor(position), 1, entries - 3))
     return left.astype(int) - 1, lagrange_basis(np.arange(-1.0, 3.0), position - left)
 
@@ -56,8 +56,8 @@ def four_about(position: Any, entries: int) -> tuple[Any, list[Any]]:
 def lagrange_basis(points: Any, at: Any) -> list[Any]:
     """Evaluate the Lagrange basis polynomials of points.
 
-    points: points of the interpolation, (n,). at: positions, any shape. The result is n arrays of the shape and kind of
-    `at`. The polynomial through values v_k is `sum_k v_k basis_k`. Its derivatives are also finite at the points.
+    points: points of the interpolation, (n,). at: positions, any shape. The result is a list of n arrays in the shape of `at`.
+    The polynomial through values v_k is `sum_k v_k basis_k`. Its derivatives are also finite at the points.
     """
     differences = points[:, None] - points + np.eye(points.size)
     factors = [at - point for point in points]
@@ -114,7 +114,7 @@ def cubic_spline(coefficients: jax.Array, position: jax.Array) -> jax.Array:
 
 
 def cubic_sums(position: jax.Array, weights: jax.Array, count: int, axes: int = 1) -> jax.Array:
-    """Sum weights times the values of B_k over positions. The result has the shape (count, ...).
+    """Compute the sum of weights times B_k over positions. The result has the shape (count, ...).
 
     B_k are the splines of `cubic_basis`. The sum is over the last `axes` axes of the positions and weights.
     """

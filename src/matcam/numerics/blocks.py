@@ -99,11 +99,11 @@ def pad_indices(index: np.ndarray) -> np.ndarray:
 
 
 def few_lengths(size: int) -> int:
-    """Round a length up to one of few lengths.
+    """Round a length up to the next of a small number of lengths.
 
     Each length requires a compilation and a program of 10 to 20 MB. A compilation takes longer than the computation of
     a thousand positions, so up to 1024 each length is four times the previous length. From 1024 to 8192, there are two
-    lengths per power of two. Above 8192, there are eight.
+    lengths per power of two. Above 8192, there are eight lengths per power of two.
     """
     length = _SHORTEST
     while length < min(size, _SHORT):

@@ -139,7 +139,7 @@ class UncertaintyBudget:
     def degrees(self) -> float:
         """Effective degrees of freedom, no unit.
 
-        The value is infinite if those of all sources are infinite.
+        The value is infinite if the degrees of freedom of all sources are infinite.
         """
         total = sum(one.contribution**4 / one.degrees for one in self.sources)
         return self.combined**4 / total if total > 0 else math.inf

@@ -228,7 +228,7 @@ def stated_parameters(
         name: name of each group of several parameters. A single parameter keeps its own name.
         information: information matrix of the priors, in the coordinates of the fit, (n, n).
         stated: specified parameters. Parameters without prior knowledge are omitted.
-        least: information up to which a parameter has no prior knowledge. Default: 0.
+        least: information of a parameter (diagonal entry) up to which the parameter is treated as having no prior. Default: 0.
     """
     known = [one for one in stated if information[one.position, one.position] > least]
     if not known:

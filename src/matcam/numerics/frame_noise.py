@@ -96,7 +96,7 @@ def fixed_pattern_variance_error(pattern: float, temporal: float, frames: int, p
 
 
 def line_of_least_relative_error(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
-    """Fit a line that minimises the squares of the relative departures (EMVA 1288, 8.2.7).
+    """Fit a line that minimises the sum of the squared relative departures (EMVA 1288, 8.2.7).
 
     Args:
         x: exposure, any unit, (n,).

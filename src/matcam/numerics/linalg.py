@@ -27,7 +27,7 @@ def scaled_inverse(information: AnyMatrix, undetermined: float = 0.0) -> AnyMatr
     The matrix is scaled to a unit diagonal, and the inverse is scaled back. NumPy arrays are inverted by eigenvalue
     decomposition. Eigenvalues below `FLOOR` are replaced by `FLOOR`, so a matrix may be indefinite by rounding. JAX arrays
     are inverted by Cholesky decomposition, which compiles to a smaller program, after `FLOOR` is added to the diagonal.
-    The relative difference of the two results is `FLOOR` divided by the smallest eigenvalue.
+    The relative difference between the two methods is `FLOOR` divided by the smallest eigenvalue.
 
     Args:
         information: matrix, or a stack of matrices (NumPy only), shape (..., n, n), in inverse squares of the units of

@@ -69,7 +69,7 @@ def robust_fit(
     Args:
         design: derivatives of the values with respect to the parameters, (n, k).
         values: measured values, (n,).
-        std: standard deviations of the values, (n,), or one for all. Default: 1.0.
+        std: standard deviations of the values, (n,), or one standard deviation for all values. Default: 1.0.
         least: smallest robust standard deviation of the residuals, relative to `std`, with which outliers are found.
             Default: 1e-12.
         resolved: smallest singular value of the design, relative to the largest. Smaller values are treated as 0.

@@ -54,7 +54,7 @@ class ChosenFit(NamedTuple):
         fit: the best fit.
         tried: unexplained share of the light, no unit, by the name of the lobe.
         remarks: remarks on images, widened priors and the lobe.
-        widened: factor by which the standard deviation of a source of specified values was multiplied, by its name.
+        widened: factor by which the standard deviation of a source was multiplied, by the name of the source.
     """
 
     fit: SphereFit

@@ -1,8 +1,8 @@
 """Sources of the uncertainty of a joint fit, and parameters that its images do not distinguish.
 
 There are two budgets. `error_budget` computes the decrease of the variance that an exact source would cause.
-`reading_budget` builds the budget of the GUM (Guide to the expression of uncertainty in measurement, JCGM 100:2008). It
-consists of the variances of independent sources, whose sum is the variance of the result.
+`reading_budget` builds the budget of the GUM (Guide to the expression of uncertainty in measurement, JCGM 100:2008).
+This budget consists of the variances of independent sources, whose sum is the variance of the result.
 """
 
 from __future__ import annotations
@@ -339,8 +339,8 @@ def _statements(fit: SphereFit) -> list[Statement]:
 def _lobe_readings(fit: SphereFit) -> dict[str, FitReading]:
     """Derive the parameters of the lobe.
 
-    The half width, rad, is one of the parameters of a spline-modified lobe. For other lobes, the half widths along the axes
-    are added to the parameters.
+    The half width, rad, is one of the parameters of a spline-modified lobe. For other lobes, the half width is added to
+    the parameters. For a lobe with two roughnesses, the half widths along the x and y axes of the material are added.
     """
     kind, size = fit.kind, fit.layout.size
     q = fit.solution.p[: kind.size]

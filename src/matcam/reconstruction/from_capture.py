@@ -38,8 +38,8 @@ def reconstruct(
 ) -> Reconstruction | FlatReconstruction:
     """Reconstruct a material from photographs of a sample under a moved lamp.
 
-    The sample is a sphere, a cylinder or flat. Exposures, noise and clipping are estimated from the frames, and the frames
-    of each lamp position are merged to one image. Outline and highlights give a first estimate of the geometry. Then
+    Spheres, cylinders and flat samples are supported. Exposures, noise and clipping are estimated from the frames, and
+    the frames of each lamp position are merged to one image. Outline and highlights give a first estimate of the geometry. Then
     lobe, reflectance, diffuse part, lens, outline, lamps and distances are fitted jointly to the pixels of all images. The
     specified values of the capture are the priors. Standard deviations include the uncertainty of all these quantities,
     and the unexplained residual. For a flat sample, maps of the texture are estimated at each frequency instead.

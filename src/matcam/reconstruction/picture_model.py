@@ -60,7 +60,7 @@ class Recorded(NamedTuple):
 class ShownLight(NamedTuple):
     """Parameters of one image that change the radiance.
 
-    The derivatives with respect to the fields are computed separately.
+    The derivatives with respect to `lobe`, `pose` and `shape` are computed separately.
 
     Attributes:
         lobe: coordinates of the lobe, which do not affect angles.

@@ -204,8 +204,8 @@ class Reconstruction(Summarised):
     def length_quantities(self) -> list[Quantity]:
         """Outline and distances for a summary.
 
-        If the standard deviation of a distance is at least half the distance, a lower limit of the distance is given. It
-        corresponds to two standard deviations of the inverse distance.
+        If the standard deviation of a distance is at least half the distance, a lower limit of the distance is given.
+        This limit corresponds to two standard deviations of the inverse distance.
         """
         return [
             Quantity(name, _least_distance(value, std))

@@ -48,7 +48,7 @@ class ReflectanceCurve:
 
     @property
     def own(self) -> np.ndarray:
-        """Covariance of the coefficients in addition to that of the strengths."""
+        """Covariance of the coefficients due to the prior of the scale and the unexplained residual."""
         return self.by_scale + self.by_misfit
 
     def at(self, theta: np.ndarray) -> np.ndarray:

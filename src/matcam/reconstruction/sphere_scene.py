@@ -271,7 +271,7 @@ def _bounds(layout: JointLayout, kind: LobeKind, scene: SphereScene) -> tuple[np
 def lens_std(camera: Camera) -> float:
     """Compute the largest relative standard deviation of the parameters of the lens.
 
-    The standard deviations are those of the profile, or assumed. The result has no unit, and is 0 if there are none.
+    The standard deviations are those of the profile, or assumed. The result, no unit, is 0 if no standard deviation is known.
     """
     known = known_lens(camera)
     if known.uncertainty is None:

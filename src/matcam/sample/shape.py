@@ -89,7 +89,7 @@ class Sample(Module):
             lamp_nearness: inverse of the lamp's distance, 1/radii. Default: None, a distant lamp.
 
         Returns:
-            Shift towards the limb and perpendicular to it; infinite in a direction with a constant normal.
+            Shifts in the plane of camera and lamp and perpendicular to it; infinite in a direction with a constant normal.
         """
 
 
@@ -351,7 +351,7 @@ class Curved(Sample):
         """Compute the shift of the image per rotation of the normal, px/rad.
 
         For a distant camera and lamp, the shift on a sphere is (radius cos theta_o, radius), because x = radius sin theta_o
-        (Holzschuch & Pacanowski 2017, (5)). If camera or lamp are near, the half vector also rotates, by half the rotation
+        (Holzschuch & Pacanowski 2017, (5)). If camera or lamp is near, the half vector also rotates, by half the rotation
         of the line to camera or lamp.
         """
         q = self.nearness
@@ -368,9 +368,11 @@ class Curved(Sample):
 
     @staticmethod
     def _half_vector_turn(theta_d: jax.Array, lamp_nearness: ArrayLike | None) -> tuple[jax.Array, jax.Array]:
-        """Compute the rotation of the half vector divided by the rotation of the normal, along and across.
+        """Compute the rotation of the half vector divided by the rotation of the normal.
 
-        The rotation is due to a near lamp; it is 0 for a distant lamp.
+        The results are for rotations in the plane of camera and lamp, and for rotations perpendicular to this plane.
+
+        Only the rotation due to a near lamp is included; the ratio is 0 for a distant lamp.
         """
         if lamp_nearness is None:
             return xp.zeros(()), xp.zeros(())

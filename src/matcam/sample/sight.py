@@ -66,8 +66,8 @@ def depth_of(slope: AnyValues, q: ArrayLike) -> tuple[AnyValues, AnyValues]:
     """Compute the depth of the visible point on a line of sight.
 
     The line of sight meets a circle of radius 1. The depth is cos t, where t is the angle between the optical axis and the
-    normal at the point. It follows from sin t = slope (1 - q cos t). The second result is a mask, True for lines of sight
-    that meet the circle.
+    normal at the point. The angle t follows from sin t = slope (1 - q cos t). The second result is a mask, True for lines
+    of sight that meet the circle.
 
     Args:
         slope: distance between the line of sight and the optical axis at depth 0, radii.

@@ -125,7 +125,10 @@ def _clip_threshold(reader: MosaicReader, radiometry: Radiometry | None) -> floa
 
 
 def _top_codes(codes: np.ndarray, frame: CaptureFrame, reader: MosaicReader, radiometry: Radiometry) -> TopCodes:
-    """Measure the brightest pixels of a frame, to detect a clip level that completely read lamp positions do not show."""
+    """Measure the brightest pixels of a frame.
+
+    The result is used to detect clipping that the radiometric calibration from a few lamp positions did not find.
+    """
     dark = radiometry.darkness.get(frame.exposure)
     hot = np.zeros(codes.shape, bool) if dark is None else dark.hot_pixels(codes.shape)
     level = black_level(radiometry) if dark is None else dark.level

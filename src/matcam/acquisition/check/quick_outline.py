@@ -1,6 +1,6 @@
 """Quick outline of a sphere or cylinder, and check for motion of the sample.
 
-The outline is specified, or it is measured from a mask or from frames to a few tenths of a pixel.
+The outline is specified, or it is measured in a mask or in outline frames. The accuracy is a few tenths of a pixel.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class QuickOutline(NamedTuple):
     Attributes:
         column: column of the centre of a sphere or the axis of a cylinder, px.
         row: row of the centre, px; NaN for a cylinder.
-        radius: radius of the limb, or half the distance between the edges, px.
+        radius: radius of the limb of a sphere, or half the distance between the edges of a cylinder, px.
         std: standard deviations of column, row and radius, px (3,); NaN for the row of a cylinder.
     """
 

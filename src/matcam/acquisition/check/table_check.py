@@ -97,8 +97,8 @@ def _rig(capture: Capture) -> _Rig:
 def check_table(capture: Capture, seen: dict[str, Seen], outline: QuickOutline | None) -> TableCheck:
     """Compare the lamp table of a sphere or a cylinder with the highlights.
 
-    At least four highlights with a specified direction are required, and for a cylinder an outline. Without them, the
-    result is empty: its positions are NaN, and it has no remarks.
+    At least four highlights with a specified direction are required, and for a cylinder an outline. Otherwise, the
+    result contains no centre (NaN), no rotation and no remarks.
 
     Args:
         capture: the capture with the directions.

@@ -106,7 +106,7 @@ def _rms(lamps: np.ndarray, table: np.ndarray) -> float:
 
 
 def _mistakes(lamps: np.ndarray) -> Iterator[tuple[str, np.ndarray, float]]:
-    """Yield the name of each mistake, the table that it would produce, and the factor by which it stretches angles."""
+    """Yield the name of each mistake, the resulting table, and the factor by which the mistake stretches angles."""
     z = np.array([0.0, 0.0, 1.0])
     yield "y-flipped", lamps * [1, -1, 1], 1.0
     yield "x-flipped", lamps * [-1, 1, 1], 1.0

@@ -127,11 +127,13 @@ def measure_flat(
 
 
 def smooth_field(total: np.ndarray, of: np.ndarray) -> tuple[np.ndarray, float]:
-    """Fit the smooth part of a flat frame at the pixels of one colour, and its level in the middle of the frame, DN.
+    """Fit a smooth field to the pixels of one colour in a flat frame.
+
+    The results are the field at these pixels, DN (n,), and its mean in the middle of the frame, DN.
 
     Args:
         total: dark-subtracted flat frame, (height, width), DN.
-        of: mask of the pixels of the colour, same shape.
+        of: mask of the pixels of the colour, (height, width).
     """
     powers = [np.vander(np.linspace(-1, 1, size), 5, increasing=True) for size in total.shape]  # of row and column
     positions = np.argwhere(of)[:: max(1, int(of.sum()) // 20_000)]

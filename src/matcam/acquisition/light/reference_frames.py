@@ -147,7 +147,8 @@ def scatter_between(
         exposures: light of each exposure relative to a common exposure.
         gain: DN per electron.
         noise: read noise, DN.
-        output: light of each lamp position from the reference, with an uncertainty that excludes such changes.
+        output: light of each lamp position from the reference. Its standard deviation does not include the change of
+            light between images.
 
     Returns:
         The standard deviation; NaN with too few images.
@@ -190,7 +191,7 @@ def _unseen(lamp: str, channels: int) -> SeenReference:
 
 
 def _uneven(capture: Capture, frame: CaptureFrame, light: np.ndarray, region: Region) -> list[Remark]:
-    """Report light that varies more over the region than the light of a near lamp on one patch."""
+    """Report light that varies more over the reference region than the light of a near lamp varies over a patch."""
     half = light.shape[0] // 2, light.shape[1] // 2
     parts = [light[: half[0]], light[half[0] :], light[:, : half[1]], light[:, half[1] :]]
     levels = [float(part.mean()) for part in parts if part.size]

@@ -52,7 +52,7 @@ def straight_outline(
 
     Args:
         codes: linear dark-subtracted image, (height, width), DN.
-        channel: index of each pixel's colour, same shape.
+        channel: index of each pixel's colour, (height, width).
         origin: row and column of the first pixel in the frame, px. Default: (0, 0).
         reach: extent of the field beyond the outline, and its standard deviation, rad. Default: None, unknown.
 

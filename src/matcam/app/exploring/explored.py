@@ -29,7 +29,7 @@ def slice_of(table: OpenedTable, theta_d: float, channel: int) -> dict[str, np.n
     Returns:
         Columns by name. `theta_h` is in degrees; all others are in 1/sr, and missing values are NaN. `low` and `high` are
         the corrected values minus and plus their standard deviations; `low` is at least 1 % of the corrected value.
-        `supported` and `unsupported` are the corrected values of these entries.
+        `supported` contains the corrected values of supported entries, and `unsupported` those of all other entries.
 
     Raises:
         ArgumentError: the file contains only a Fresnel term.

@@ -1,7 +1,7 @@
 """Opened tables, results, and materials of a run. Each material is read when it is first displayed.
 
-Only paths from the user are read, and in the folder of a run the files that belong to its records. References to other
-files are not followed.
+Only paths from the user are read. In the folder of a run, only the files that belong to its records are read. References to
+other files are not followed.
 """
 
 from __future__ import annotations

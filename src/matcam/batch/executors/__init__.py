@@ -1,4 +1,4 @@
-"""Executors of the jobs of a run. Each executor runs jobs and yields their outcomes as they are finished."""
+"""Executors of the jobs of a run. Each executor runs jobs, and yields the outcome of each finished job."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Executor(ABC):
 
     @abstractmethod
     def outcomes(self, jobs: Sequence[Job]) -> Generator[Outcome]:
-        """Run jobs and yield their outcomes as they are finished.
+        """Run jobs, and yield the outcome of each finished job.
 
         A job that fails, or kills its worker, does not affect other jobs. Closing the generator ends all work.
         """

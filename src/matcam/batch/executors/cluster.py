@@ -1,7 +1,7 @@
 """Executor on a Dask cluster: local workers, or a scheduler at an address. Requires the extra `matcam[scale]`.
 
-A task of a lost worker is given to another worker. A file has failed if more workers are lost with it than the setting
-`distributed.scheduler.allowed-failures` of Dask permits; the default is 3.
+The task of a lost worker is given to another worker. A task has failed if more workers are lost during this task than the
+setting `distributed.scheduler.allowed-failures` of Dask permits; the default is 3.
 
 Messages of Dask are pickles. Anyone with access to a scheduler or a worker can therefore run code with the rights of the
 user who started that process. Local workers listen on this machine alone. An address tls://... uses the certificates of
@@ -77,10 +77,11 @@ class ClusterExecutor(Executor):
         return protocol != "tls" and host != "localhost" and not _is_loopback(host)
 
     def outcomes(self, jobs: Sequence[Job]) -> Generator[Outcome]:
-        """Run jobs and yield their outcomes as they are finished.
+        """Run jobs, and yield the outcome of each finished job.
 
         A ClusterError is raised if the scheduler does not answer, if the connection is not encrypted, or if there is no
-        worker. It is also raised if a worker has other versions, more than one thread, or no access to the folder.
+        worker. It is also raised if a worker has more than one thread, no access to the folder, or versions of packages that
+        differ from those of this process.
         """
         from distributed import as_completed
 
@@ -118,7 +119,7 @@ class ClusterExecutor(Executor):
                 future.release()
 
     def _client(self, stack: ExitStack) -> Any:
-        """Connect to the cluster. A local cluster ends with the stack."""
+        """Connect to the cluster. A local cluster is closed when `stack` is closed."""
         from distributed import Client, LocalCluster
 
         local = _LOCAL.fullmatch(self.address)

@@ -50,7 +50,7 @@ class ProcessExecutor(Executor):
     time_limit: float | None = None
 
     def outcomes(self, jobs: Sequence[Job]) -> Generator[Outcome]:
-        """Run jobs and yield their outcomes as they are finished. A WorkerError is raised if no worker can be started."""
+        """Run jobs, and yield the outcome of each finished job. A WorkerError is raised if no worker can be started."""
         waiting = deque(jobs)
         workers: list[_Worker] = []
         failed_starts = _STARTS - 1  # the first start must succeed

@@ -179,7 +179,8 @@ def calibrate(
             veiling glare), "diffraction", "defocus" (diffraction and defocus), "measured" (mean MTF of the edges,
             divided by that of the pixel). Default: "gaussian".
         half_width: half the side of the sensitive area of a pixel, in (0, 0.5] px. None: it is fitted together with a
-            Gaussian core. This fit requires many edges, and fails if either is not determined to 10 %. Default: 0.5.
+            Gaussian core. This fit requires many edges, and fails if the width of the core or the half width of the pixel is
+            not determined to 10 %. Default: 0.5.
         wavelength: wavelength of the light, m, one value or a mapping by channel. It is required by "diffraction" and
             "defocus". With `half_width=None`, diffraction is included if a wavelength is given. Default: None.
         pixel_pitch: pixel pitch, m; required with `wavelength`. Default: None.

@@ -215,7 +215,8 @@ class CameraFit(Summarised):
             std: standard deviation that is added in quadrature, in the unit of the parameter.
 
         Returns:
-            The copy. The uncertainty of the camera is also increased if it is for the same parameters as the fit.
+            The copy. The uncertainty of the camera is also increased if the camera and the fit have uncertainties of the same
+            parameters.
         """
         covariance = self.covariance.copy()
         covariance[0, 0] += std**2

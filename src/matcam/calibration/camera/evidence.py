@@ -205,7 +205,7 @@ def measure_picture(
     """Measure each colour of an image, and collect remarks.
 
     The keywords are arguments of `calibrate`. A FitError is raised if nothing can be measured, if the chart is not found, or
-    if the image was denoised or compressed and this is not accepted.
+    if the image was denoised or compressed and `accept_sharpened` is False.
     """
     mosaic = (cfa or picture.cfa) is not None
     if isinstance(picture, LinearImage):

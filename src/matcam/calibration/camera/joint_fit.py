@@ -37,7 +37,7 @@ class EdgeMeasurements(NamedTuple):
         cells: cells of the edges.
         angle: direction of the normal, rad.
         noise: noise of the pixels.
-        excess: factor by which the fit of each edge has increased its variances (no unit).
+        excess: factor by which the variances of the pixels of each edge were increased in its fit (no unit).
         linear: (n, LINEAR) levels, illumination and shift, as in `State.linear`.
         used: (n, LINEAR) 1 for free linear parameters, 0 for fixed ones.
         lens: lens model, whose arrays have a leading axis of n.
@@ -131,8 +131,8 @@ class JointFit(NamedTuple):
     def observed_covariance(self) -> np.ndarray:
         """Compute the covariance of the parameters (k, k) from the scatter of the measurements.
 
-        If noise explains the scatter, the result is the covariance from the noise. Otherwise the sandwich estimator is used,
-        which treats the measurements as independent draws.
+        If noise explains the scatter, or there are fewer than four measurements, the result is the covariance from the noise.
+        Otherwise the sandwich estimator is used, which treats the measurements as independent draws.
         """
         from scipy.special import chdtrc
 
@@ -193,7 +193,7 @@ def fit_jointly(
         start: initial parameters (k,).
         longest: largest step of each parameter (k,).
         prior: precision of a prior with mean 0, for each parameter (k,).
-        half_width: half width of the pixel, px, if it is not a parameter.
+        half_width: half width of the pixel, px; lens models that fit the half width ignore this value.
     """
     theta = np.asarray(start, dtype=np.float64)
     edges, values = measurements.edges, measurements.values
@@ -223,7 +223,9 @@ def fit_jointly(
         # The fit has converged if no parameter changes by more than 1e-3 standard deviations.
         if (np.abs(wanted) <= 1e-3 * np.sqrt(np.diag(covariance))).all():
             return JointFit(theta, covariance, shares, prior)
-    raise FitError("the measurements do not determine the camera, and the fit did not converge: add edges or targets")
+    raise FitError(
+        "the fit of the camera did not converge: add edges or targets, so that the measurements determine the camera"
+    )
 
 
 def edge_measurements(stacks: Sequence[tuple[EdgeStack, LensModel]]) -> EdgeMeasurements | None:
@@ -279,8 +281,8 @@ def _after_step(
 def _edge_shares(edges: EdgeMeasurements, theta: Any, half_width: Any) -> tuple[Shares, tuple[jax.Array, jax.Array]]:
     """Compute the contributions of the edges, and the response of the linear parameters of each edge.
 
-    The response consists of the optimal step of the linear parameters, and of their derivative with respect to the common
-    parameters (with negative sign).
+    The response consists of the optimal step of the linear parameters, and of the negative derivative of the linear parameters
+    with respect to the common parameters.
     """
 
     def one(edge: EdgeMeasurements) -> Any:
@@ -345,7 +347,7 @@ def _stack_lenses(lenses: Sequence[LensModel]) -> LensModel:
 
 
 def _with_empty_edges(edges: EdgeMeasurements) -> EdgeMeasurements:
-    """Pad with empty edges to one of a few sizes, so that one compiled program serves many calls."""
+    """Add empty edges to reach one of a few sizes, so that one compiled program serves many calls."""
     more = program_size(len(edges.angle)) - len(edges.angle)
     full = jax.tree.map(lambda a: np.concatenate([a, np.repeat(a[:1], more, axis=0)]), edges)
     if not more:

@@ -85,7 +85,7 @@ def lateral_colour(of: EdgeTable, reference: EdgeTable, shape: tuple[int, int]) 
 
 
 def lateral_remark(found: LateralColour, channel: str, reference: str) -> Remark | None:
-    """Create a remark if the corners of two colours differ by at least 0.1 px and 5 standard deviations.
+    """Create a remark if two colours are displaced by at least 0.1 px and 5 standard deviations in the corners of the image.
 
     Otherwise the result is None.
     """

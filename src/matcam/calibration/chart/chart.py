@@ -61,7 +61,7 @@ class Chart:
 
 @dataclass(frozen=True)
 class Square:
-    """Slanted square on paper, whose sides are four edges.
+    """Slanted square on paper; its four sides are edges.
 
     Attributes:
         corners: corners in cyclic order, mm.
@@ -79,7 +79,7 @@ class Square:
 
 @dataclass(frozen=True)
 class Grating:
-    """Rectangle filled with parallel bars or with a sine.
+    """Rectangle filled with parallel bars or with a sine wave.
 
     Attributes:
         profile: "sine"; "bars", a square wave; or "lines", bright lines whose width is `duty` of a period.

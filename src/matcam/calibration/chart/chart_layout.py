@@ -56,7 +56,8 @@ def design_chart(
         kinds: panels without repetition: "squares" (slanted by 5 degrees), "bars", "sines" and "lines" (gratings of 0.05 to
             0.45 cycles/px in two directions), "star" (a sinusoidal Siemens star), "dots".
             Default: squares, bars, star and dots.
-        page: width and height, mm, or "a4", "a3", "letter" (landscape). Larger pages contain more elements. Default: "a4".
+        page: width and height, mm, or "a4", "a3", "letter" (landscape). The size of the elements is proportional
+            to the width of the page. Default: "a4".
         pixels_across: width of the page in the intended images, px. If this width is wrong, the targets are too fine or
             too coarse. Default: 3000.
 

@@ -142,9 +142,9 @@ def match_marks(chart: Chart, marks: list[Mark], smooth: FloatArray) -> list[tup
     """Match marks to the fiducials of a chart.
 
     The result contains pairs (index of the fiducial, index of the mark). Among the matches that explain the most marks, the
-    match is chosen that is most accurate and agrees best with the image. The result is empty unless more than four marks
-    agree, or the image agrees with the printed elements. `smooth` is an image with little noise and without missing pixels,
-    (height, width).
+    match is chosen that is most accurate and agrees best with the image. If only four marks agree, or fiducials are missing
+    and several marks are unexplained, the result is empty unless the image agrees with the printed elements. `smooth` is an
+    image with little noise and without missing pixels, (height, width).
     """
     similar_marks = _similar_marks(marks)
     positions = np.array([fiducial.centre for fiducial in chart.fiducials])
@@ -209,7 +209,7 @@ def _views(
     """Compute the view of each pair of a quadruple of marks and a quadruple of fiducials.
 
     If `pinned` is True, the first points of both quadruples are known to correspond. Otherwise each quadruple of marks is used
-    with one starting point only, because the quadruples of fiducials have all starting points.
+    with one starting point only, because the quadruples of fiducials occur with all starting points.
     """
     fours = _quads(seen, starts)
     if not pinned:
@@ -282,7 +282,7 @@ def _in_turn(points: FloatArray, start: int) -> list[int]:
 def _bases(points: FloatArray) -> FloatArray:
     """Compute homographies (m, 3, 3) from the projective basis to quadruples of points (n, 4, 2).
 
-    Quadruples with collinear points are omitted.
+    Quadruples in which three points are collinear are omitted.
     """
     whole = np.concatenate([points, np.ones((*points.shape[:2], 1))], axis=2)
     # By Cramer's rule, the weight of each of the first three points is the determinant in which the fourth point replaces it,

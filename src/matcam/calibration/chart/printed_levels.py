@@ -122,7 +122,7 @@ def printed_levels(values: FloatArray, chart: Chart, projection: Projection) -> 
 def _over_paper(values: FloatArray, patch: Patch, projection: Projection) -> tuple[float, float] | None:
     """Measure the level of a patch relative to the paper, with its relative standard deviation.
 
-    The result is None if the patch or the paper is uneven or not positive, or if too few of its pixels are known.
+    The result is None if the patch or the paper is uneven, has no positive level, or has too few known pixels.
     """
     corners = np.array(patch.corners)
     centre, across, along = corners.mean(0), (corners[1] - corners[0]) / 2, (corners[3] - corners[0]) / 2

@@ -101,8 +101,8 @@ def register_chart(image: ArrayLike | LinearImage, chart: Chart, *, mosaic: bool
     Args:
         image: a `LinearImage`, or an array (height, width) of linear values, any unit; NaN for missing pixels.
         chart: description of the chart.
-        mosaic: scale the four planes of a mosaic to the same brightness before the search; required for raw mosaics.
-            Default: False.
+        mosaic: whether the four planes of a mosaic are scaled to equal brightness before the search; required for raw
+            mosaics. Default: False.
 
     Returns:
         The map from the page to the image.

@@ -1,6 +1,6 @@
 """Slanted edges (ISO 12233): the MTF of a camera from one edge or from many edges, with standard deviations.
 
-Up to about 500 edges are measured one by one. A compiled program measures more edges, ten at a time.
+Up to about 500 edges are measured one by one. Larger numbers of edges are measured by a compiled program, ten at a time.
 """
 
 from __future__ import annotations
@@ -105,7 +105,7 @@ def edge_mtf(
         half_width: half the side of the sensitive area of a pixel, (0, 0.5] px. It hardly affects the model-free
             estimate. Default: 0.5.
         cfa: colours of the first 2 x 2 px of a mosaic, row by row: "RGGB", "BGGR", "GRBG" or "GBRG" (no unit). The
-            sites of `channel` are used without demosaicing. Default: None, those of the photograph, or no mosaic.
+            sites of `channel` are used without demosaicing. Default: None, the colours in the photograph, or no mosaic.
         channel: "R", "G" or "B" of a mosaic or of a colour image; "Y" for the luminance of a colour image (no unit).
             This argument is required for a mosaic. Default: None, the luminance of a colour image, or a grey image
             itself.
@@ -158,14 +158,14 @@ def edge_mtf_stack(
     read_noise: float | None = None,
     accept_sharpened: bool = False,
 ) -> EdgeStack:
-    """Measure the MTF across the edges of many regions of one shape.
+    """Measure the MTF across one edge in each of many regions.
 
     For 500 edges or more, a compiled program is used, which is several times faster than calls of `edge_mtf`. Either
     all edges must be closer to vertical than to horizontal, or all edges must be closer to horizontal.
 
     Args:
-        images: regions, each with one edge: array (n, height, width) of linear values, or a sequence of `LinearImage`
-            of one shape without a mosaic. Height and width must be at least 16 px.
+        images: regions of equal shape, each with one edge: array (n, height, width) of linear values, or a sequence of
+            `LinearImage` objects that are not mosaics. Height and width must be at least 16 px.
         model: lens model of the parametric estimate, as in `edge_mtf` (no unit). Default: "gaussian".
         wavelength: wavelength of the light, m; required by "diffraction" and "defocus". Default: None.
         pixel_pitch: pixel pitch, m; required by "diffraction" and "defocus". Default: None.

@@ -110,7 +110,7 @@ class EdgeMTF(Summarised, EdgeValues[float]):
             distance: distance from the edge, positive on the bright side, px, any shape.
 
         Returns:
-            Value and standard deviation, of the same shape.
+            Value and standard deviation, with the shape of `distance`.
         """
         return self._curve(free_curve.edge_response, distance)
 
@@ -121,7 +121,7 @@ class EdgeMTF(Summarised, EdgeValues[float]):
             distance: distance from the edge, positive on the bright side, px, any shape.
 
         Returns:
-            Value and standard deviation, of the same shape.
+            Value and standard deviation, with the shape of `distance`.
         """
         return self._curve(free_curve.line_response, distance)
 

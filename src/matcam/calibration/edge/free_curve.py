@@ -79,7 +79,7 @@ class EdgeSamples(NamedTuple):
 
 
 class CoreShape(NamedTuple):
-    """Parameters of the basis functions of one edge, scalars each, or of n edges, (n,) each.
+    """Parameters of the basis functions: scalars for one edge, arrays (n,) for n edges.
 
     Attributes:
         sigma: standard deviation of the Gaussian lens of the pilot P, px.
@@ -114,7 +114,7 @@ class FreeCurve(NamedTuple):
 
 
 class SampledCurve(NamedTuple):
-    """Sampled values and standard deviations of a curve, arrays of the same shape."""
+    """Sampled values and standard deviations of a curve, two arrays of equal shape."""
 
     value: AnyArray
     std: AnyArray
@@ -197,7 +197,7 @@ def transfer(curve: FreeCurve, f: jax.Array) -> tuple[SampledCurve, SampledCurve
 
 
 class Ghost(NamedTuple):
-    """Ghost of one edge, or of n edges (n,): a second, weaker step on one side of the edge.
+    """Ghost of an edge: a second, weaker step on one side of the edge. The values are scalars, or arrays (n,) for n edges.
 
     Attributes:
         share: height of the second step relative to the step of the edge, no unit.

@@ -136,9 +136,9 @@ def edge_slope(curve: AnyArray, powers: AnyArray, length: AnyArray) -> AnyArray:
 def edge_distance(curve: AnyArray, x: AnyArray, powers: AnyArray, length: AnyArray) -> AnyArray:
     """Compute the distance of samples (rows, columns) from the curve, px, to second order.
 
-    The distance is positive on the bright side. Let e be the distance of a sample from a parabola along the row, k the
-    second derivative of the parabola, and t its slope in this row. The distance along the normal is e c - k e^2 t^2 c^5
-    / 2, where c = 1 / sqrt(1 + t^2). The first term is the distance from a straight edge. The second term corrects for
+    The distance is positive on the bright side. Let e be the distance of a sample from the curve along the row. Let t be
+    the slope and k the second derivative of the curve in this row. The distance along the normal is e c - k e^2 t^2 c^5 / 2,
+    where c = 1 / sqrt(1 + t^2). The first term is the distance from a straight edge. The second term corrects for
     curvature.
     """
     slope = edge_slope(curve, powers, length)
@@ -221,8 +221,9 @@ def edge_cells(phased: PhasedRows) -> EdgeCells:
 def light_terms(x: AnyArray, y: AnyArray, distance: AnyArray, length: AnyArray) -> jax.Array:
     """Compute the polynomial terms of the light in a region, (TERMS, ...).
 
-    The terms are x and y (px), then products of the distance d from the edge and y, each in units of `length`, up to third
-    order. Higher orders of y alone have been divided out of the rows, or are negligible.
+    The terms are x and y (px), then products of powers of d and y up to third order, where d is the distance from the edge.
+    In these products, d and y are in units of `length`. Higher orders of y alone have been divided out of the rows, or are
+    negligible.
     """
     d, v = distance / length, y / length
     powers = ((1.0, d, d * d, d * d * d), (1.0, v, v * v))

@@ -10,7 +10,7 @@ fixed point is the maximum of the likelihood, and noise in the weights does not 
 Fisher scoring uses a fixed number of steps. Every step is the same small program, so that many edges run in parallel
 under `vmap`; with a stopping rule, all edges would wait for the slowest one. Profile and levels are fitted to the bins,
 and the curve to the pixels near the edge. The shift of the curve is fitted together with the profile. By symmetry, the
-slope and the bow of the curve are uncorrelated with all other parameters, so that the two fits can alternate.
+slope and the curvature of the edge are uncorrelated with all other parameters, so that the two fits can alternate.
 """
 
 from __future__ import annotations
@@ -175,7 +175,7 @@ class CurveStep(NamedTuple):
 _CLEAR = 4.0
 """Significance above which an edge is reported as rough, in standard deviations. Noise rarely exceeds it."""
 _BOWS = 3
-"""Number of coefficients of an edge that is straight or bowed. Higher orders describe an S shape, dirt or a torn border."""
+"""Number of coefficients of the curve up to the second order. Higher orders describe an S shape, dirt or a torn border."""
 
 
 def curve_step(phased: PhasedRows, cells: EdgeCells, at: EdgeModel, noise: Noise) -> CurveStep:
@@ -226,7 +226,7 @@ def curve_step(phased: PhasedRows, cells: EdgeCells, at: EdgeModel, noise: Noise
 def _of_seen_orders(normal: jax.Array, score: jax.Array, curve: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Compute the covariance, the change and the number of the free coefficients of a curve.
 
-    The coefficients beyond the bow are set to 0 if noise explains them. `normal`: (CURVE, CURVE) information. `score`:
+    The coefficients above the second order are set to 0 if noise explains them. `normal`: (CURVE, CURVE) information. `score`:
     (CURVE,) score at the current coefficients `curve`.
     """
     free = linalg.inv(normal)

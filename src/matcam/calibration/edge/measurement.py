@@ -53,8 +53,8 @@ class LensFit(NamedTuple):
         profile: (k,) fitted parameters of the lens.
         chi2: chi-square of the bins for the given or estimated noise.
         degrees: degrees of freedom: number of bins minus number of parameters.
-        misfit_probability: probability of residuals at least as large if the model is correct, tested with the free
-            curve.
+        misfit_probability: probability of residuals at least as large as those of the fit if the model is correct,
+            tested with the free curve.
         numbers: (k,) parameters of the lens, in the units of their names.
         numbers_covariance: (k, k) covariance of `numbers`.
         expected: (n,) model values of the bins.

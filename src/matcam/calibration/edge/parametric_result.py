@@ -106,7 +106,7 @@ class ParametricEdge(Summarised, _LensNumbers[float]):
         mtf50_std: standard deviation of `mtf50`, cycles/px.
         chi2: chi-square of the fit to means of pixels, for the given or estimated noise (no unit).
         degrees: degrees of freedom (no unit).
-        misfit_probability: probability of at least this much structure in the residuals if the model is correct (no unit).
+        misfit_probability: probability of residuals at least as large as those of the fit if the model is correct (no unit).
         lens: the lens model.
         fitted: fitted parameters (k,), in the parameterisation of `lens`, such as ln sigma.
         half_width: half the side of the sensitive area of a pixel, px.
@@ -186,7 +186,7 @@ class ParametricStack(_LensNumbers[np.ndarray]):
         mtf50_std: standard deviation of `mtf50` (n,), cycles/px.
         chi2: chi-square of the fit to means of pixels, for the given or estimated noise (n,) (no unit).
         degrees: degrees of freedom (n,) (no unit).
-        misfit_probability: probability of at least this much structure in the residuals if the model is correct (n,)
+        misfit_probability: probability of residuals at least as large as those of the fit if the model is correct (n,)
             (no unit).
         lens: the lens model.
         fitted: fitted parameters (n, k), in the parameterisation of `lens`, such as ln sigma.

@@ -92,7 +92,7 @@ class _EdgeRegion:
         distance: (rows, columns) distances from the edge, px.
         mosaic: whether the pixels are the sites of one colour of a mosaic.
         clear: distance of the edge from the borders, in standard deviations of its blur.
-        light: uneven light; None if light of third order explains the region.
+        light: uneven light; None if it was not estimated, or a polynomial of third order explains it.
     """
 
     edge: EdgeMTF
@@ -188,7 +188,7 @@ def _narrow(region: _EdgeRegion) -> list[Trace]:
 
 
 def _veiled(region: _EdgeRegion) -> list[Trace]:
-    """Estimate the error of MTF50 that uneven light causes if it resembles glare."""
+    """Estimate the error of MTF50 that uneven light causes if this light resembles glare."""
     edge, light = region.edge, region.light
     glare, seen = edge.glare_fraction, f"glare of {edge.glare_fraction:.1%} over {edge.glare_radius:.0f} px may be"
     if light is not None and light.amplitude > 0:
@@ -389,7 +389,7 @@ def _asymmetric(region: _EdgeRegion) -> list[Trace]:
 
 
 def _shoulder_undone(response: FloatArray, lowest: float, curvature: float) -> FloatArray:
-    """Invert a tone curve with a shoulder, tanh(b v) of the light v.
+    """Invert a tone curve with a shoulder, tanh(b v), where v is the light.
 
     The parameter b follows from `curvature`. `curvature`: q of `_asymmetric`; if q is negative, the shoulder is on the
     dark side. `lowest`: light of the dark side relative to the light of the bright side.
@@ -420,7 +420,7 @@ def _effect_of_tone(edge: EdgeMTF, undone: Callable[[FloatArray], FloatArray]) -
 
 
 def _effect_of_crushing(region: _EdgeRegion) -> float:
-    """Compute the relative change of the width of a fitted Gaussian edge by crushed blacks, without its sign."""
+    """Compute the absolute relative change of the width of a fitted Gaussian edge by crushed blacks."""
     cells, blur = region.edge.samples, region.blur
     used = np.abs(cells.distance) < 6 * blur + 2
     d, value, weight = cells.distance[used], cells.value[used], 1 / np.maximum(cells.std[used], 1e-3)

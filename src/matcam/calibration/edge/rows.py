@@ -311,7 +311,7 @@ def describe_content(value: np.ndarray) -> str:
 
 
 def clearance(found: EdgeFits, region: EdgeRegions) -> np.ndarray:
-    """Compute the distances (n,) of edges from the borders of their regions, in standard deviations of their blur."""
+    """Compute the distances (n,) of edges from the borders of their regions, in standard deviations of the edge blur."""
     there, position = np.isfinite(region.value), region.crossings(found)
     first, last = there.argmax(2), region.value.shape[2] - 1 - there[:, :, ::-1].argmax(2)
     off = np.stack([position - region.start - region.step * first, region.start + region.step * last - position])

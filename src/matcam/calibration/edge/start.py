@@ -42,9 +42,9 @@ def find_curve(rows: Rows) -> tuple[jax.Array, jax.Array]:
     """Estimate the coefficients (CURVE,) of a first curve, and count the rows that the edge crosses.
 
     The error of the curve is a few hundredths of a px. A model of the blur is not required. The edge of a row is placed
-    where an ideal step would have the same sum of pixel values. Unlike the centroid of the derivative, this position
-    does not amplify noise. A straight line through the largest steps is fitted first. Then the positions near this line
-    are refined.
+    at the position of an ideal step whose pixel values have the same sum as those of the row near the edge. Unlike the
+    centroid of the derivative, this position does not amplify noise. A straight line through the largest steps is fitted
+    first. Then the positions near this line are refined.
     """
     found, crossing = _largest_steps(rows)
 

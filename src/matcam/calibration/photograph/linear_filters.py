@@ -98,8 +98,8 @@ class FilterUncertainty(NamedTuple):
     """Uncertainty of an MTF due to filters that may have been applied.
 
     Attributes:
-        share: relative error of MTF50, the mean of the absolute errors due to all filters, weighted by their
-            probabilities.
+        share: relative error of MTF50: mean of the absolute errors due to all filters, weighted by the probabilities of
+            the filters.
         probability: probability that any filter was applied.
         smooths: whether the most probable filter decreases MTF50.
     """
@@ -242,7 +242,7 @@ def effect_on_half(frequency: FloatArray, mtf: FloatArray) -> float:
 
     Args:
         frequency: frequencies, cycles/px.
-        mtf: MTF of the sharpened image, of the same shape.
+        mtf: MTF of the sharpened image, with the shape of `frequency`.
     """
     before = mtf / (1 + AMOUNT * (1 - np.exp(-2 * (np.pi * RADIUS * frequency) ** 2)))
     share = float(first_fall(frequency, mtf) / first_fall(frequency, before)) - 1

@@ -2,7 +2,7 @@
 
 A mosaic is not demosaiced: the sites of a colour keep their positions, with NaN between them. A colour image provides one
 channel or its luminance. All estimators convert their argument `image` to such a plane with `LinearImage.of`, and `flaw` tests
-whether the region can be measured.
+whether a region can be measured.
 """
 
 from __future__ import annotations
@@ -126,8 +126,8 @@ class LinearImage:
         Args:
             image: array of codes (height, width), or (height, width, 3) for R, G, B, in which NaN marks missing pixels;
                 a `Photograph` of `matcam.files.photographs.open_photograph`; or a `LinearImage`.
-            channel: "R", "G", "B" or "Y" (luminance) of a colour image; "R", "G" or "B" of a mosaic, for which it is
-                required (no unit). Default: None, the luminance of a colour image, or a grey image itself.
+            channel: "R", "G", "B" or "Y" (luminance) of a colour image; "R", "G" or "B" of a mosaic, which requires this
+                argument (no unit). Default: None, the luminance of a colour image, or a grey image itself.
             cfa: colours of the first 2 x 2 px of the whole image, row by row, if the image is a mosaic: "RGGB", "BGGR",
                 "GRBG" or "GBRG" (no unit). Default: None, the colours in the photograph, or no mosaic.
             tone: tone curve of the codes (no unit): "linear"; "srgb" (IEC 61966-2-1); a gamma, light = (code / full) **
@@ -238,7 +238,7 @@ class LinearImage:
 
 
 def usable_region(region: LinearImage) -> LinearImage:
-    """Check the size and the exposure of a region, and return it.
+    """Check the size and the exposure of a region, and return the region.
 
     Raises:
         ArgumentError: the region is smaller than 16 x 16 px.

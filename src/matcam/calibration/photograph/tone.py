@@ -94,7 +94,8 @@ def tone_from_patches(
     monotone, or an argument is invalid.
 
     `image`: integers, (height, width) or (height, width, 3). `patches`: at least 3 regions (x, y, width, height), px.
-    `light`: (n,) linear values of the patches, any unit. `channel`: channel of a colour image; None for the mean of all.
+    `light`: (n,) linear values of the patches, any unit. `channel`: channel of a colour image; None for the mean of all
+    channels.
     """
     codes, values = np.asarray(image), np.asarray(light, dtype=np.float64)
     if codes.dtype.kind not in "ui" or codes.ndim not in (2, 3):

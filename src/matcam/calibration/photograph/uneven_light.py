@@ -100,7 +100,7 @@ class _Family(NamedTuple):
         power: (p,) eigenvalues of the covariance of the data for light of amplitude 1.
         vectors: (p, p) eigenvectors of this covariance.
         data: (p,) data in the basis of the eigenvectors.
-        glares: (radii, p) contributions to the data, in the same basis, of glare with a share of 1 and each radius.
+        glares: (radii, p) contributions of glare with a share of 1 to the data, for each radius, in the same basis.
     """
 
     length: float
@@ -241,10 +241,10 @@ def _ghost(field: FloatArray, distance: FloatArray) -> float:
     """Compute the share of a ghost that may have been fitted as light.
 
     A ghost of share q is a step of height q along a line parallel to the edge, so its light depends only on the distance
-    from the edge. The mean of the light is computed as a function of this distance. The result is the height of a step with
-    the variance of this mean, multiplied by the fourth power of the share of this variance in that of the light. The factor
-    makes the result small if the light also varies along the edge. `field`: relative light of n pixels. `distance`: their
-    distances from the edge, px.
+    from the edge. The mean of the light is computed as a function of this distance. Let v be the variance
+    of this mean, and r the ratio of v to the variance of the light. The result is the height of a step with the variance v,
+    multiplied by r^4. This factor makes the result small if the light also varies along the edge. `field`: relative light
+    of n pixels. `distance`: distances of these pixels from the edge, px.
     """
     _, name = np.unique(np.floor(distance / _SMALLEST_BIN), return_inverse=True)
     count = np.bincount(name)
@@ -296,8 +296,8 @@ def _bins(
 def _families(bins: _Bins, basis: FloatArray, data: FloatArray, glares: FloatArray, step: float) -> list[_Family]:
     """List all models of the light.
 
-    `data`: (p,) residuals of the bins after the fit of levels and polynomials. `glares`: (radii, p) the same residuals for
-    glare with a share of 1.
+    `data`: (p,) residuals of the bins after the fit of levels and polynomials. `glares`: (radii, p) contributions of
+    glare with a share of 1 to these residuals, for each radius.
     """
     families = []
     for length in _LENGTHS:
@@ -311,6 +311,6 @@ def _families(bins: _Bins, basis: FloatArray, data: FloatArray, glares: FloatArr
 
 
 def _correlation(x: FloatArray, y: FloatArray, bins: _Bins, length: float) -> FloatArray:
-    """Evaluate the correlation of the light between points and bins, (points, n), a Matern function of order 3/2."""
+    """Evaluate the Matern correlation function of order 3/2 of the light between points and bins, (points, n)."""
     apart = np.sqrt(3 * ((x[:, None] - bins.x) ** 2 + (y[:, None] - bins.y) ** 2)) / length
     return (1 + apart) * np.exp(-apart)

@@ -73,7 +73,7 @@ def mtf_at(edge: EdgeMTF, frequency: ArrayLike) -> SampledCurve:
         frequency: frequencies along the normal, 0 to 1.25 cycles/px, any shape.
 
     Returns:
-        MTF and its standard deviation, of the same shape (no unit).
+        MTF and its standard deviation, with the shape of `frequency` (no unit).
 
     Raises:
         ArgumentError: `edge` is not a result of `edge_mtf`, or a frequency is out of range.

@@ -201,7 +201,7 @@ def _edge_positions(value: FloatArray, start: FloatArray, number: FloatArray, or
 
 
 def _hann(distance: FloatArray, width: float) -> FloatArray:
-    """Compute a Tukey window with parameter 1 that extends to the more distant border."""
+    """Compute a Tukey window with parameter 1, centred on the edge, that extends to the more distant end of the row."""
     half = np.maximum(np.abs(distance).max(axis=-1, keepdims=True), width / 2)
     return (1 + np.cos(np.pi * np.clip(distance / half, -1, 1))) / 2
 

@@ -51,7 +51,7 @@ class BestFocus(NamedTuple):
             position: focus positions, any shape.
 
         Returns:
-            MTF50, cycles/px, of the same shape.
+            MTF50, cycles/px, with the shape of `position`.
 
         Example:
             >>> focus = matcam.calibration.BestFocus(0.0, 0.01, 0.5, 0.002, 4.0)
@@ -66,7 +66,7 @@ def best_focus(position: ArrayLike, mtf50: ArrayLike, mtf50_std: ArrayLike) -> B
     """Find the best focus of a series.
 
     Positions where MTF50 is less than half its largest value are not used. If chi-square per degree of freedom exceeds
-    1, the standard deviations of the result are multiplied by its square root.
+    1, the standard deviations of the result are multiplied by the square root of this ratio.
 
     Args:
         position: focus positions, (n,), any unit.

@@ -126,7 +126,7 @@ def _reduced(picture: np.ndarray, factor: int) -> np.ndarray:
 def _ribbons(small: np.ndarray) -> np.ndarray:
     """Find n sets of connected pixels with similar gradient directions.
 
-    The columns of the result (n, 4) are x, y, angle of the normal (rad) and length; the others are in px.
+    The columns of the result (n, 4) are x (px), y (px), angle of the normal (rad) and length (px).
     """
     gx, gy = (ndimage.gaussian_filter(small, 1.0, order=order, mode="nearest") for order in ((0, 1), (1, 0)))
     size = np.hypot(gx, gy)
@@ -156,7 +156,7 @@ def _moments(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Compute the moments of components, and their mean gradient directions.
 
-    The columns of the moments (count, 5) are x, y, angle of the normal (rad), length and width; the others are in px.
+    The columns of the moments (count, 5) are x (px), y (px), angle of the normal (rad), length (px) and width (px).
     `one`: index of the component of each pixel. `gx`, `gy`: gradient of each pixel. `size`: weight of each pixel.
     """
     total = lambda values: np.bincount(one, values, count)  # noqa: E731

@@ -52,8 +52,8 @@ def characterise_sensor(
         source: folder of the frames, or a descriptor of the EMVA 1288 reference data sets. In a folder, the frames are in
             the subfolders dark/ and flat/, or their names begin with these words. Exposure times are part of the names
             ("flat_20ms_1.tif") or of the metadata.
-        bits: bit depth of the codes. Default: None, that of the descriptor, or the smallest one that can represent the
-            largest code.
+        bits: bit depth of the codes. Default: None, the bit depth in the descriptor, or the smallest bit depth that
+            can represent the largest code.
         cfa: colours of the first 2 x 2 px, such as "RGGB". Default: None, those of the files, or no mosaic.
         progress: function that is called with the name of a step, the number of finished parts, and the number of all parts.
             Default: None.
@@ -188,8 +188,8 @@ def _per_gain(value: Stated, gain: Stated, power: int = 1) -> Stated:
 def _saturation(planes: Sequence[Transfer], gain: Stated) -> tuple[Stated, bool]:
     """Compute the saturation capacity, e-, of the plane that saturates first.
 
-    The flag is True if an exposure is beyond saturation. The standard deviation includes the step between neighbouring
-    exposures, because the true value may be anywhere between them.
+    The second result is True if the series contains an exposure beyond saturation. The standard deviation includes the step
+    between neighbouring exposures, because the true value may be anywhere between them.
     """
     plane = min(planes, key=lambda one: (not one.saturated, one.light[one.saturation]))
     at = plane.saturation

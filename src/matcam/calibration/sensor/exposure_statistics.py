@@ -42,7 +42,7 @@ class ExposureStatistics(NamedTuple):
 
 
 class FrameReader:
-    """Reader of the frames of a series, which must have the same shape and data type.
+    """Reader of the frames of a series. All frames must have the same shape and data type.
 
     Args:
         cfa: colours of the first 2 x 2 px; None to use those of the files.

@@ -48,7 +48,7 @@ A straight line fits any two exposures, so that their nonlinearity is not detect
 
 
 class Transfer(NamedTuple):
-    """Signals of the lit exposures of one plane of the mosaic in ascending order, and the results of the fit.
+    """Signals of one plane of the mosaic in the lit exposures, in ascending order, and the results of the fit.
 
     Attributes:
         light: photons per pixel, or exposure time, s, (n,).
@@ -207,7 +207,7 @@ def fit_gain(planes: Sequence[Transfer]) -> Stated:
 def _saturation(variance: np.ndarray) -> int:
     """Find the index of the exposure at saturation (EMVA 1288, 6.6).
 
-    It is the last exposure whose variance exceeds that of its two predecessors.
+    It is the last exposure whose variance exceeds the variances of both preceding exposures.
     """
     for i in range(len(variance) - 1, 1, -1):
         if variance[i] > max(variance[i - 1], variance[i - 2]):

@@ -74,7 +74,7 @@ class DotLattice(NamedTuple):
         x: (n,) x in the image, px.
         y: (n,) y in the image, px.
         u: (n,) x on the page, in mm if a chart describes the dots, else in pitches.
-        v: (n,) y on the page, in the same unit.
+        v: (n,) y on the page, in the unit of `u`.
     """
 
     x: FloatArray
@@ -112,7 +112,7 @@ class DotFit:
             the pixels from the background), x and y (px), and sigma^2 (px^2).
         std: (n, 7) standard deviations of `parameters`.
         design: (n, pixels, 7) derivatives with respect to `parameters`.
-        shared: (n, pixels, 5) derivatives of `SHARED`, times the contents.
+        shared: (n, pixels, 5) derivatives of the orders in `SHARED` with respect to (x, y), times the contents.
         residual: (n, pixels) residuals.
         weight: (n, pixels) inverse variances.
         radius: mean radius of the dots in the image without blur, px.

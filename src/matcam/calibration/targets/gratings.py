@@ -123,8 +123,8 @@ def grating_mtf(
         The MTF at the harmonics that the image determines, with its covariance.
 
     Raises:
-        ArgumentError: if an argument is out of range, or only one of `grating` and `projection` is given.
-        FitError: if no grating is found, or it cannot be measured.
+        ArgumentError: if an argument is missing or out of range, or only one of `grating` and `projection` is given.
+        FitError: if there is no grating, or the grating cannot be measured.
 
     Source:
         J. W. Coltman, JOSA 44, 468 (1954), for square waves; docs/model.md 7; docs/targets.md.
@@ -235,7 +235,8 @@ def _fit_grating(
 ) -> tuple[WaveFit, tuple[int, ...], FloatArray, FloatArray]:
     """Fit the wave of a grating.
 
-    The result contains the fit, the orders, the mean frequency (2,), cycles/px, and the mean position (2,), px.
+    The result contains the fit, the orders of the harmonics, the mean frequency (2,), cycles/px, and the mean position (2,)
+    of the pixels, px.
     """
     pixels = WavePixels.where(values, found.inside)
     frequency = local_wave(found.phase, found.parameters, pixels.x, pixels.y).frequency

@@ -1,9 +1,9 @@
 """Grids of dots: the blur at every dot, its variation over the field, and the MTF.
 
-Each dot is modelled as disc x Gaussian x square pixel (`dot_fit`). Its size in the image follows from the lattice of
-all dots. The deviation from this model that the dots of a zone have in common is described by second and fourth
-derivatives of the model with respect to the position. This deviation is included in the MTF of the zone, which is
-therefore not restricted to a Gaussian.
+Each dot is modelled as the convolution of a disc, a Gaussian and a square pixel (`dot_fit`). The size of the disc
+follows from the lattice of all dots. The deviation from this model that the dots of a zone have in common is described
+by second and fourth derivatives of the model with respect to the position. This deviation is included in the MTF of the
+zone, which is therefore not restricted to a Gaussian.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class BlurField:
             distances from `middle` along x and y, in units of `half`.
         covariance: (6, 6) covariance of `coefficients`, px^4.
         middle: (x, y) of the middle of the grid, px.
-        half: half the extent of the grid, px.
+        half: half the larger of the extents of the grid along x and y, px.
 
     Example:
         >>> field = matcam.targets.BlurField(np.array([0.25, 0, 0, 0.11, 0, 0]), 1e-6 * np.eye(6), (100.0, 80.0), 50.0)
@@ -205,8 +205,8 @@ def dot_grid(
         The lens width sigma at every dot and over the field, and the MTF in zones of the field.
 
     Raises:
-        ArgumentError: if an argument is out of range, or only one of `dots` and `projection` is given.
-        FitError: if no grid is found, or it cannot be measured.
+        ArgumentError: if an argument is missing or out of range, or only one of `dots` and `projection` is given.
+        FitError: if there is no grid, or the grid cannot be measured.
 
     Source:
         docs/model.md 7; docs/targets.md.

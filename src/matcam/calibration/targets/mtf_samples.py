@@ -93,7 +93,7 @@ class MTFSamples:
 
         Args:
             kind: target: "edge", "grating", "star" or "dots".
-            region: pixels of the target, which provide corner, channel, f-number and source.
+            region: region of the image that contains the target, with its corner, channel, f-number and source.
             middle: (x, y) of the middle of the target in the region, px.
             frequency: (n,) frequencies, cycles/px.
             direction: (n,) directions, rad.
@@ -125,7 +125,7 @@ class MTFSamples:
 def with_units(result: Any, **units: str | None) -> dict[str, Any]:
     """Convert a result to a JSON object: all of its fields and the named properties.
 
-    `units`: units that are appended to names; None for a property without a unit.
+    `units`: unit of each named field or property, which is appended to the name; None if there is no unit.
     """
     names = dict.fromkeys(field.name for field in fields(result)) | units
     return plain({f"{name}_{unit}" if unit else name: getattr(result, name) for name, unit in names.items()})

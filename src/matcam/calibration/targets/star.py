@@ -130,7 +130,7 @@ def star_mtf(
 
     Raises:
         ArgumentError: if an argument is out of range, or only one of `star` and `projection` is given.
-        FitError: if no star is found, or it cannot be measured.
+        FitError: if there is no star, or the star cannot be measured.
 
     Source:
         ISO 12233:2017, s-SFR; docs/model.md 7; docs/targets.md.
@@ -283,10 +283,11 @@ def _as_plane_waves(mtf: FloatArray, cycles: int) -> FloatArray:
     """Convert the contrast on rings of `cycles` cycles to the MTF.
 
     The wave on a ring is not exactly a plane wave. Let m be the number of cycles, phi the azimuth, r the radius of the
-    ring, and J_m the Bessel function. The wave exp(i m phi) contains the frequencies z / (2 pi r) with weights m J_m(z)
-    / z, whose even moments are m^2j prod(1 - 4 i^2 / m^2), i < j. Let K(s) be the MTF as a function of s = f^2, where f
-    is the frequency. To order 1 / m^2, the contrast is K - (2 s^2 K'' + (4/3) s^3 K''') / m^2. For K = exp(-x) with x
-    proportional to s, the contrast is K [1 - (2 x^2 - (4/3) x^3) / m^2].
+    ring, and J_m the Bessel function. The wave exp(i m phi) contains the frequencies z / (2 pi r) with weights
+    m J_m(z) / z. The moment of order 2 j of these weights is m^(2 j) times the product of 1 - 4 i^2 / m^2 over
+    i = 1, ..., j - 1. Let K(s) be the MTF as a function of s = f^2, where f is the frequency. To order 1 / m^2, the
+    contrast is K - (2 s^2 K'' + (4/3) s^3 K''') / m^2. For K = exp(-x) with x proportional to s, the contrast is
+    K [1 - (2 x^2 - (4/3) x^3) / m^2].
     """
     x = -np.log(np.clip(mtf, 1e-3, 1.0))
     return mtf * (1 + (2 * x**2 - 4 / 3 * x**3) / cycles**2)

@@ -32,7 +32,7 @@ class Targets:
         samples: MTF of every target that could be measured.
         grids: blur over the field from every grid of dots.
         problems: remarks on the targets that could not be measured, with the reasons.
-        registration: map from the page to the image.
+        registration: map from the page, mm, to the image, px.
         printed: printed levels of the chart, measured with its tone patches. Default: None, too few patches can be
             measured.
 

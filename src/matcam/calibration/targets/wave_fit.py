@@ -80,11 +80,11 @@ class WaveFit:
         covariance: covariance of `coefficients`, including the uncertainty of illumination and phase.
         parameters: (m,) parameters of the phase.
         parameters_std: (m,) standard deviations of `parameters`.
-        gain: variance of a pixel divided by its value, without read noise.
+        gain: variance of a pixel without read noise, divided by the value of the pixel, in the units of the values.
         read_variance: variance of a dark pixel, in squared units of the values.
         chi2: chi-square per degree of freedom for the weights of the last step; 1 if noise explains the residuals.
         values: (n,) model at every pixel.
-        signal: significance of the modulation in standard deviations. Below 5, no wave is detected.
+        signal: significance of the modulation in standard deviations. It must exceed 5 for a grating, and 20 for a star.
     """
 
     coefficients: FloatArray

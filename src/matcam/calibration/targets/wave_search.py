@@ -46,7 +46,7 @@ class StarPhase(NamedTuple):
     """Phase of a star at pixels.
 
     Its 14 parameters are the centre (2), the phase at azimuth 0 (1), a linear map (2), and displacements of second (4)
-    and third (5) order across the rays, rad at the outer radius.
+    and third (5) order across the rays, rad of phase at the outer radius.
 
     Attributes:
         cycles: number of cycles.
@@ -276,7 +276,7 @@ def find_grating(values: FloatArray, near: tuple[float, float] | None = None) ->
     """Find the grating in a region.
 
     `values`: (height, width), NaN for missing pixels. A FitError is raised if there is no grating. `near`: approximate
-    frequency (fx, fy) of a grating that may lie beyond Nyquist, cycles/px; the nearest alias is selected.
+    frequency (fx, fy), cycles/px, which may exceed the Nyquist frequency; the nearest alias is selected.
     """
     filled = values if np.isfinite(values).all() else local_mean(values, 0.9)
     frequency = _strongest(filled, near)
@@ -311,7 +311,7 @@ def _alias(frequency: FloatArray) -> FloatArray:
 
 
 def _strongest(filled: FloatArray, near: tuple[float, float] | None) -> FloatArray:
-    """Find the frequency (fx, fy) of the strongest wave below Nyquist, cycles/px.
+    """Find the frequency (fx, fy) of the strongest wave below the Nyquist frequency, cycles/px.
 
     `near`: only aliases of frequencies near this frequency are considered.
     """

@@ -4,7 +4,7 @@ The kernels of a lens have closed forms if its MTF is a sum of Gaussians, mtf(f)
 The weights w_j have no unit; the widths sigma_j are in px. The sum is exact for Gaussian lenses, with or without halos.
 
 For a lens whose MTF ends at a cutoff, the accuracy of the sum is limited. The following errors are the largest errors of
-the MTF of lens and pixel for a diffraction-limited lens at 550 nm, a full pixel of 4.73 um and sum_j |w_j| <= 50:
+the MTF, lens and pixel together, for a diffraction-limited lens at 550 nm, a full pixel of 4.73 um and sum_j |w_j| <= 50:
 
     f-number                                     2.8      8        16
     smallest possible error                      1.5e-4   6e-4     2.4e-3
@@ -117,8 +117,8 @@ class GaussianSum(Module):
         weights: signed weights of the Gaussians, no unit, whose sum is 1, shape (n,).
         sigmas: standard deviations of the Gaussians, px, shape (n,).
         error: largest difference between the MTF of the sum and the MTF of the lens over all frequencies.
-        total_error: largest difference after both MTFs are multiplied by the MTF of a full pixel. At each frequency this
-            is the MTF of the pixel in the direction in which it is largest.
+        total_error: largest difference after both MTFs are multiplied by the MTF of a full pixel. At each frequency, the MTF
+            of the pixel is taken in the direction in which its modulus is largest.
     """
 
     weights: jax.Array

@@ -24,8 +24,8 @@ class MeasuredOptics(Optics):
 
     The MTF is a cubic spline through the samples. The image of a point is not shifted.
 
-    Beyond the last sample the MTF is 0 if the last sample is 0. Otherwise it is unknown there, and an evaluation beyond
-    the last sample raises an ArgumentError. Kernels such as the PSF also raise it, because they require all frequencies.
+    Beyond the last sample the MTF is 0 if the last sample is 0. Otherwise the MTF is unknown there, and an evaluation
+    there raises an ArgumentError. Kernels such as the PSF raise the same error, because they require all frequencies.
     In this case append a sample of 0 at the frequency at which the MTF reaches 0. No lens transfers frequencies above
     the diffraction cutoff, which is pixel pitch / (wavelength times f-number), cycles/px.
 
@@ -117,7 +117,7 @@ class MeasuredOptics(Optics):
     def resolved_share(self) -> float:
         """Compute the share of the band that the lens resolves, no unit.
 
-        It ends at the sample after the last sample with a modulus above 1e-4.
+        The resolved band ends at the sample after the last sample with a modulus above 1e-4.
         """
         return self.resolved / self.frequency[-1]
 

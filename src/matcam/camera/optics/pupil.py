@@ -75,8 +75,8 @@ class DiffractionOptics(Optics):
     def psf(self, x: ArrayLike, y: ArrayLike) -> jax.Array:
         """Compute the Airy pattern, 1/px^2, without the pixel.
 
-        It is (pi cutoff^2 / 4) [2 J1(v) / v]^2 with the Bessel function J1, v = pi cutoff r, and the distance from the image
-        of the point r = sqrt(x^2 + y^2), px.
+        It is (pi cutoff^2 / 4) [2 J1(v) / v]^2, where J1 is the Bessel function, v = pi cutoff r, and r = sqrt(x^2 + y^2) is
+        the distance from the image of the point, px.
         """
         r = plane_length(*checks.broadcastable(x=x, y=y))
         return xp.pi / 4 * self.cutoff**2 * jinc(xp.pi * self.cutoff * r, np.pi * reach_of(r) * self.band()) ** 2

@@ -99,7 +99,7 @@ class SeidelOptics(VaryingOptics):
 
     @property
     def focused(self) -> DiffractionOptics:
-        """Diffraction-limited lens with the same pupil."""
+        """Diffraction-limited lens with the pupil of this lens."""
         return self.axial.focused
 
     def at(self, x: ArrayLike, y: ArrayLike) -> ZernikeOptics:

@@ -56,7 +56,7 @@ def wavefront(terms: AnyArray, x: jax.Array, y: jax.Array) -> jax.Array:
 def phase_of(terms: np.ndarray) -> int:
     """Compute an upper bound of the wavefront error, rad.
 
-    The bound determines the size of the quadratures. Up to `LARGEST_PHASE` it is rounded up to one of few values, because
+    The bound determines the size of the quadratures. Up to `LARGEST_PHASE` it is rounded up to one of a few values, because
     each size requires a compilation.
     """
     defocus, *pairs, spherical = np.abs(terms)
@@ -69,7 +69,7 @@ def phase_of(terms: np.ndarray) -> int:
 def amplitude(terms: jax.Array, x: jax.Array, y: jax.Array, sizes: tuple[int, int]) -> jax.Array:
     """Compute the complex amplitude on the sensor relative to the peak of a perfect lens, (positions,).
 
-    It is the mean of exp(2 pi i (W + p . x)) over the pupil. W is the wavefront error, waves, at the position p in the
+    It is the mean of exp(2 pi i (W + p . (x, y))) over the pupil. W is the wavefront error, waves, at the position p in the
     pupil, in radii of the pupil.
 
     Args:
@@ -142,9 +142,9 @@ def overlap(terms: AnyArray, end: AnyArray, angle: AnyArray, order: int) -> jax.
 def overlap_table(terms: jax.Array, phase: int) -> jax.Array:
     """Tabulate the complex result of `overlap` for `from_table`, shape (values of `end`, angles).
 
-    `overlap` is computed for few values of `end` and few angles. It is interpolated by Chebyshev polynomials of `end` and
-    a Fourier series of the angle. The table extends a few steps beyond `end` = 0 and pi/2 and beyond a full turn of the
-    angle.
+    `overlap` is computed for a few values of `end` and a few angles. The results are interpolated by Chebyshev
+    polynomials of `end` and a Fourier series of the angle. The table extends a few steps beyond `end` = 0 and pi/2 and
+    beyond a full turn of the angle.
 
     terms: coefficients in the order of `ZernikeOptics.terms`, (8,), waves rms. phase: bound of the wavefront error, rad.
     """

@@ -1,6 +1,6 @@
 """Lens with aberrations as Zernike terms: defocus, astigmatism, coma, trefoil, spherical aberration.
 
-As in images, x points to the right and y upwards. The transfer function is complex and depends on the direction.
+In the image, x points to the right and y upwards. The transfer function is complex and depends on the direction.
 """
 
 from __future__ import annotations

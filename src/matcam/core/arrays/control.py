@@ -164,8 +164,8 @@ def with_derivatives(function: Callable[P, T], *derivatives: Callable[..., Any])
 
     Args:
         function: a function of positional arguments.
-        derivatives: one function for each argument of `function`, which computes the tangent of the result. It is called
-            with the tangent of this argument, the result, and all arguments of `function`.
+        derivatives: one function for each argument of `function`, which computes the tangent of the result due to this
+            argument. Its arguments are the tangent of this argument, the result, and all arguments of `function`.
     """
     known: list[Any] = []
 

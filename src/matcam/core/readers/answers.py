@@ -25,7 +25,7 @@ _KINDS = "biufcSU"
 def packed(value: Any, arrays: list[np.ndarray]) -> Any:
     """Convert an answer to types of JSON, and append the arrays in the answer to `arrays`.
 
-    A TypeError is raised for other types than those of `read_apart`.
+    A TypeError is raised for a type that an answer cannot contain (see `read_apart`).
     """
     if isinstance(value, np.ndarray | np.generic):
         array = np.asarray(value)

@@ -167,8 +167,8 @@ def parameters(values: Mapping[str, Any], std: Mapping[str, Any]) -> list[Quanti
 
     Args:
         values: value of each parameter by its name, which includes the unit.
-        std: standard deviation of each parameter by the same name, in the unit in the name. If it is unknown, the value is
-            NaN, or the name is missing.
+        std: standard deviation of each parameter by its name, in the unit of the parameter. An unknown standard deviation is
+            NaN or missing.
     """
     return [Quantity(name, float(value), float(std.get(name, math.nan))) for name, value in values.items()]
 

@@ -94,7 +94,8 @@ def sampling_of(lenses: Sequence[Optics], pixel: PixelResponse, enough: float = 
 def _at_most(optics: Optics, frequency: np.ndarray) -> np.ndarray:
     """Compute an upper bound of the modulus of the transfer function of a lens at `frequency`, cycles/px.
 
-    The bound holds for all directions. It is that of the lens without aberrations, which only reduce the modulus.
+    The bound holds for all directions. For an isotropic lens, it is the modulus itself. For any other lens, aberrations are
+    omitted, because they only reduce the modulus.
     """
     if optics.isotropic:
         return np.abs(np.asarray(optics.mtf(frequency)))

@@ -61,7 +61,7 @@ class LightGrid(NamedTuple):
     Attributes:
         x: positions of the columns, at a constant step, px.
         y: positions of the rows, at a constant step, px. If the radiance is symmetric, the first row is half a step
-            above the axis.
+            above the x axis.
         widths: widths of the regions.
         taps: weights that distribute a node over neighbouring points of the grid.
         symmetric: True if the radiance is symmetric about the x axis, and only the upper half is computed.

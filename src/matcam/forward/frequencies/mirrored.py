@@ -21,7 +21,7 @@ class MirroredTransfer(NamedTuple):
 
     Attributes:
         own: factor of each frequency, (rows, columns / 2 + 1), no unit.
-        other: factor of the mirror image of each frequency along the columns, of the same shape, complex, no unit.
+        other: factor of each frequency mirrored along the columns, complex, (rows, columns / 2 + 1), no unit.
     """
 
     own: jax.Array
@@ -43,7 +43,8 @@ class MirroredTransfer(NamedTuple):
         """Filter the upper half of an image by the lens, 1/sr, (rows, columns, channels).
 
         Args:
-            light: radiance of the upper half, (rows, columns, channels), 1/sr. The first row is half a step above the axis.
+            light: radiance of the upper half, (rows, columns, channels), 1/sr. The first row is half a step above
+                the x axis.
             width: number of columns of the periodic image.
         """
         rows = self.own.shape[0]

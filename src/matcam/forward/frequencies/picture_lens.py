@@ -90,7 +90,8 @@ class PictureLens(NamedTuple):
 def picture_lens(camera: Camera, radius: float, error: float | None = None) -> PictureLens | None:
     """Build the filter of images of a camera.
 
-    The result is None if a sum of Gaussians describes the lens at least as well.
+    The result is None for an isotropic lens whose parameters are traced, or that a sum of Gaussians describes at least as
+    well as the filter.
 
     Args:
         camera: the camera.
@@ -150,7 +151,7 @@ def _colour(optics: Optics, shares: PositionShares | None, shift: jax.Array | No
 def _shares_for(optics: tuple[Optics, ...], radius: float) -> tuple[PositionShares | None, float]:
     """Choose the smallest number of shares that interpolates the lenses accurately.
 
-    The result is the shares, None if no lens varies over the field, and the error of a transfer function, no unit.
+    The results are the shares (None if no lens varies over the field) and the largest error of a transfer function, no unit.
     """
     varying = [jax.lax.stop_gradient(one) for one in optics if isinstance(one, SeidelOptics)]
     if not varying:

@@ -125,9 +125,10 @@ class PositionShares(NamedTuple):
         return self._replace(coefficients=self.coefficients + sigma**2 / 2 * one.coefficients + sigma**4 / 8 * two)
 
     def _derived(self, along: int, across: int) -> np.ndarray:
-        """Compute the coefficients of a derivative of the weights with respect to position in px, in the same shape.
+        """Compute the coefficients of a derivative of the weights with respect to position in px.
 
-        `along` is the order of the derivative in x, and `across` the order in y.
+        `along` is the order of the derivative in x, and `across` the order in y. The result has the shape of
+        `coefficients`.
         """
         found = self.coefficients
         for axis, times in ((0, along), (1, across)):

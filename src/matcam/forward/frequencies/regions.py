@@ -140,7 +140,8 @@ class Regions(NamedTuple):
 def falling(at: jax.Array, sigma: float) -> jax.Array:
     """Evaluate a weight that decreases from 1 to 0 about the position 0.
 
-    The weight is the integral from `at` to infinity of a normalised Gaussian of standard deviation `sigma`; both in px.
+    The weight is the integral from `at` to infinity of a normalised Gaussian of standard deviation `sigma`. `at`
+    and `sigma` are in px.
     """
     return erfc(at / (np.sqrt(2) * sigma)) / 2
 

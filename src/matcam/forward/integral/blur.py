@@ -86,7 +86,7 @@ class Blur(eqx.Module):
 
     @property
     def std_of_half(self) -> float:
-        """Standard deviation, px, of the Gaussian with the same half-value frequency; see the function `std_of_half`."""
+        """Standard deviation, px, of the Gaussian that the function `std_of_half` finds for the Gaussians of the blur."""
         return std_of_half(np.asarray(self.weights), np.asarray(self.stds))
 
     @property
@@ -234,7 +234,7 @@ class Blur(eqx.Module):
             x: offset from the pixel's centre along the first axis of the variances, px.
             y: offset from the pixel's centre along the second axis of the variances, px.
             term: index of the term.
-            spread: contribution of defocus and source disc; a disc and variances must not occur together.
+            spread: contribution of defocus and source disc. If the blur has chords, the variances must be 0.
             turn: cosine and sine of the angle between the x axis and the rows of pixels.
             nodes: number of Gauss-Legendre nodes over the pixel.
         """
@@ -367,7 +367,8 @@ def blur_of(rig: Rig, *, in_discs: bool = False, whole: bool = False, residual: 
     Args:
         rig: the rig.
         in_discs: True if defocus is described by discs. Default: False, by Gaussians.
-        whole: True to include the residual of the Gaussians as a term. The lens then need not be isotropic. Default: False.
+        whole: True to include the residual of the lens beyond its Gaussians as a term. The lens then need not be isotropic.
+            Default: False.
         residual: residual to include; it may belong to a lens with slightly different parameters. Default: None, the
             residual of the lens of the rig.
     """

@@ -31,7 +31,7 @@ def disc_fineness(
     material: Material | None = None,
     azimuth: np.ndarray | float = 0.0,
 ) -> np.ndarray:
-    """Compute the ratio of the radius of the image of a source disc to the standard deviation of its blur, no unit.
+    """Compute the image radius of a source disc divided by the standard deviation of the blur of this image, no unit.
 
     Args:
         rig: the rig.

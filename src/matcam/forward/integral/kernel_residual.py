@@ -1,7 +1,7 @@
 """Residual of the kernel of a lens beyond a sum of Gaussians: its rings, and its dependence on direction.
 
 The kernel of lens and pixel is computed exactly on a grid, as the Fourier transform of a band-limited transfer function.
-The residual is its difference from the Gaussians, which vanishes a few rings from the centre. A singular value
+The residual is this kernel minus the Gaussians. It vanishes a few rings from the centre. A singular value
 decomposition of the residual on the grid yields a sum of few products
 
     residual(x, y) = sum over r of  u_r(x) v_r(y),

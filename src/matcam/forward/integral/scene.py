@@ -108,7 +108,8 @@ class Scene(eqx.Module):
     def sent(self, element: Element) -> jax.Array:
         """Compute the light that surface elements send to the camera, channels last.
 
-        It is the product of the BRDF, both cosines, `element.area` and the relative irradiance of the lamp.
+        It is the product of the BRDF, the cosines of the angles of incidence and view, `element.area` and the relative
+        irradiance of the lamp.
         For an element at (x, y) on the sensor, this is the radiance, 1/sr. For an element at (u, v), it is the integral of
         the radiance over the sensor per du dv, px^2/sr.
         """

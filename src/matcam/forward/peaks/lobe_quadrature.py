@@ -191,7 +191,7 @@ def _polar_nodes(
 
 
 def _frequencies(rig: Rig, ndf: NDF, scale: jax.Array, reach: float) -> Rule:
-    """Build a rule over the band of the lens that resolves a lobe of any size.
+    """Build a quadrature rule for the band of the lens. The rule resolves a lobe of any size.
 
     scale: px per unit of the lobe's coordinate. reach: largest distance of a record from the peak, px.
     """

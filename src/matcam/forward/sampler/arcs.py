@@ -37,10 +37,10 @@ class Clips(NamedTuple):
     """Half-spaces a . n <= b of normals n in the frame of the circles, arrays of shape (windows, half-spaces).
 
     Attributes:
-        axial: component of a along the axis.
-        radial: length of the component of a perpendicular to the axis.
-        azimuth: azimuth of that component, rad.
-        offset: b.
+        axial: component of the vector `a` along the axis.
+        radial: length of the part of the vector `a` that is perpendicular to the axis.
+        azimuth: azimuth of the perpendicular part, rad.
+        offset: the number `b`.
     """
 
     axial: np.ndarray

@@ -1,4 +1,4 @@
-"""Rings of cells around a highlight, whose records are interpolated between fewer positions.
+"""Rings of cells around a highlight. The records of the cells are interpolated between fewer positions.
 
 A record is a smooth function of the position on the sensor, also across limb and terminator, because the kernel limits its
 frequencies. The cells of one theta_h lie on a ring about the highlight. A ring close to the highlight has many more cells

@@ -14,7 +14,7 @@ _Direction = tuple[jax.Array, jax.Array]
 
 
 class CircleArcs(NamedTuple):
-    """Arcs of circles on the unit sphere of normals, as arrays of one shape.
+    """Arcs of circles on the unit sphere of normals. All arrays have the same shape.
 
     Attributes:
         frame: axis of the circle, and the directions of azimuth 0 and pi/2, three arrays each.

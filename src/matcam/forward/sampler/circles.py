@@ -206,9 +206,10 @@ def from_highlight(windows: Windows, normals: np.ndarray) -> np.ndarray:
 
 
 def _with_arcs(clips: Clips, low: np.ndarray, high: np.ndarray, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Narrow the ranges of angles of windows with limb or terminator, `ends`, to the circles that have arcs.
+    """Narrow ranges of angles to the circles that have arcs.
 
-    A range becomes empty if no circle has arcs.
+    Only the ranges of windows with limb or terminator change; `ends` is True for these windows. A range becomes empty if no
+    circle has arcs.
     """
     index = np.flatnonzero(ends)
     if not index.size:

@@ -205,7 +205,7 @@ def _smooth_blocks(subject: Subject, blur: BlurTerms, rule: LimbRule | None, use
 
 
 class _ArcInputs(NamedTuple):
-    """Arcs with the pixels that they belong to, arrays of one shape; see `RecordPositions`."""
+    """Arcs, and the pixel of each arc; see `RecordPositions`. All arrays have the same shape."""
 
     x: AnyArray
     y: AnyArray

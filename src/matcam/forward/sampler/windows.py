@@ -59,7 +59,7 @@ class SphereView(NamedTuple):
 
 
 class Windows(NamedTuple):
-    """Squares about pixels and the lamps of the pixels, arrays of shape (windows,). x and y are the axes of the sensor.
+    """Squares about pixels, and the lamp of each pixel, arrays of shape (windows,). x and y are the axes of the sensor.
 
     Attributes:
         x: position of the centre of the pixel to the right of the optical axis, px.

@@ -73,7 +73,8 @@ class Correction(Summarised):
         without_camera: fit of the same lobe to the table without a camera. It has free masking and one lobe per channel if
             simpler models do not explain the data.
         no_camera: probability of the explanations without a camera (no unit).
-        withheld: True if the table is not corrected, because rig and data contradict each other. Default: False.
+        withheld: True if the table is not corrected because rig and data contradict each other, and a correction would change
+            a peak by more than 1 %. Default: False.
         peak_parts: sources of the variance of `brdf` at the peak of each slice, (90, channels) each. Default: none.
 
     Example:
@@ -259,7 +260,7 @@ class Correction(Summarised):
 
     @property
     def determination(self) -> str:
-        """Class of the determination of the lobe by the data.
+        """Category that indicates whether the data determine the lobe.
 
         The value is "determined", "not determined", "family fails: spline-modified", or "withheld" if rig and data contradict
         each other.
@@ -377,30 +378,31 @@ def correct(
     Args:
         brdf: table of the form that `read_merl` returns, 1/sr.
         rig: rig that recorded the table, with a sphere or a cylinder; camera and lamp are distant or near.
-        ndf: family of the lobe. Default: "auto", the mean of several explanations, weighted by their evidence. They are
-            "ggx" and "epd". If their residuals exceed pixel noise, Student's t, two lobes, a lobe over a rough base, and a
-            spline-modified lobe are added.
+        ndf: family of the lobe. Default: "auto", the mean of several explanations, weighted by their evidence. The
+            explanations are "ggx" and "epd". If their residuals exceed pixel noise, Student's t, two lobes, a lobe over a
+            rough base, and a spline-modified lobe are added.
         masking: masking G of the lobe: "smith", "smith-separable", "van-ginneken" or None. Default: "smith".
         noise: noise of a pixel. Default: None, estimated from the table.
-        glare: share of light (no unit) that the lens may scatter in addition to its profile. Default: 1e-3. It limits the
-            entries beside a highlight that are supported; specify a smaller share for a lens that is known to be clean.
+        glare: share of light (no unit) that the lens may scatter in addition to its profile. Default: 1e-3. A larger share
+            leaves fewer supported entries beside a highlight; specify a smaller share for a lens that is known to be clean.
         force_correction: True to correct the table even if the data contradict the rig, or do not determine the blur of a
             lens that is a guess. Default: False, such a table is left unchanged.
         workspace: store of results that depend only on the rig. Default: None, that of the process.
 
     Returns:
-        Dataset over the dimensions of the table. `brdf`: corrected BRDF, 1/sr. Missing values remain missing, negative values
-        are set to 0, and reciprocity is preserved. Uncertain corrections are reduced towards the recorded value. In
+        Dataset over the dimensions of the table. `brdf`: corrected BRDF, 1/sr. Missing values remain missing, negative
+        values are set to 0, and reciprocity is preserved. Uncertain corrections are reduced towards the recorded value. In
         directions with an albedo above 1, entries are reduced within the standard deviation of the correction.
         `correction_std`: standard deviation of true / recorded value (no unit), due to fitted parameters, the other
-        explanations, the uncertainty of the camera, the shape of the lens, the body, a free lamp, and glare.
-        `noise_std`: standard deviation of `brdf` due to pixel noise, 1/sr. `brdf_std`: standard deviation of `brdf` due to
-        correction and noise, 1/sr. The three are NaN for entries in the last pixels of the sphere, which are not corrected.
-        `supported`: True if the standard deviation of the correction is below 5 % of `brdf`. `response`: recorded / true
-        lobe, over the first three dimensions. Attributes: `withheld`, 1 if rig and data contradict each other; the response
-        is then 1 and no entry is supported. `diffuse`, albedo of the diffuse part in each channel, and `coated_share`, the
-        share of it that is under a coat (no unit). For a coated material `base`, reflectance of the base in each channel,
-        and `base_alpha`, roughness of the base.
+        explanations, the uncertainty of the camera, the shape of the lens, the body, a free lamp, and glare. `noise_std`:
+        standard deviation of `brdf` due to pixel noise, 1/sr. `brdf_std`: standard deviation of `brdf` due to correction
+        and noise, 1/sr. These three standard deviations are NaN for entries in the last pixels of the sphere, which are not
+        corrected. `supported`: True if the standard deviation of the correction is below 5 % of `brdf`. `response`:
+        recorded / true lobe, over the first three dimensions. Attributes: `withheld`, 1 if the table is not corrected
+        because rig and data contradict each other, and a correction would change a peak by more than 1 %; the response is
+        then 1 and no entry is supported. `diffuse`, albedo of the diffuse part in each channel, and `coated_share`, the
+        share of the diffuse part that is under a coat (no unit). If the material has a rough base: `base`, reflectance of
+        the base in each channel, and `base_alpha`, roughness of the base.
 
     Raises:
         ArgumentError: an argument is wrong, or a fit does not support the rig.

@@ -126,7 +126,10 @@ def _mirrored_noise(setup: FitSetup) -> PixelNoise | None:
 
 
 def _channel_noise(found: MaterialFit) -> PixelNoise | None:
-    """Estimate noise from the differences between the residuals of channels. Errors of the lobe model cancel in them."""
+    """Estimate noise from the differences between the residuals of channels.
+
+    Errors of the lobe model cancel in these differences.
+    """
     problem, model = found._solution.problem, found._solution.model
     data, residual = problem.data, problem.residual(model)
     units = len(data.labels)
@@ -154,7 +157,7 @@ def _of_pairs(data: FitData, difference: np.ndarray, value: np.ndarray) -> Pixel
 
 
 class OtherLobe(NamedTuple):
-    """Fit of another lobe through the same camera, with its probability.
+    """Fit of a lobe other than the most probable lobe, through the camera, with the probability of the lobe.
 
     Attributes:
         fit: fit of the lobe.
@@ -226,9 +229,9 @@ def independent_share(found: MaterialFit) -> float:
 def _correlation(u: np.ndarray, used: np.ndarray, same: Sequence[np.ndarray], along: np.ndarray) -> float:
     """Compute the correlation of standardised residuals of neighbouring cells; negative values are set to zero.
 
-    Neighbours are equal in all indices `same`, (s, n) each, and consecutive in the index `along`, (s, n). A cell has at most
-    one neighbour on each side. `u` contains the standardised residuals, and `used` is True for the cells to compare,
-    (u, s, n) each.
+    Two cells are neighbours if their indices in `same`, (s, n) each, are equal, and their indices in `along`, (s, n), are
+    consecutive. A cell has at most one neighbour on each side. `u` contains the standardised residuals, and `used` is True
+    for the cells to compare, (u, s, n) each.
     """
     order = np.lexsort([along.ravel(), *(one.ravel() for one in same)])
     sorted_u, there = (a.reshape(len(u), -1)[:, order] for a in (u, used))

@@ -82,7 +82,7 @@ class Explanation(NamedTuple):
         candidates: fits through the camera that were fitted to all slices of the setup.
         fit: most probable of the candidates.
         shape: uncertainty of the shape of the lobe of `fit`.
-        base: fit of the same lobe in the slices of `refits`.
+        base: fit of the lobe of `fit` in the slices of `refits`.
         others: candidates other than `fit` that are not negligible, with their probabilities.
         refits: fits with one parameter of the rig free.
         blind_setup: setup of `blind`.
@@ -308,7 +308,7 @@ def _with_spline(core: Member) -> Member:
 
 
 def _without_camera(best: Member, rig: Rig) -> Member:
-    """Fit the lobe of an explanation without a camera, to the same cells."""
+    """Fit the lobe of the explanation `best` without a camera, to the cells of `best`."""
     own = best.setup
     setup = FitSetup(
         own.tables, None, own.ndf, fresnel="free", diffuse=True, coated=own.coated, base=own.base, masking=own.masking,

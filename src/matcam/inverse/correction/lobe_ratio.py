@@ -44,9 +44,9 @@ class CorrectionFits(NamedTuple):
     Attributes:
         fit: fit of the lobe.
         shape: uncertainty of the shape of the lobe.
-        base: fit of the same lobe in the slices of `refits`, for comparison with them.
+        base: fit of the lobe of `fit` in the slices of `refits`, for comparison with `refits`.
         refits: fits with a parameter of the rig free.
-        others: other lobes through the same camera, over which the ratio is averaged.
+        others: fits of other lobes through the camera of `fit`. The ratio is averaged over `fit` and these fits.
         maskings: predictions of `fit` with other maskings, whose differences are included in the uncertainty.
         expected: parameters of the rig that may be fitted, as given to `lattices_ahead`.
     """

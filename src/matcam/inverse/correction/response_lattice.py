@@ -103,7 +103,8 @@ class ResponseLattice(NamedTuple):
         true: operator from a lobe to its record without blur.
         spacing: positions of the cells.
         sampling: sampling of the table.
-        far_cosine: smallest cosine of the angles of light and view of an entry that is corrected, beyond the dense rings.
+        far_cosine: limit for entries beyond the dense rings. An entry is corrected if the cosines of the angles of light and
+            view both exceed this limit.
     """
 
     cells: ChosenCells

@@ -226,7 +226,7 @@ class FitSetup:
     def _in_few_slices(self) -> Solution | None:
         """Search in a few slices, which takes less time.
 
-        The result is None if the setup itself has no more slices than these, or if the fit in these slices fails.
+        The result is None if the setup itself has only these few slices or fewer, or if the fit in the few slices fails.
         """
         if self.slice_step >= _LOOK_STEP:
             return None

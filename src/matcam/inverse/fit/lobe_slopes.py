@@ -102,7 +102,7 @@ def table_slopes(kind: LobeKind, q: Any) -> tuple[jax.Array, jax.Array]:
 
 
 def _spline_table(kind: LobeKind, q: Any) -> tuple[jax.Array, jax.Array]:
-    """Compute the table of Lambda of a spline-modified lobe, and its derivatives with respect to q, as `table_slopes`."""
+    """Compute the results of `table_slopes` for a spline-modified lobe."""
     ndf = kind.ndf(q)
     slope2, weight = smith_rule(ndf.roughness, jnp.asarray(COTS))
     light, by_own = _lifted(kind, q, slope2, lambda ndf: ndf.slope_density(slope2))

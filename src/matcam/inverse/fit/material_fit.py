@@ -170,7 +170,7 @@ class MaterialFit(Summarised):
 
     @property
     def lobe_name(self) -> str:
-        """Name of the family, with the prefix "spline-modified" for such a lobe."""
+        """Name of the family, with the prefix "spline-modified" if the lobe is spline-modified."""
         return f"spline-modified {self.family}" if self.has_spline else self.family
 
     @property
@@ -230,7 +230,7 @@ class MaterialFit(Summarised):
             *names: names of parameters, as in `uncertainty_budget`. Default: all names in `params`, and "hwhm_rad".
 
         Raises:
-            ArgumentError: the fit has no parameter of this name.
+            ArgumentError: a name is not the name of a parameter of the fit.
         """
         solution = self._solution
         named = named_parameters(solution)

@@ -2,8 +2,8 @@
 
 The record of a near rig depends on this derivative (`lobe_operator.py`), which free strengths do not define. Differences
 between neighbouring slices would amplify the noise of the strengths. A mixture of Fresnel curves with positive shares (Lawson &
-Hanson 1974) is fitted to the strengths instead. It approximates metals, dielectrics and Schlick's polynomial, and has only
-physical slopes. Up to 86 degrees, the error of the slope is at most 0.05 per rad for exact strengths, and 0.2 per rad for
+Hanson 1974) is fitted to the strengths instead. The mixture approximates metals, dielectrics and Schlick's polynomial, and has
+only physical slopes. Up to 86 degrees, the error of the slope is at most 0.05 per rad for exact strengths, and 0.2 per rad for
 strengths with 1 % noise. In the nearest rigs the resulting relative errors of a record are at most 1e-4 and 3e-4 respectively.
 """
 
@@ -32,7 +32,7 @@ class StrengthSlopes:
     def log_slopes(self, strength: np.ndarray, std: np.ndarray) -> np.ndarray:
         """Compute the derivative of ln F at the slices, 1/rad, (units, slices).
 
-        It is 0 for units without positive strengths.
+        The derivative is 0 for units without positive strengths.
 
         Args:
             strength: strengths, no unit, (units, slices).

@@ -2,7 +2,7 @@
 
 Near the peak about 75 cells of a MERL table come from one pixel and share its noise. Far from it a cell has about the size of
 a pixel. A fit requires data with independent errors, so one cell is chosen per pixel. The likelihood of the chosen cells is
-then exact in each slice. Two kinds of cells are omitted. Neighbours in one pixel are redundant. Most pixels on the smooth
+then exact in each slice. Two kinds of cells are omitted. Neighbours in one pixel are redundant. Most cells on the smooth
 flanks of a lobe would only improve values that are known to a fraction of a per cent without them.
 """
 
@@ -151,8 +151,9 @@ def noise_shares(rig: Rig, sampling: Sampling) -> np.ndarray:
     """Compute the ratio of the variance of each cell to that of a pixel.
 
     The result has shape (90, 90, 180). The ratio is one half if the two positions of a cell, on opposite sides of the
-    highlight, certainly lie in different pixels, and otherwise 1. For a mean of n pixels the ratio is at most 1 / n. For
-    interpolation on a grid of known phase the ratio is multiplied by the sum of the squared weights.
+    highlight, certainly lie in different pixels, and otherwise 1. On a cylinder the ratio is always one half, because the two
+    positions belong to different images. For a mean of n pixels the ratio is at most 1 / n. For interpolation on a grid of
+    known phase the ratio is multiplied by the sum of the squared weights.
     """
     grid, view = merl_grid(sampling), sample_view(rig)
     directions = [

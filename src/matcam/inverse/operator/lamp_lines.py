@@ -101,9 +101,9 @@ def lamp_discs(
         y: distance of the pixels from the optical axis, perpendicular to x, px, (pixels,).
 
     Returns:
-        List with the disc of each blur, and the largest shifts of highlight and pixel along the axes of the pixels, px,
-        (blurs, 2, pixels). A disc is None for a point source. If a Gaussian of the same variance can replace the
-        disc of every blur, all discs are None, and the shifts are 0.
+        List with the disc of each blur, and the largest shifts of the image, at the highlight or at the pixel, along the axes
+        of the pixels, px, (blurs, 2, pixels). A disc is None for a point source. If for every blur a Gaussian with the variance
+        of the disc can replace the disc, all discs are None, and the shifts are 0.
     """
     half = float(blurs[0].pixel.half_width)
     turn = view.azimuth - np.pi / 2 * np.round(
@@ -191,8 +191,8 @@ class ChordPoints(NamedTuple):
         normal: components of the normals at the highlights of the points, (chords, 3, points, pixels).
         light: share of the chord times the record of each point relative to that of the lamp's centre, no unit,
             (chords, points, pixels).
-        less: third-order term of the image of the chord as a share of half the difference between its ends, no unit,
-            (chords, pixels).
+        less: third-order term of the image of the chord, divided by half the difference between the ends of this image, no
+            unit, (chords, pixels).
     """
 
     share: jax.Array
@@ -289,8 +289,8 @@ def _moved(
     """Compute the shifts, px, between the centre of the disc and points on its rim.
 
     Returns:
-        Shifts of the highlight along x and y, (points, pixels) each, and the largest shifts of highlight and pixel along the
-        axes of the pixels, (2, pixels).
+        Shifts of the highlight along x and y, (points, pixels) each, and the largest shifts of the image, at the highlight
+        or at the pixel, along the axes of the pixels, (2, pixels).
     """
     farthest = np.zeros((2, *x.shape))
     if float(blur.lamp_radius) == 0:
@@ -325,7 +325,7 @@ def _image(view: SphereView, lamp_angle: np.ndarray) -> tuple[np.ndarray, np.nda
 
 
 def _highlights(view: SphereView, u: Any, v: Any, radius: Any, lamp_angle: Any) -> tuple[tuple, Any]:
-    """Compute the normals at the highlights of points of the disc, and a factor proportional to the record of each point.
+    """Compute the normal at the highlight of each point of the disc, and a factor proportional to the record of the point.
 
     For NumPy arrays of lamp angles the computation uses NumPy, because JAX would compile each operation separately. `u` and `v`
     are the positions of the points along the plane of camera and lamp and across it, in radii of the disc. `radius` is the

@@ -94,7 +94,7 @@ class OperatorNodes(NamedTuple):
         return weight
 
     def by_shifts(self, by_weight: np.ndarray, shifts: np.ndarray) -> np.ndarray:
-        """Differentiate the sum of each cell with respect to the coordinates along the axes, (axes, cells).
+        """Differentiate the sum over the nodes of each cell with respect to the coordinates along the axes, (axes, cells).
 
         by_weight: derivatives of the sum with respect to the weights, (cells, directions, nodes).
         """
@@ -141,7 +141,7 @@ class JointMasking(NamedTuple):
         return (mean @ self.nodes.through_samples.T).reshape(at.slope2.shape)
 
     def by_tables(self, by_value: np.ndarray, tables: np.ndarray) -> np.ndarray:
-        """Differentiate the sum of each cell along changes of the table of Lambda, (changes, cells).
+        """Differentiate the sum over the nodes of each cell with respect to changes of the table of Lambda, (changes, cells).
 
         Args:
             by_value: derivatives of the sum with respect to G at the nodes, (cells, directions, nodes).

@@ -29,7 +29,7 @@ _SIGNATURES = np.random.default_rng(0).random((64, 64))
 
 
 class Repeats(NamedTuple):
-    """Pairs of neighbouring cells near the highlight with equal values.
+    """Comparison of the values of neighbouring cells near the highlight.
 
     In the shapes, s is the number of slices, r of rings, and k of azimuths.
 

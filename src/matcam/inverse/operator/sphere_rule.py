@@ -234,7 +234,7 @@ def sphere_rules(
     theta_d: np.ndarray,
     factor: np.ndarray,
 ) -> list[SphereRule]:
-    """Compute the quadrature rule in theta_h of each kernel, for each pixel.
+    """Compute the quadrature rule in theta_h for each kernel and pixel.
 
     Args:
         view: the sphere and the distances of camera and lamp.
@@ -349,7 +349,7 @@ def _arc_sums(
     near: bool,
     pixel_nodes: int,
 ) -> jax.Array:
-    """Sum over the nodes of each arc, for each kernel, (kernels, sums, arcs).
+    """Compute sums over the nodes of each arc, for each kernel, (kernels, sums, arcs).
 
     The first 4 rows, or 7 rows in a near rig, are the sums of `CircleSums`. A near rig also has 40 sums of Legendre polynomials
     for weights, and 40 for moments.

@@ -117,9 +117,10 @@ class Scale(NamedTuple):
 
 
 class NodeSpacing(NamedTuple):
-    """Spacing of the nodes in a range of angles: equal in asinh(theta / scale).
+    """Relation between angles in a range and positions among the nodes: linear in asinh(theta / scale).
 
-    It is linear in theta below the scale, and logarithmic above it. The fields are NumPy or JAX arrays of the same shape.
+    The position is nearly linear in theta below the scale, and logarithmic above the scale. The fields are NumPy or JAX arrays
+    of the same shape.
 
     Attributes:
         scale: the scale, rad.
@@ -138,7 +139,7 @@ class NodeSpacing(NamedTuple):
         Args:
             low: smallest angle, rad.
             high: largest angle, rad.
-            largest_scale: upper limit of the scale, rad. If `low` exceeds it, `low` is the limit.
+            largest_scale: upper limit of the scale, rad. If `low` is larger, `low` is the limit.
         """
         scale = xp.maximum(high / _RANGE_PER_SCALE, xp.minimum(0.15 * (high - low), low))
         scale = xp.minimum(scale, xp.maximum(low, largest_scale))
@@ -239,7 +240,7 @@ def onto_nodes(positions: jax.Array, share: jax.Array) -> jax.Array:
 
     Args:
         positions: positions among the nodes, in [-1.1, 1.1], (pixels, ...).
-        share: weights at the positions, of the same shape.
+        share: weights at the positions, in the shape of `positions`.
     """
     positions, share = (a.reshape(a.shape[0], -1) for a in (positions, share))
     return legendre_sums(positions, (share,))[0].T @ FROM_MOMENTS.T
@@ -271,7 +272,7 @@ FROM_MOMENTS *= np.arange(NODES[0].size) + 0.5
 
 
 def rise_of(theta_d: jax.Array, cell: jax.Array) -> jax.Array:
-    """Transform the deviation of theta_d from that of the cell, rad.
+    """Transform the deviation of theta_d from its value for the cell, rad.
 
     F rises as exp(7 theta_d) towards grazing angles, and is nearly linear in the transformed deviation. Small deviations
     are unchanged.

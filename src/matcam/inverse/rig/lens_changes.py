@@ -74,7 +74,7 @@ def _widened(*points: float) -> dict[float, tuple[tuple[float, float, float], ..
 def _stretched(*points: float) -> dict[float, tuple[tuple[float, float, float], ...]]:
     """Build differences between elliptical Gaussians and the kernel of the lens.
 
-    points: stretches of the Gaussians.
+    points: stretches, the differences of the two relative variances of each Gaussian.
     """
     return {point: ((1 + point / 2, 1 - point / 2, 1.0), (1.0, 1.0, -1.0)) for point in points}
 

@@ -75,7 +75,8 @@ class Axis(NamedTuple):
         low: smallest coordinate.
         high: largest coordinate.
         points: coordinates at which a rule is computed, including 0.
-        by_variance: True if a source disc of unknown size is replaced by a Gaussian of the same variance. Default: False.
+        by_variance: True if a source disc of unknown size is replaced by a Gaussian with the variance of the disc. Default:
+            False.
     """
 
     name: str
@@ -225,7 +226,7 @@ def is_guess(name: str, relative: float) -> bool:
 
 
 def prior_axis(name: str, rig: Rig, std: float) -> Axis:
-    """Build the axis of a parameter of the camera with a prior.
+    """Build the axis of a camera parameter that has a prior.
 
     For a guessed width of a lens, the axis covers the whole range.
 

@@ -20,7 +20,7 @@ class MovedBlur(NamedTuple):
 
     Attributes:
         blur: the blur.
-        rough: True if a source disc is replaced by a Gaussian of the same variance in all pixels. Default: False.
+        rough: True if, in all pixels, a source disc is replaced by a Gaussian with the variance of the disc. Default: False.
         stretch: variances that are added to the blur along the plane of camera and lamp and across it, px^2. Default: 0.
     """
 

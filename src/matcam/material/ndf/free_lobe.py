@@ -70,7 +70,7 @@ class SplineNDF(SlopeNDF):
 
 @kept_program
 def _norm(base: NDF, coefficients: jax.Array) -> jax.Array:
-    """Integrate the modified P22 over the plane of slopes, on a grid that is even in asinh(slope / scale)."""
+    """Integrate the modified P22 over the plane of slopes, at Gauss-Legendre nodes in asinh(slope / scale)."""
     scale = jnp.minimum(base.roughness, 0.3) / 4
     t = jnp.arcsinh(2e3 / scale) * (_NODES[0] + 1) / 2
     slope = scale * jnp.sinh(t)
@@ -84,7 +84,7 @@ def spline_basis(slope2: jax.Array) -> jax.Array:
 
 
 def spline_sums(slope2: jax.Array, weights: jax.Array, axes: int = 1) -> jax.Array:
-    """Sum weights times B_k over the last `axes` axes, (KNOTS, ...)."""
+    """Compute the sum of weights times B_k over the last `axes` axes, (KNOTS, ...)."""
     return cubic_sums(_knot_at(slope2), weights, KNOTS, axes)
 
 

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 class TwoLobes(SlopeNDF):
     """Mixture of two lobes, each a mixture of GGX and Beckmann.
 
-    Both components of a lobe have the same roughness. The density of slopes and Smith's Lambda are linear in each share,
-    and have closed forms. The share of Beckmann determines the tails of a lobe. Fitting it replaces the choice of a
+    Both components of a lobe have the same roughness. The density of slopes and Smith's Lambda are linear in each share, and
+    have closed forms. The share of Beckmann determines the tails of a lobe. A fit of this share replaces the choice of a
     family.
 
     Attributes:

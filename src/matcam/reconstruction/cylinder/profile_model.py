@@ -1,7 +1,7 @@
 """Record of a lobe in the columns of the strips of a cylinder, with derivatives with respect to every parameter.
 
 The axis of the cylinder is the y axis of the image. The cross section of the cylinder is a circle of radius 1, so the
-normals are those of a sphere along its equator. If camera or lamp are near, the directions to them differ slightly
+normals are those of a sphere along its equator. If camera or lamp is near, the directions to them differ slightly
 between strips.
 """
 

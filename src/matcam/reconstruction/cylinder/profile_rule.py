@@ -62,8 +62,8 @@ def chosen_columns(
     Args:
         profiles: profiles of all strips and colours.
         strips: strips in the order of the profiles.
-        ball: column of the axis, row to which the directions of camera and lamp refer, half the width of the outline, and
-            distance of the camera.
+        ball: column of the axis, row to which the directions of camera and lamp refer, and half the width of the outline,
+            px; distance of the camera, radii.
         lamp: direction to the lamp, (3,).
         lamp_distance: distance of the lamp, radii.
         alphas: roughness along the x axis of the material and across it, slopes, no unit.

@@ -48,7 +48,8 @@ class FlatReconstruction(Summarised):
         maps: Dataset. `diffuse`, `specular` and their standard deviations `diffuse_std` and `specular_std` are relative.
             They are arrays over y and x (px of the sample seen head-on). `diffuse_error` is the variance at each
             frequency, and `diffuse_resolved` is the share of the prior variance that the images remove. Both are arrays
-            over frequency_y and frequency_x (cycles/px). `specular_error` and `specular_resolved` are those of `specular`.
+            over frequency_y and frequency_x (cycles/px). `specular_error` and `specular_resolved` are the corresponding arrays
+            of `specular`.
         parameters: value and standard deviation of the roughness `alpha`, and of the means `mean_diffuse` and
             `mean_specular` of the maps.
         cutoffs: frequencies along the rows and across them up to which a map is resolved, cycles/px, by the name of the map.

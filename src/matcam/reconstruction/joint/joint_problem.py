@@ -5,7 +5,7 @@ The model of pixel i of channel c in image k is
     exp(g_k) [F_kc (1 + slope (theta_i - theta_k)) lobe_i + diffuse_c lambert_i]
 
 F_kc is the strength of the lobe, which is free in every image. g_k is the logarithm of the gain, which has a prior. theta_i
-is the difference angle of the pixel, theta_k that to which F_kc applies, and slope is d ln F / d theta_d. lobe_i and
+is the difference angle of the pixel, theta_k is the angle to which F_kc applies, and slope is d ln F / d theta_d. lobe_i and
 lambert_i are the records of a lobe with F = 1 and of a diffuse part of albedo 1.
 """
 
@@ -75,7 +75,10 @@ class JointLayout(NamedTuple):
 
     @property
     def sample_radius(self) -> int:
-        """Index of ln of the sample radius relative to its specified value, which scales distances specified in mm."""
+        """Index of ln of the ratio of the sample radius to its specified value.
+
+        The ratio scales distances that are specified in mm.
+        """
         return self.field.stop
 
     @property

@@ -149,7 +149,7 @@ def _share(pictures: list[_Bright]) -> float:
 def _correlated_pixels(pictures: list[_Bright], share: float) -> float:
     """Compute the number of pixels whose unexplained residuals are treated as fully correlated.
 
-    It follows from the sum of the correlations up to their first zero (Bartlett 1935).
+    The number follows from the sum of the correlations up to their first zero (Bartlett 1935).
     """
     together = np.zeros(1)
     total, count, unexplained = 0.0, 0, 0.0

@@ -1,1 +1,1 @@
-"""JSON document of a reconstruction's rig, and its use as a prior of another reconstruction."""
+"""JSON document of the rig of a reconstruction, and use of this rig as a prior of another reconstruction."""

@@ -119,7 +119,7 @@ class EarlierRig(NamedTuple):
     Attributes:
         file: path of the JSON file of the reconstruction.
         frame: width and height of the frames, px; None: unknown.
-        sample_radius: radius of the sphere, mm, which is the unit of distances; None: unknown.
+        sample_radius: radius of the sphere, mm; None: unknown.
         sigma: standard deviation of the fitted lens, px; None: the lens is not Gaussian.
         nearness: inverse of the distances of camera and lamp, 1/radii.
         field: field of the lens; None: uniform.

@@ -27,7 +27,7 @@ def stated_lamps(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Choose the specified direction of each lamp, or that of the highlight if no direction is specified.
 
-    Remarks report the comparison of both.
+    Remarks report the difference between specified directions and highlights.
 
     Returns:
         Unit vectors to the lamps, (pictures, 3), and standard deviations along each tangent, rad, (pictures,).
@@ -76,7 +76,8 @@ def first_lamps(lamps: np.ndarray, covariances: np.ndarray, stated: np.ndarray, 
 def _table_mistake(lamps: np.ndarray, stated: np.ndarray, stds: np.ndarray, known: np.ndarray) -> Remark | None:
     """Identify the mistake in a lamp table, and build a remark about it; None: the table is used as it is.
 
-    The entries `known` of `stated` and `stds` are changed in place, so that the fit does not depend on the mistake.
+    If a remark is built, the entries of `stated` and `stds` where `known` is True are changed in place, so that the fit
+    depends less on the mistake.
     """
     verdict = explain_lamp_table(lamps[known], stated[known])
     if verdict.mistake == "none":
