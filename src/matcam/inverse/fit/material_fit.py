@@ -170,7 +170,7 @@ class MaterialFit(Summarised):
 
     @property
     def lobe_name(self) -> str:
-        """Name of the family, with the prefix "spline-modified" if the lobe is spline-modified."""
+        """Name of the family, with the prefix "spline-modified" if applicable."""
         return f"spline-modified {self.family}" if self.has_spline else self.family
 
     @property
