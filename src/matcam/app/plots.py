@@ -55,7 +55,10 @@ def empty_source(name: str, *columns: str) -> ColumnDataSource:
 
 
 def curve_figure(title: str, x: str, y: str, *, height: int, **more: Any) -> Any:
-    """Create a plot for curves, `height` px of the screen high. The names of the axes must include units."""
+    """Create a plot for curves. The names of the axes must include units.
+
+    `height` is the height of the plot, px of the screen.
+    """
     return figure(
         title=title,
         x_axis_label=x,

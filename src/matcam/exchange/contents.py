@@ -180,7 +180,7 @@ def read_contents(path: str | Path, sampling: Sampling = "centre") -> Contents:
     if not set(form.holds) & set(MEASUREMENTS):
         kind = "JSON" if ".json" in form.suffixes else form.title
         raise FileFormatError(
-            f"{path}: the file is a {kind} document, which contains no measurement: give a file with a BRDF, another result or "
+            f"{path}: the file is a {kind} document, which contains no measurement: give a file with a BRDF, a result or "
             "an image"
         )
     if form.name == "merl":

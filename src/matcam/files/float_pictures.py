@@ -247,8 +247,8 @@ def _checked_header(path: Path) -> tuple[tuple[str, ...], int, int]:
             compression = attributes["compression"][0]
             if compression not in _LINES_PER_CHUNK:
                 raise FileFormatError(
-                    f"{path}: compression {compression} of OpenEXR is not supported, because it loses digits: use no "
-                    "compression, RLE, ZIPS, ZIP or PIZ"
+                    f"{path}: compression {compression} of OpenEXR is not supported: save the image without compression, or "
+                    "with RLE, ZIPS, ZIP or PIZ"
                 )
             chunks = -(-height // _LINES_PER_CHUNK[compression])
             if start + 8 * chunks > size:

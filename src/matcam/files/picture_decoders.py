@@ -118,8 +118,10 @@ def decode_raw(path: Path, *, there: int, region: Sequence[int] | None = None) -
             f"{path}: the camera raw file has no Bayer mosaic of 2 x 2 px, and other data are not supported: convert it to TIFF"
         )
     cfa = "".join(names[i] for i in pattern.ravel())
-    if sorted(cfa) != ["B", "G", "G", "R"] or cfa[0] == cfa[3] != "G":
-        raise FileFormatError(f"{path}: the mosaic is {cfa}, but must have the colours red, green, green, blue")
+    if sorted(cfa) != ["B", "G", "G", "R"] or "GG" not in (cfa[::3], cfa[1:3]):
+        raise FileFormatError(
+            f"{path}: the mosaic is {cfa}, but must be that of Bayer (RGGB, BGGR, GRBG or GBRG): convert the file to TIFF"
+        )
     height, width = counts.shape
     tile = black[pattern]
     counts -= np.tile(tile, (height // 2 + 1, width // 2 + 1))[:height, :width]

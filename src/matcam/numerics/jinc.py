@@ -18,8 +18,9 @@ _SMALL = 1e-4  # argument below which 1 - v^2 / 8 is accurate to rounding
 def jinc(v: jax.Array, largest: float) -> jax.Array:
     """Compute 2 J1(v) / v, where J1 is the Bessel function of order 1. The value at v = 0 is 1.
 
-    JAX has no J1. For JAX arrays, the result is the mean of 2 cos^2 t cos(v sin t) over nodes t in [0, pi/2], which
-    correspond to chords of the disc. This mean is exact if the number of nodes exceeds v.
+    The Bessel function of JAX is inaccurate for large arguments. For JAX arrays, the result is therefore the mean of 2
+    cos^2 t cos(v sin t) over nodes t in [0, pi/2], which correspond to chords of the disc. This mean is exact if the number
+    of nodes exceeds v.
 
     Args:
         v: argument, no unit, >= 0, any shape.

@@ -203,7 +203,7 @@ def noise_from_residuals(residual: np.ndarray, value: np.ndarray) -> tuple[float
     """Fit gain and read variance to the residuals.
 
     The variance of a pixel is gain * value + read variance; both are non-negative. `value`: model values of the pixels. The
-    read variance is at least that of rounding, so that the variance is never 0.
+    read variance is at least that of rounding in single precision, so that the variance is never 0.
     """
     square, level = residual**2, np.maximum(value, 0)
     # The smallest variance represents rounding, and keeps the weights finite.

@@ -65,9 +65,9 @@ def _gaps(
     """Compute the start and the length of the parts of circles inside all half-spaces, (..., half-spaces), rad.
 
     Entries without a part have the length 0. On a circle, a half-space excludes one interval. The end of an interval is the
-    start of a part if no other interval covers it. The part extends to the next start of an interval. The length is
-    negative if both ends of the part lie on sides of the window, or if the part is a whole circle. A further array of flags
-    would increase the computing time by 40 %.
+    start of a part if no other interval covers it. The part extends to the next start of an interval. The sign
+    of the length is a flag: the length is negative if both ends of the part lie on sides of the window, or if the part is a
+    whole circle. This avoids a separate array of flags, which would increase the computing time.
 
     Args:
         axial: see `Clips`, (..., half-spaces).

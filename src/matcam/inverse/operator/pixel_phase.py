@@ -244,7 +244,7 @@ def _upright(found: FoundPhase, cells: list[_NearCells], azimuth: float) -> Foun
     """Choose between a phase and its mirror image across the plane of camera and lamp.
 
     The choice depends on the values of cells, because both phases have the same borders. A cell is the mean of two positions
-    on opposite sides of the plane. All cells are means of a few pixels for the correct phase only. If the plane is not
+    on opposite sides of the plane. Means of a few pixels explain all cells only for the correct phase. If the plane is not
     parallel to the rows, columns or diagonals of the pixels, the mirror image of a grid is not a grid of the same
     orientation, and the phase is returned unchanged.
     """

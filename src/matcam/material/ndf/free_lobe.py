@@ -104,11 +104,11 @@ def _knot_at(slope2: jax.Array) -> jax.Array:
 def spline_smoothness() -> np.ndarray:
     """Build the smoothness penalty of the coefficients, (rows, KNOTS).
 
-    The penalty is the result of `smoothness`, with larger weights for facets steeper than about 45 degrees. Only few
+    The penalty is the result of `smoothness`, with larger weights for facets steeper than about 45 degrees. Only a few
     cells, in the outermost pixels of the sphere, depend on such facets, but the number of these facets affects the masking
     at grazing angles. For steep facets the tail of the lobe continues as a power law. If the standard deviation of second
-    differences is 1, the exponent of this power law departs from the exponent of the family with a standard deviation
-    of about 0.5.
+    differences is 1, the difference between the exponent of this power law and that of the family has a standard deviation of
+    about 0.5.
     """
     rows, between = smoothness(KNOTS), np.arange(KNOTS - 1) + 0.5
     steep = slope_of_knot(np.concatenate([np.arange(1.0, KNOTS - 1), between, [0.0]])) > _STEEP
