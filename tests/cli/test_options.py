@@ -28,8 +28,8 @@ COMMANDS = typer.main.get_command(app).commands
         ("edge", "roi must lie inside the image of 9 x 9 px, got 0", "--roi must lie inside the image of 9 x 9 px, got 0"),
         (
             "edge",
-            "channel must not be 'R' for a grey image: omit channel, or give cfa if the image is a mosaic",
-            "--channel must not be 'R' for a grey image: give --cfa if the image is a mosaic",
+            "channel must not be 'R' for a grey image: omit the channel, or give cfa if the image is a mosaic",
+            "--channel must not be 'R' for a grey image: omit the channel, or give --cfa if the image is a mosaic",
         ),
         ("edge", "wavelength must be given in m for the defocus model", "--wavelength must be given for the defocus model"),
         (

@@ -181,7 +181,7 @@ class LinearImage:
         elif mosaic is None:
             if channel not in (None, "grey"):
                 raise ArgumentError(
-                    f"channel must not be {channel!r} for a grey image: omit channel, or give cfa if the image is a mosaic"
+                    f"channel must not be {channel!r} for a grey image: omit the channel, or give cfa if the image is a mosaic"
                 )
             channel = "grey"
         else:
