@@ -126,9 +126,11 @@ def test_what_is_refused(tmp_path, monkeypatch):
     whole = write_dng(tmp_path / "whole.dng", COUNTS).read_bytes()
     (tmp_path / "cut.dng").write_bytes(whole[:3000])
     write_dng(tmp_path / "odd.dng", COUNTS, "RRGB")
+    write_dng(tmp_path / "row.dng", COUNTS, "RBGG")
     for name, words in {
         "a.cr2": "camera raw", "a.nef": "unknown camera raw", "words.png": "neither TIFF, PNG, JPEG, OpenEXR nor camera raw",
-        "cut.dng": "camera raw", "odd.dng": "the mosaic is RRGB", "missing.png": "no such file", ".": "is a folder",
+        "cut.dng": "camera raw", "odd.dng": "the mosaic is RRGB", "row.dng": "the mosaic is RBGG",
+        "missing.png": "no such file", ".": "is a folder",
     }.items():  # fmt: skip
         with pytest.raises(FileFormatError, match=words) as caught:
             open_photograph(tmp_path / name)
