@@ -516,7 +516,7 @@ def test_the_command(database, tmp_path, monkeypatch, here):
     assert "whose glare is 0.001 instead of 0.01" in str(other.exception)
     assert "-o FOLDER" in str(command(monkeypatch, database).exception)
     assert "-o FOLDER" in str(command(monkeypatch, database, "-o", "x.binary").exception)
-    assert "name an output folder" in str(command(monkeypatch, database / "a.binary", "--workers", 2).exception)
+    assert "give an output folder" in str(command(monkeypatch, database / "a.binary", "--workers", 2).exception)
 
 
 def test_a_run_on_a_gpu_is_refused(database, tmp_path, monkeypatch):

@@ -190,7 +190,7 @@ def refused(clean, noisy):
         "no noise": (clean, {"gain": 0.0, "read_noise": 0.0}, ArgumentError, "must not both be 0"),
         "cfa": (clean, {"cfa": "RGBG", "channel": "R"}, ArgumentError, "cfa must be one of"),
         "cfa without channel": (clean, {"cfa": "RGGB"}, ArgumentError, "channel must be one of"),
-        "mosaic as grey": (clean * np.tile([[1.0, 0.6], [0.5, 1.0]], (80, 40)), {}, FitError, "a mosaic of colours"),
+        "mosaic as grey": (clean * np.tile([[1.0, 0.6], [0.5, 1.0]], (80, 40)), {}, FitError, "a colour mosaic"),
         "channel of grey": (clean, {"channel": "R"}, ArgumentError, "give cfa"),
         "tone": (clean, {"tone": "gamma"}, ArgumentError, "tone must be"),
         "table for fractions": (clean, {"tone": np.arange(256.0)}, ArgumentError, "whole numbers"),

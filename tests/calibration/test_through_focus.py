@@ -62,7 +62,7 @@ def test_scatter_beyond_the_errors_widens_them():
             [1.0, 1.3, 1.6, 1.9, 2.2],
             "no maximum of MTF50 lies between the positions 1 and 1.9",
         ),  # the focus lies outside
-        ([-0.2, -0.2, 0.2, 0.2, 0.4], "requires at least 4 positions"),
+        ([-0.2, -0.2, 0.2, 0.2, 0.4], "requires at least 4 different positions"),
         ([0.1, 0.11, 0.12, 0.13], "no maximum of MTF50 lies between"),  # too close together to show a curvature
     ],
 )

@@ -124,7 +124,7 @@ def test_bad_input_is_one_line_and_code_2(calibrate, chart, tmp_path):
         ("one.dng", "two.dng"): "the images are of different cameras: Maker One (one.dng), Maker Two (two.dng)",
         ("chart.tif", "soft.tif"): "channel grey: the measurements are contradictory: ",
         ("chart.tif", "--tone", "wavy.dat"): "wavy.dat: the tone curve must not decrease, but it decreases from code 1",
-        ("mosaic.tif",): "a mosaic of colours that is read as grey: give --cfa if",
+        ("mosaic.tif",): "as in a colour mosaic that is read as grey: if the image is a mosaic, give --cfa (",
         ("mosaic.tif", "--cfa", "RGBG"): "Invalid value for '--cfa'",
         ("empty",): "empty: this folder contains no images",
         ("none.tif",): "none.tif: no such file",

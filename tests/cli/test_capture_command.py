@@ -211,8 +211,8 @@ def test_a_plan_is_for_the_rigs_own_distances():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ((), "give --output"),
-        (("-o", "a.exr", "--capture", "b"), "give --output"),
+        ((), "give either --output"),
+        (("-o", "a.exr", "--capture", "b"), "give either --output"),
         (("--capture", "b", "--exposure", "3"), "omit TABLE"),
         (("--capture", "b", "--size", "30", "40"), "follows from the radius"),
         (("--capture", "b", "--sample", "flat", "--lamp-distance", "40"), "distant lamp"),

@@ -112,8 +112,11 @@ def test_errors_come_back_as_they_were(path, decoder, kind, text):
 @pytest.mark.parametrize(
     ("decoder", "text"),
     [
-        ("complain", "damaged, or not a picture: two lines"),
-        ("complain_as_a_library", "damaged, or not a picture: Unable to open file (truncated file: eof = 96)"),
+        ("complain", "the file is damaged, or not a picture: two lines"),
+        (
+            "complain_as_a_library",
+            "the file is damaged, or not a picture: Unable to open file (truncated file: eof = 96)",
+        ),
         ("complain_of_the_system", "cannot be read: Permission denied"),
         ("refuse", "byte 7 is wrong"),
     ],

@@ -84,5 +84,5 @@ def test_an_angle_that_is_wrong_in_degrees_too_has_no_hint(angle):
 def test_a_table_in_degrees_is_recognised():
     table = matcam.io.example_table()
     wrong = table.assign_coords(theta_d=np.degrees(table["theta_d"]))
-    with pytest.raises(ArgumentError, match=r"it is in degrees: give np.radians\(table\['theta_d'\]\)"):
+    with pytest.raises(ArgumentError, match=r"its values are in degrees: give np.radians\(table\['theta_d'\]\)"):
         matcam.fresnel(wrong, RIG)

@@ -196,7 +196,7 @@ CAMERA = Camera(GaussianOptics(0.5))
         (lambda: NearLamp(5, -0.1), "lamp_radius must lie in"),
         (lambda: DistantLamp(0.5), "lamp_radius must lie in"),
         (lambda: Rig(CAMERA, SMALL, 0.1), "lamp must be a DistantLamp or NearLamp, got float"),
-        (lambda: Rig(CAMERA, SMALL, NearLamp(5), lamp_radius=0.1), "give lamp_radius or a lamp, not both"),
+        (lambda: Rig(CAMERA, SMALL, NearLamp(5), lamp_radius=0.1), "give lamp_radius or lamp, not both"),
         (lambda: picture(MATERIAL, Rig(CAMERA, SMALL, NearLamp(3)), 2.9), "the lamp is behind the sample"),
         (lambda: picture(MATERIAL, Rig(CAMERA, Sphere(20, 5), NearLamp(3)), 2.61), "the lamp is behind the sample"),
         (lambda: picture(MATERIAL, Rig(CAMERA, SMALL), 3.2), "beyond pi the lamp is behind the sample"),

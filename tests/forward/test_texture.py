@@ -126,7 +126,7 @@ def holed(value):
         ((holed(-0.1), rig(), 0.1), "texture must lie in [0, inf), got -0.1"),
         ((holed(np.inf), rig(), 0.1), "texture must lie in [0, inf), got inf"),
         ((np.ones(5), rig(), 0.1), "texture must have shape (H, W) or (H, W, channels), got (5,)"),
-        ((np.ones((0, 5)), rig(), 0.1), "texture must have shape"),
+        ((np.ones((0, 5)), rig(), 0.1), "texture must have at least one row"),
         ((np.ones((2, 2, 2, 2)), rig(), 0.1), "texture must have shape"),
         (([["a"]], rig(), 0.1), "texture must be a number"),
         ((np.ones((4, 4)), rig(), np.pi / 2), "theta_o must lie in [0, 1.5708) rad"),

@@ -36,7 +36,7 @@ def test_the_data_alone_are_given():
     assert strong.contradicts
     assert "0.5049" in strong.remark.text
     assert "instead of 0.5000" in strong.remark.text
-    assert "the radius of the sample" in strong.remark.text
+    assert "radius of the sample" in strong.remark.text
 
 
 def test_the_end_of_the_range_is_no_estimate():

@@ -85,7 +85,10 @@ def test_a_rig_is_read_back(written):
 @pytest.mark.parametrize(
     ("geometry", "words"),
     [
-        ({"covariance": {"names": [], "matrix": [[1.0]]}}, "geometry.covariance: must have 11 parameters"),
+        (
+            {"covariance": {"names": [], "matrix": [[1.0]]}},
+            "geometry.covariance: names and matrix must cover 11 parameters",
+        ),
         ({"covariance": document()["geometry"]["covariance"] | {"matrix": (-covariance()).tolist()}}, "variances >= 0"),
         ({"lamps": document()["geometry"]["lamps"][:1] * 3}, "two lamps have the same name"),
         ({"radius_px": "80"}, "field geometry.radius_px"),

@@ -274,7 +274,7 @@ def _translated(message: str, option_of: Mapping[str, str]) -> str:
     if subject:
         message = re.sub(r"[a-z_.]+", name, subject[0]) + message[subject.end() :]
     message = re.sub(r"(?<![\w/.-])[a-z]+(?:_[a-z]+)+(?![\w/.-])", name, message)
-    message = re.sub(r"(?<=\bgive )[a-z]+(?= if )", name, message)
+    message = re.sub(r"(?<=\bgive )[a-z]+(?= if | \()", name, message)
     return _in_unit(message)
 
 
