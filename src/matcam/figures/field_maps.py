@@ -73,7 +73,7 @@ def draw_blur_map(axes: Axes, edges: EdgeTable, shape: tuple[int, int], channel:
     axes.figure.colorbar(drawn, ax=axes, label="sigma [px]", shrink=0.85)
     for (i, k), sigma in np.ndenumerate(found.sigma):
         if np.isfinite(sigma):
-            bright = drawn.norm(sigma) > 0.5
+            bright = sigma > (low + high) / 2 or low == high
             axes.text(
                 found.x[k : k + 2].mean(), found.y[i : i + 2].mean(), f"{sigma:.3f}",
                 ha="center", va="center", fontsize=7, color="black" if bright else "white", zorder=4,

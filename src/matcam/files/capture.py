@@ -329,8 +329,10 @@ def _listed(folder: Path) -> tuple[list[CaptureFrame], dict[str, LampGuess], lis
             lamps[frame.lamp] = guess
     if absent:
         where = folder / absent[0] if len(absent) == 1 else f"{folder}: {some_of(absent)}"
-        files, lines, them = ("files", "lines", "them") if len(absent) > 1 else ("file", "line", "it")
-        text = f"{where}: no such {files}, but {LIST} lists {them}: add the {files}, or delete the {lines} of the list"
+        files, entries, them = ("files", "lines", "them") if len(absent) > 1 else ("file", "line", "it")
+        text = (
+            f"{where}: no such {files}, but {LIST} lists {them}: add the {files}, or delete the {entries} of the list"
+        )
         problems.append(Remark("bad-frame", text))
     times: dict[str, float] = {}
     for frame in frames:

@@ -346,8 +346,7 @@ def _highlights(view: SphereView, u: Any, v: Any, radius: Any, lamp_angle: Any) 
         normal = lamp[0] / twice, lamp[1] / twice, twice / 2
     else:
         off = xp.sqrt(xp.maximum(lamp[0] ** 2 + lamp[1] ** 2, 1e-30))
-        angle = highlight_between(jnp.asarray(xp.arctan2(off, lamp[2])), view.camera, w)
-        angle = np.asarray(angle) if xp is np else angle
+        angle = xp.asarray(highlight_between(jnp.asarray(xp.arctan2(off, lamp[2])), view.camera, w))
         normal = xp.sin(angle) * lamp[0] / off, xp.sin(angle) * lamp[1] / off, xp.cos(angle)
     up = sum(a * b for a, b in zip(normal, lamp, strict=True))
     depth, view_2 = 1 - view.camera * normal[2], 1 + view.camera**2 - 2 * view.camera * normal[2]

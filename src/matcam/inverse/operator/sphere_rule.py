@@ -370,12 +370,12 @@ def _arc_sums(
         arc = half, *(function(angle) for angle in (middle, circle, peak) for function in (jnp.sin, jnp.cos))
         nothing = jnp.zeros((most, 7 + 2 * NODES[0].size if near else 4, circle.shape[0]))
         rule = rules[own, 0], rules[own, 1]
-        disc = disc and (disc, chord_points(view, disc))
+        points = disc and chord_points(view, disc)
         return repeated_sum(
-            lambda node: sums(pixel, arc, variances, disc, nothing, *node), own % _MIDPOINT, rule, nothing
+            lambda node: sums(pixel, arc, variances, disc, points, nothing, *node), own % _MIDPOINT, rule, nothing
         )
 
-    def sums(pixel, arc, variances, disc, nothing, node, node_weight):  # type: ignore[no-untyped-def]
+    def sums(pixel, arc, variances, disc, points, nothing, node, node_weight):  # type: ignore[no-untyped-def]
         x, y, cosine, sine_, lamp, _, cell, *spacing = pixel
         half, sin_m, cos_m, s, c, sin_p, cos_p = arc
         off = half * node
@@ -418,7 +418,7 @@ def _arc_sums(
             if disc is None:
                 seen = sum((blur.share(term) * through(blur, term, var_x, var_y) for term in terms), jnp.zeros(()))
             else:
-                seen = lamp_kernel(view, blur, terms, *disc, normal, in_plane(x, y), (var_x, var_y))
+                seen = lamp_kernel(view, blur, terms, disc, points, normal, in_plane(x, y), (var_x, var_y))
             share = jax.lax.optimization_barrier(seen * measure)
             own = jnp.stack([jnp.sum(share * one, axis=1) for one in factors])
             if near:
