@@ -58,12 +58,9 @@ class MaterialFit(Summarised):
         hwhm: half width at half maximum of the first lobe, rad. It is well determined even if a width and a power are
             correlated.
         hwhm_std: standard deviation of `hwhm`, rad.
-        determined: True if the first lobe is resolved and all lobes are determined. The first parameter of every lobe must have
-            a relative standard deviation below 5 %. If the family has several parameters, the last parameter must have a
-            relative standard deviation below 15 %. For a lobe without parameters of a family, only the half width is tested,
-            with a limit of 5 %.
-        resolved: True if the first lobe is wider than the smallest width that a fit allows. Every camera records a lobe of that
-            width as a point.
+        determined: True if the first lobe is resolved, the first parameter of every lobe is known to 5 %, and the last of
+            several parameters to 15 %. Without parameters of a family, the half width must be known to 5 %.
+        resolved: True if the first lobe is wider than the smallest width of a fit, which every camera records as a point.
         materials: fitted material of each table.
         camera: fitted camera, with its uncertainty after the fit; None without a rig.
         curves: Dataset over (theta_d, channel), no unit: the Fresnel term F, `fresnel`, and its standard deviation,
@@ -193,9 +190,6 @@ class MaterialFit(Summarised):
 
         Raises:
             ArgumentError: the fit has no parameter of this name.
-
-        Example:
-            >>> found.correlation("n[G]", "k[G]")  # doctest: +SKIP
         """
         names = list(self.params)
         for name in (first, second):
@@ -215,9 +209,6 @@ class MaterialFit(Summarised):
 
         Raises:
             ArgumentError: the fit has no parameter of this name.
-
-        Example:
-            >>> found.uncertainty_budget("alpha").expanded  # doctest: +SKIP
         """
         return self.uncertainty_budgets(name)[0]
 
