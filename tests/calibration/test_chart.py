@@ -88,7 +88,7 @@ DAMAGE = [
     (lambda d: d["elements"][-1].update(pitch_mm=1e-3), "2 radius < pitch"),
     (lambda d: d["elements"][-2].update(cycles=3), "cycles"),
     (lambda d: d["elements"][-2].update(dark=0.99), "dark must lie below bright"),
-    (lambda d: d["fiducials"].pop(0), "of which exactly one with 2 rings"),
+    (lambda d: d["fiducials"].pop(0), "exactly one mark with 2 rings"),
     (lambda d: d["page_mm"].pop(), "field page_mm"),
 ]
 

@@ -327,7 +327,7 @@ def _without_clipped(
     """Remove frames that are clipped everywhere from the samples and from `used`, and report them.
 
     A frame with a single bright code is treated as clipped at any clip level. The exception is a render of a uniform
-    sample, all of whose frames have a single code.
+    sample, because each frame of such a sample has a single code.
     """
     least, level, height = (TopCodes._fields.index(name) for name in ("least", "level", "height"))
     every = np.concatenate([sample.tops for sample in samples])

@@ -167,12 +167,12 @@ def _print_photograph(report: dict[str, Any]) -> None:
 
 
 def _print_result(report: dict[str, Any]) -> None:
+    from matcam.core.results.summary import Quantity
+
     show.say(f"{report['file']}: {report['holds']}")
     show.say(report["verdict"])
     if "lens" in report:
         show.say(f"table: {report['table']}; lens {report['lens']}")
-    from matcam.core.results.summary import Quantity
-
     found = [Quantity(name, one["value"], _known(one["std"])) for name, one in report["parameters"].items()]
     show.quantities(found, f"Lobe of the family {report['family']}")
     if report.get("left_out"):

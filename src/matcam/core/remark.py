@@ -63,8 +63,8 @@ def some_of(names: Iterable[str], most: int = 6) -> str:
 def gathered(remarks: Iterable[tuple[str, Remark]]) -> list[Remark]:
     """Combine remarks with the same code on many objects.
 
-    If more than three remarks have the same code, they are replaced by the first one, to which the names of the other
-    objects are appended.
+    If more than three remarks have the same code, only the first one is kept. The names of the other objects are appended
+    to its text.
 
     Args:
         remarks: pairs of the name of an object and a remark on this object.

@@ -285,8 +285,8 @@ def identify(path: str | Path) -> str:
 def format_for(path: str | Path, *contents: str) -> Format:
     """Select the format of an output by the suffix of its name.
 
-    `contents` are keys of `CONTENTS`, of which the format supports at least one. Default: none, which means any of
-    `MEASUREMENTS`. An ArgumentError is raised for a name with another suffix.
+    The format supports at least one of `contents`, which are keys of `CONTENTS`. Default: the keys in `MEASUREMENTS`. An
+    ArgumentError is raised for a name with another suffix.
     """
     name, contents = Path(path).name.lower(), contents or MEASUREMENTS
     for form in FORMATS:

@@ -19,7 +19,7 @@ def positions_of(
 ) -> tuple[np.ndarray, ...]:
     """Evaluate `Curved.position` for many angles.
 
-    The results are x and y (px) and the lamp angle (rad), in the shape to which the angles broadcast.
+    The results are x and y (px) and the lamp angle (rad), in the broadcast shape of the angles.
     """
     angles = np.broadcast_arrays(theta_h, theta_d, phi_d)
     rows, shape = tuple(angle.ravel() for angle in angles), angles[0].shape

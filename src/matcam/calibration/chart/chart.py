@@ -54,8 +54,8 @@ class Chart:
         marks = sum(fiducial.rings == 2 for fiducial in self.fiducials)
         if self.fiducials and (len(self.fiducials) < 4 or marks != 1):
             raise ArgumentError(
-                "fiducials must be empty, or at least 4, of which exactly one with 2 rings, got "
-                f"{len(self.fiducials)}, of which {marks} with 2 rings"
+                "fiducials must be empty, or contain at least 4 marks and exactly one mark with 2 rings, got "
+                f"{len(self.fiducials)} and {marks}"
             )
 
 

@@ -154,10 +154,11 @@ def lobe_ratio(
 
 
 def _plain(where: ResponseLattice, at: FitCoordinates, shifts: np.ndarray) -> np.ndarray:
-    """Compute a damped ln(true / recorded), (slices, cells), of which only differences are used.
+    """Compute a damped ln(true / recorded), (slices, cells).
 
-    The result tends to 0 for records below the accuracy of the operator. The dependence of a record on the lens is a
-    polynomial, so a faint record may become negative, and its logarithm would be arbitrary.
+    Callers use only differences between two results. The result tends to 0 for records below the accuracy of the
+    operator. The dependence of a record on the lens is a polynomial, so a faint record may become negative, and its
+    logarithm would be arbitrary.
 
     shifts: coordinates along the axes of the lattice.
     """

@@ -96,8 +96,8 @@ def base_and_slope(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Compute the BRDF of a base and its derivative.
 
-    The base has a reflectance of 1. The derivative is with respect to ln roughness. Both results have the unit 1/sr, and the
-    shape to which the angles, rad, broadcast. They are 0 below the horizon.
+    The base has a reflectance of 1. The derivative is with respect to ln roughness. Both results have the unit 1/sr, and
+    the broadcast shape of the angles, rad. They are 0 below the horizon.
     """
     value, slope = _with_slope(*(placed(np.asarray(a, dtype=float)) for a in (log_roughness, theta_h, theta_d, phi_d)))
     return np.asarray(value), np.asarray(slope)
@@ -106,7 +106,7 @@ def base_and_slope(
 def transmittance(theta_h: AnyArray, theta_d: AnyArray, phi_d: AnyArray) -> AnyArray:
     """Compute the product of the transmittances into and out of the coat.
 
-    The product has the shape to which the angles, rad, broadcast.
+    The product has the broadcast shape of the angles, rad.
     """
     angles = (xp.arccos(xp.clip(cosine, 0.0, _ALONG)) for cosine in cosines(theta_h, theta_d, phi_d))
     into, out = (1 - fresnel_conductor(theta, _INDEX, 0.0) for theta in angles)
@@ -116,7 +116,7 @@ def transmittance(theta_h: AnyArray, theta_d: AnyArray, phi_d: AnyArray) -> AnyA
 def loss_in_coat(theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> np.ndarray:
     """Compute the share of diffuse light that a coat removes, relative to normal incidence and view.
 
-    The share has the shape to which the angles, rad, broadcast.
+    The share has the broadcast shape of the angles, rad.
     """
     zero = np.zeros(1)
     return np.asarray(1 - transmittance(theta_h, theta_d, phi_d) / transmittance(zero, zero, zero))

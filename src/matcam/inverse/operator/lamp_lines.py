@@ -224,9 +224,7 @@ def chord_points(view: SphereView, disc: LampDisc) -> ChordPoints:
         return jnp.stack([a[:3] for a in to]), share * light[:3] / own_light, less
 
     chords = tuple(jnp.asarray(table)[disc.rule].T for table in (_AT, _HALF, _SHARE))
-    used = jnp.any(chords[2] > 0, axis=1)
-    if _is_distant(view):
-        used &= ~jnp.all(of_gaussians(view, disc))
+    used = jnp.any(chords[2] > 0, axis=1) & ~jnp.all(of_gaussians(view, disc))
     like = jax.eval_shape(of_chord, jax.tree.map(lambda a: a[0], chords))
     nothing = jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), like)
     found = jax.lax.map(lambda one: jax.lax.cond(one[0], of_chord, lambda _: nothing, one[1]), (used, chords))

@@ -54,7 +54,9 @@ _GROUP = 4
 _MIDPOINT = MOST_NODES // _GROUP + 1
 """Index of the first midpoint rule in `_tabulated_rules`."""
 _BESIDE_BORDER = 24
-"""Smallest number of nodes on an arc under a source disc. The borders of the image of the disc may cross short arcs, too."""
+"""Smallest number of Gauss-Legendre nodes on an arc whose source disc is described by chords. The borders of the image of the
+disc may cross short arcs, too.
+"""
 _KERNELS = 2
 """Largest number of kernels that one call of the compiled program evaluates at the same nodes. The two Gaussians that are
 stretched along and across the plane of camera and lamp have the same windows.
