@@ -61,6 +61,8 @@ def test_check_says_what_it_found(matcam, tmp_path):
     assert found["lamps"] == 4
     assert {one["code"] for one in found["findings"]} >= {"times-wrong", "angles-missed"}
     assert found["radiometry"]["clip_level_dn"][0] == pytest.approx(15256, rel=5e-3)
+    last = matcam("capture", "check", folder, code=1).stdout.splitlines()[-1]
+    assert last == f"next: correct these faults, then repeat matcam capture check {folder}"
 
 
 def test_what_an_ended_run_left_is_no_obstacle(matcam, tmp_path, monkeypatch):
