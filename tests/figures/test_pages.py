@@ -118,6 +118,7 @@ def test_an_index_says_of_what_a_share_is(tmp_path):
     write_run_index(tmp_path / "index.html", [("a", record("a"))], [])
     page = (tmp_path / "index.html").read_text()
     assert "supported, of entries<br>with known uncertainty" in page
+    assert "<h1>1 corrected material</h1>" in page
 
 
 @pytest.mark.parametrize("layout", ["constrained", None])

@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 
 from matcam.core.grid import merl_grid, sampling_of
 from matcam.core.remark import texts
-from matcam.core.results.summary import Quantity, half_width
+from matcam.core.results.summary import Quantity, half_width, with_std
 from matcam.figures.curves import RAW_LABEL, draw_corrected_lobe
 from matcam.figures.spheres import (
     encoded_for_screen,
@@ -248,8 +248,8 @@ def _number(value: Any, text: Callable[[float], str]) -> _Cell:
 
 def _with_std(value: Any, std: Any, scale: float = 1.0) -> _Cell:
     def text(x: float) -> str:
-        error = f" ± {std * scale:.1g}" if isinstance(std, int | float) and math.isfinite(std) else ""
-        return f"{x * scale:.4g}{error}"
+        known = isinstance(std, int | float) and 0 < std < math.inf
+        return with_std(x * scale, std * scale) if known else f"{x * scale:.4g}"
 
     return _number(value, text)
 
