@@ -77,3 +77,22 @@ def test_a_wrong_radius_moves_both_distances_alike():
     p[LAYOUT.sample_radius] = 0.0
     blamed, _ = away(SCENE, p)
     assert abs(blamed / (20**2 + 40**2) - 1) < 1e-9
+
+
+def test_a_rotated_lamp_table_is_likelier_than_two_separate_errors():
+    """Both lamps lie in the plane of x and z. Own and common errors of 0.01 rad: variances 2e-4, covariance 1e-4 in this plane."""
+    frames = [lamp_frame(lamp) for lamp in SCENE.lamps]
+    rows, values, sources = prior_of(LAYOUT, SCENE, frames, 0.0, 0)
+    mine = np.array([source == "lamp" for source in sources])
+
+    def chi2(*angles):
+        p = np.zeros(LAYOUT.size)
+        for i, (frame, angle) in enumerate(zip(frames, angles, strict=True)):
+            moved = np.cos(angle) * frame.base + np.sin(angle) * np.cross([0.0, 1.0, 0.0], frame.base)
+            p[LAYOUT.turn(i)] = [moved @ t / (moved @ frame.base) for t in (frame.first, frame.second)]
+        return float(np.sum((rows[mine] @ p - values[mine]) ** 2))
+
+    assert mine.sum() == 4
+    in_stds = (np.tan(0.02) / 0.01) ** 2
+    assert abs(chi2(0.02, 0.02) / in_stds - 2 / 3) < 1e-9
+    assert abs(chi2(0.02, -0.02) / in_stds - 2) < 1e-9

@@ -181,13 +181,9 @@ def prior_of(
     stds = np.broadcast_to(np.asarray(scene.lamp_std, dtype=float), k)
     gain_stds = np.maximum(np.broadcast_to(np.asarray(scene.gain_std, dtype=float), k), 1e-5)
     gains = np.zeros(k) if scene.gain is None else np.log(scene.gain)
-    for i, frame in enumerate(frames):
-        # coordinates of the specified direction in this frame, whose base is the last fitted direction
-        stated = unit(scene.lamps[i])
-        along = float(stated @ frame.base)
-        for axis, tangent in enumerate((frame.first, frame.second)):
-            if scene.rig is None or scene.rig.lamps[i] < 0:
-                single("lamp", layout.turn(i).start + axis, float(stds[i]), float(stated @ tangent) / max(along, 0.1))
+    own_lamps = [i for i in range(k) if scene.rig is None or scene.rig.lamps[i] < 0]
+    for row, value in zip(*_lamp_prior(layout, scene, frames, own_lamps, stds), strict=True):
+        add("lamp", row, float(value))
     root = np.eye(k)
     if scene.gain_correlation is not None:
         root = np.linalg.inv(np.linalg.cholesky(scene.gain_correlation + 1e-9 * np.eye(k)))
@@ -203,6 +199,42 @@ def prior_of(
             row[own : own + KNOTS] = line / spline
             add("smooth lobe", row, 0.0)
     return np.array(rows), np.array(values), tuple(sources)
+
+
+def _lamp_prior(
+    layout: JointLayout, scene: SphereScene, frames: Sequence[LampFrame], lamps: Sequence[int], stds: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Build the prior of the directions to the lamps.
+
+    Besides its own error, each direction has an error that is common to all: the axes of a table of directions are rotated
+    relative to the camera. The standard deviation of the rotation is that of the best known direction.
+
+    Args:
+        layout: order of the parameters.
+        scene: prior knowledge of the scene.
+        frames: base direction of the lamp of each image.
+        lamps: indices of the images whose lamps have a prior.
+        stds: standard deviation of each direction along each tangent, rad, (pictures,).
+
+    Returns:
+        Combinations, (2 lamps, size), and their means, (2 lamps,).
+    """
+    rows, values = np.zeros((2 * len(lamps), layout.size)), np.zeros(2 * len(lamps))
+    if not lamps:
+        return rows, values
+    turned = []
+    for n, i in enumerate(lamps):
+        # coordinates of the specified direction in this frame, whose base is the last fitted direction
+        stated, frame = unit(scene.lamps[i]), frames[i]
+        along = float(stated @ frame.base)
+        for axis, tangent in enumerate((frame.first, frame.second)):
+            rows[2 * n + axis, layout.turn(i).start + axis] = 1.0
+            values[2 * n + axis] = float(stated @ tangent) / max(along, 0.1)
+            turned.append(np.cross(stated, tangent))  # displacement along the tangent per rad about each axis
+    own = np.repeat(stds[list(lamps)], 2)
+    covariance = np.diag(own**2) + own.min() ** 2 * np.array(turned) @ np.array(turned).T
+    root = np.linalg.inv(np.linalg.cholesky(covariance))
+    return root @ rows, root @ values
 
 
 def joint_problem(
