@@ -82,7 +82,7 @@ def test_each_lamp_has_its_azimuth(imaging):
     material = Microfacet(GGX(0.3), 1.0)
     found, expected = (
         np.asarray(record(material, imaging, record_plan(imaging, positions, 0.3)))[:, 0]
-        for positions in (RecordPositions(*turned, lamp, quarters), RecordPositions(x, y, lamp))
+        for positions in (RecordPositions(*turned, lamp, quarters), RecordPositions(x, y, lamp, np.zeros(3)))
     )
     np.testing.assert_allclose(found, expected, rtol=1e-6)
 
