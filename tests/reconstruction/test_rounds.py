@@ -80,7 +80,7 @@ def test_a_wrong_radius_moves_both_distances_alike():
 
 
 def test_a_rotated_lamp_table_is_likelier_than_two_separate_errors():
-    """Both lamps lie in the plane of x and z. Own and common errors of 0.01 rad: variances 2e-4, covariance 1e-4 in this plane."""
+    """Lamps in the plane of x and z; own and common errors of 0.01 rad: variances 2e-4, covariance 1e-4 in this plane."""
     frames = [lamp_frame(lamp) for lamp in SCENE.lamps]
     rows, values, sources = prior_of(LAYOUT, SCENE, frames, 0.0, 0)
     mine = np.array([source == "lamp" for source in sources])
