@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
+from matcam import calibrate
 from matcam.calibration.camera.evidence import dot_positions
 from matcam.calibration.camera.lens_over_field import lens_over_field
 from matcam.calibration.chart.chart import Square
@@ -144,3 +145,18 @@ def test_the_page_itself_closes_the_loop(tmp_path):
     # pixels that a dot shares with the paper are averaged in codes: its radius grows by 0.15 px of the page, 0.6 %
     print("dots", found.grids[0].sigma.mean())
     assert found.grids[0].sigma.mean() == pytest.approx(sigma, rel=0.02)
+
+
+def test_a_photograph_without_its_squares_says_that_no_edge_was_measured(tmp_path):
+    """The gratings alone give the camera."""
+    path = tmp_path / "chart.json"
+    write_chart(path, design_chart(("squares", "bars"), pixels_across=800))
+    chart, document = read_chart(path), json.loads(path.read_text())
+    bare = document | {"elements": [one for one in document["elements"] if one["kind"] != "square"]}
+    shot = ChartCamera(page=chart.page, width=800, height=570, sigma=0.5, fill=1.0)
+    found = calibrate([shot.photograph(shot.expected(bare), 60, 3)], chart=chart)
+    (remark,) = found.remarks
+    assert remark.code == "edges-not-measured"
+    assert "no slanted edge was found" in remark.text
+    fit = found.channels["grey"]
+    assert abs(fit.values[0] - 0.5) < 4 * fit.std[0] < 0.02
