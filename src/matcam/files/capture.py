@@ -130,7 +130,7 @@ class Capture:
 
     @property
     def direction_std(self) -> float:
-        """Standard deviation of each angle of the lamp directions, rad."""
+        """Standard deviation of each lamp direction, and of a rotation common to all, rad."""
         return math.radians(self.settings["lamp"]["direction_std_deg"])
 
     @property

@@ -46,7 +46,7 @@ kind = "sphere"                      # sphere | cylinder | flat
 motion = "free"                      # arc | free | table
 intensity = "constant"               # reference | constant | table
 gain_std = 0.005                     # relative standard deviation of the lamp intensity of an image
-direction_std_deg = 1.0              # standard deviation of angle_deg and azimuth_deg of frames.csv
+direction_std_deg = 1.0              # standard deviation of the angles in frames.csv, and of a rotation common to all
 
 # [reference]                        # object of known radiance, in every frame or in separate images
 # kind = "diffuse"                   # diffuse: white patch facing the camera | monitor: radiance proportional to the lamp

@@ -2,7 +2,8 @@
 
 An information matrix (the inverse of a covariance) is symmetric and positive semidefinite. Its entries may differ by a
 factor of 1e20, because its parameters have different units; so it is scaled to a unit diagonal before it is inverted.
-The data do not determine a direction whose eigenvalue is below `FLOOR`.
+The data do not determine a direction whose eigenvalue is below `FLOOR`. `whitening` transforms correlated errors to
+independent errors.
 """
 
 from __future__ import annotations
@@ -56,6 +57,14 @@ def lifted_inverse(information: AnyMatrix, undetermined: float = 0.0) -> AnyMatr
     half = linalg.inv(linalg.cholesky(information * units + xp.diag(xp.where(scale > 0, FLOOR, 1.0))))
     inverse = half.T @ half * units
     return inverse + xp.diag(xp.where(scale > 0, 0.0, undetermined)) if undetermined else inverse
+
+
+def whitening(covariance: np.ndarray) -> np.ndarray:
+    """Compute the matrix that transforms errors with a covariance to independent errors of unit variance.
+
+    covariance: positive definite matrix, shape (n, n).
+    """
+    return np.linalg.inv(np.linalg.cholesky(covariance))
 
 
 def least_eigenvalue(information: np.ndarray) -> float:

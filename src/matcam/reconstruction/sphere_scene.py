@@ -14,6 +14,7 @@ from matcam.files.capture_settings import Stated
 from matcam.inverse.fit.fit_parameters import LobeKind
 from matcam.inverse.rig.rig_axes import known_lens
 from matcam.material.ndf.free_lobe import KNOTS, spline_smoothness
+from matcam.numerics.linalg import whitening
 from matcam.reconstruction.joint.field_change import FIELD, FieldChange, outline_slopes
 from matcam.reconstruction.joint.joint_problem import JointLayout, JointProblem, PixelModel
 from matcam.reconstruction.observed_pixels import ObservedPixels
@@ -44,7 +45,8 @@ class SphereScene:
         camera_nearness: inverse of the distance of the camera, with standard deviation, 1/radii.
         lamp_nearness: inverse of the distance of the lamp, with standard deviation, 1/radii.
         lamps: unit vectors from the centre of the sphere to the lamp, x right, y up, z to the camera, (pictures, 3).
-        lamp_std: standard deviation of each direction along each tangent, rad, () or (pictures,).
+        lamp_std: standard deviation of each direction along each tangent, rad, () or (pictures,). The smallest one is also that
+            of a rotation that is common to all directions.
         lamp_radius: angular radius of the source disc, seen from the centre of the sphere, rad. Default: 0, a point.
         gain_std: standard deviation of ln of the gain of each image, no unit, () or (pictures,). Default: 0.005.
         gain: irradiance of each image relative to the mean of all images, from a reference, (pictures,). Default: None, 1
@@ -164,7 +166,7 @@ def prior_of(
     which = np.repeat(range(3), [k, k, 1])
     covariance = np.asarray(scene.outline_covariance, dtype=float)[np.ix_(which, which)]
     covariance[np.arange(2 * k), np.arange(2 * k)] += max(scene.shift_std, 1e-4) ** 2
-    root = np.linalg.inv(np.linalg.cholesky(covariance))
+    root = whitening(covariance)
     positions = [layout.centre(i).start + axis for axis in (0, 1) for i in range(k)] + [layout.of("radius")]
     expected = np.append(scene.centres.T.ravel(), scene.radius)
     moved = np.zeros(2 * k + 1)
@@ -186,7 +188,7 @@ def prior_of(
         add("lamp", row, float(value))
     root = np.eye(k)
     if scene.gain_correlation is not None:
-        root = np.linalg.inv(np.linalg.cholesky(scene.gain_correlation + 1e-9 * np.eye(k)))
+        root = whitening(scene.gain_correlation + 1e-9 * np.eye(k))
     for line in root / gain_stds:
         row = np.zeros(layout.size)
         row[[layout.gain(i) for i in range(k)]] = line
@@ -233,7 +235,7 @@ def _lamp_prior(
             turned.append(np.cross(stated, tangent))  # displacement along the tangent per rad about each axis
     own = np.repeat(stds[list(lamps)], 2)
     covariance = np.diag(own**2) + own.min() ** 2 * np.array(turned) @ np.array(turned).T
-    root = np.linalg.inv(np.linalg.cholesky(covariance))
+    root = whitening(covariance)
     return root @ rows, root @ values
 
 

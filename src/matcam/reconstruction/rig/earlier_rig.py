@@ -14,6 +14,7 @@ import numpy as np
 
 from matcam.core.errors import ArgumentError
 from matcam.core.remark import Remark
+from matcam.numerics.linalg import whitening
 from matcam.reconstruction.joint.joint_problem import JointLayout
 from matcam.reconstruction.picture_model import LampFrame, lamp_frame
 from matcam.reconstruction.rig.rig_document import SCENE_NAMES, EarlierRig
@@ -78,7 +79,7 @@ class KnownRig(NamedTuple):
         covariance = self.covariance[np.ix_(chosen, chosen)]
         scale = np.sqrt(np.maximum(np.diag(covariance), _LEAST))
         correlation = covariance / np.outer(scale, scale) + 1e-9 * np.eye(len(scale))
-        root = np.linalg.inv(np.linalg.cholesky(correlation)) / scale
+        root = whitening(correlation) / scale
         return root @ np.array(rows), root @ np.array(values)
 
 
