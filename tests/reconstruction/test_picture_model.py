@@ -128,7 +128,6 @@ def test_derivatives_are_those_of_the_values(model, shape):
     may differ. With a diffuse part of Lambert's law, and with one of another shape."""
     bent = VIEW._replace(k1=0.01)
     lamp, pixels = seen(0.02, 60, 0.7, bent, field_of(bent))
-    model = PictureModel(model.kind, model.blur, model.positions, model.weights, shape)
     frame, p = lamp_frame(lamp), np.insert(parameters(0.02), 5, 0.05 * np.arange(1, shape + 1))
     calls = (
         lambda p, slopes: model.window(p, frame, pixels.window, slopes=slopes),

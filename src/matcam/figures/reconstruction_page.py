@@ -82,7 +82,7 @@ def write_reconstruction_page(
                 result.fit.names, solution.theta_d, solution.chi2, solution.left_out, strict=True
             )
         ],
-        "lobes": list(result.tried.items()),
+        "explanations": result.tried,
         "not_determined": [(*one.names, one.correlation) for one in result.not_determined],
         "exposures": exposures,
         "uncertainty": budget_tables(result.uncertainty_budgets()),

@@ -67,6 +67,19 @@ def whitening(covariance: np.ndarray) -> np.ndarray:
     return np.linalg.inv(np.linalg.cholesky(covariance))
 
 
+def log_volume_ratio(prior: np.ndarray, information: np.ndarray) -> float:
+    """Compute the logarithm of the ratio of the volumes of a normal posterior and of its prior.
+
+    Args:
+        prior: information matrix of the prior, positive definite, shape (n, n).
+        information: information matrix of the data, same shape.
+    """
+    posterior = prior + information
+    scale = 1 / np.sqrt(np.diagonal(posterior))
+    before, after = (np.linalg.slogdet(one * np.outer(scale, scale))[1] for one in (prior, posterior))
+    return 0.5 * float(before - after)
+
+
 def least_eigenvalue(information: np.ndarray) -> float:
     """Compute the smallest eigenvalue of a matrix that is scaled to a unit diagonal.
 

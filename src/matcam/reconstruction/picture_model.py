@@ -33,6 +33,8 @@ OWN = ("column", "row", "lamp_a", "lamp_b")
 """Parameters of one image: centre of the outline, px, and the rotation of the lamp from its base direction along two
 tangents, rad.
 """
+_LEAST_COSINE = 0.1
+"""Cosine of the largest angle between a direction to a lamp and its base direction at which coordinates are accurate."""
 
 
 class LampFrame(NamedTuple):
@@ -105,6 +107,12 @@ def turned_lamp(frame: LampFrame, a: Any, b: Any) -> Any:
     return vector / jnp.sqrt(jnp.sum(vector**2))
 
 
+def lamp_coordinates(frame: LampFrame, direction: np.ndarray) -> np.ndarray:
+    """Compute the rotation (a, b), rad, from the base direction to the unit vector `direction`, (2,)."""
+    tangents = np.array([frame.first, frame.second])
+    return tangents @ direction / max(float(direction @ frame.base), _LEAST_COSINE)
+
+
 def over_source(
     radiance_under: Callable[[Vector], tuple[jax.Array, jax.Array]],
     source: tuple[AnyArray, AnyArray],
@@ -144,18 +152,12 @@ class PictureModel(eqx.Module):
         blur: kernel of the camera, with a lens that is a sum of Gaussians.
         positions: positions on the source disc, as rotations of the direction to the lamp, rad, (points, 2).
         weights: weights of these positions, (points,); their sum is 1.
-        shape: number of terms by which the diffuse part departs from Lambert's law. Default: 0.
     """
 
     kind: LobeKind = eqx.field(static=True)
     blur: Blur
     positions: np.ndarray
     weights: np.ndarray
-    shape: int = eqx.field(static=True, default=0)
-
-    @property
-    def size(self) -> int:
-        return self.kind.size + len(SCENE) + self.shape + len(OWN)
 
     def window(
         self, p: np.ndarray, frame: LampFrame, window: Window, *, slopes: bool
@@ -178,7 +180,7 @@ class PictureModel(eqx.Module):
 
     def _split(self, p: np.ndarray, slopes: bool) -> tuple[ShownLight, np.ndarray]:
         """Separate the parameters that change the radiance from those that change the kernel."""
-        n, own = self.kind.size, self.size - len(OWN)
+        n, own = self.kind.size, p.size - len(OWN)
         shape = n + len(SCENE)
         pose = np.concatenate([p[n + 2 : shape], p[own + 2 :]])
         light = ShownLight(p[:n], pose, p[shape:own], *_lambda_table(self.kind, p[:n].tobytes(), slopes))

@@ -17,7 +17,7 @@ from matcam.files.capture_settings import Stated
 from matcam.inverse.fit.fit_setup import AUTO
 from matcam.material.masking import Masking
 from matcam.numerics.budget import UncertaintyBudget
-from matcam.reconstruction.chosen_lobe import chosen_fit
+from matcam.reconstruction.alternatives import TriedExplanation, chosen_fit
 from matcam.reconstruction.cylinder.anisotropic_table import anisotropic_table
 from matcam.reconstruction.error_budget import (
     FitReading,
@@ -61,7 +61,7 @@ class Reconstruction(Summarised):
             standard deviation. Without a reference, the standard deviation is NaN, and F is relative.
         budget: standard deviations by source of uncertainty and result.
         not_determined: parameters that the images alone do not distinguish.
-        tried: unexplained share of the light, no unit, by the name of the lobe.
+        tried: explanations that were fitted, with their probabilities.
         remarks: remarks on the result.
         captured: data of the capture before the fit.
         sample: kind of the sample, "sphere" or "cylinder".
@@ -84,7 +84,7 @@ class Reconstruction(Summarised):
     units: tuple[Stated, ...]
     budget: dict[str, dict[str, float]]
     not_determined: tuple[Inseparable, ...]
-    tried: dict[str, float]
+    tried: tuple[TriedExplanation, ...]
     remarks: tuple[Remark, ...]
     captured: CapturedScene
     sample: str
@@ -332,7 +332,8 @@ class Reconstruction(Summarised):
             },
             "budget": self.budget,
             "unexplained": solution.unexplained,
-            "tried": self.tried,
+            "tried": {one.name: one.unexplained for one in self.tried},
+            "probabilities": {one.name: one.probability for one in self.tried},
             "pictures": [
                 {"name": name, "chi2": chi2, "left_out_px": out}
                 for name, chi2, out in zip(fit.names, solution.chi2.tolist(), solution.left_out.tolist(), strict=True)

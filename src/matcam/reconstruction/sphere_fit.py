@@ -44,8 +44,8 @@ _SYSTEMATIC = 0.01
 _HOPELESS = 20.0
 """Mean squared residual of an image, absolute and relative to other images, above which the image is unexplained."""
 _FEW = 6  # number of images in the search for the lobe
-_BETWEEN, _ABOUT = np.array([0.75, 1.33]), np.array([0.4, 0.7, 1.1, 1.8])
-"""Relative widths of the second search, for the best family of the first search and for a rival family."""
+_BETWEEN = np.array([0.75, 1.33])
+"""Relative widths of the second search."""
 
 
 Observe = Callable[..., tuple[PixelModel, list[ObservedPixels], list[FieldChange]]]
@@ -184,7 +184,7 @@ def fit_sphere(
             cost, lobe = min((cost, lobe), between, key=lambda one: one[0])
         for rival in rivals:
             other = LobeKind(rival, masking, kind.spline_size)
-            least, found_lobe = _searched(pictures, known, other, np.exp(lobe[0]) * _ABOUT, observe)
+            least, found_lobe = _searched(pictures, known, other, widths, observe)
             if least < cost:
                 cost, lobe, kind = least, found_lobe, other
         say(f"start: {kind.family} of width {np.exp(lobe[0]):.4g}")
@@ -195,11 +195,7 @@ def fit_sphere(
         p[: lobe.size] = lobe
     else:
         old, q = start.layout, start.solution.p
-        common = min(old.lobe, layout.lobe)
-        p[:common] = q[:common]
-        p[layout.scene.start : layout.sample_radius + 1] = q[old.scene.start : old.sample_radius + 1]
-        if shaped and old.shape:
-            p[layout.diffuse_shape] = q[old.diffuse_shape]
+        p[: layout.shared] = layout.shared_of(q, old)
         directions = known.lamps.copy()
         for k, one in enumerate(pictures):
             if one.name in start.names:
@@ -387,7 +383,7 @@ def sphere_pixels(
         )
         if scene.field is not None:
             changes.append(FieldChange(scene.field, position.at, pixels[-1].seen))
-    return PictureModel(kind, blur, turns, weights, layout.shape), pixels, changes
+    return PictureModel(kind, blur, turns, weights), pixels, changes
 
 
 def _lamps_again(fit: SphereFit, pictures: Sequence[MergedPicture]) -> np.ndarray:

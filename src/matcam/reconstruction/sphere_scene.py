@@ -18,7 +18,7 @@ from matcam.numerics.linalg import whitening
 from matcam.reconstruction.joint.field_change import FIELD, FieldChange, outline_slopes
 from matcam.reconstruction.joint.joint_problem import JointLayout, JointProblem, PixelModel
 from matcam.reconstruction.observed_pixels import ObservedPixels
-from matcam.reconstruction.picture_model import LampFrame
+from matcam.reconstruction.picture_model import LampFrame, lamp_coordinates
 from matcam.reconstruction.rig.earlier_rig import KnownRig
 
 _UNSTATED_DISTORTION = 5e-4
@@ -228,10 +228,9 @@ def _lamp_prior(
     for n, i in enumerate(lamps):
         # coordinates of the specified direction in this frame, whose base is the last fitted direction
         stated, frame = unit(scene.lamps[i]), frames[i]
-        along = float(stated @ frame.base)
+        values[2 * n : 2 * n + 2] = lamp_coordinates(frame, stated)
         for axis, tangent in enumerate((frame.first, frame.second)):
             rows[2 * n + axis, layout.turn(i).start + axis] = 1.0
-            values[2 * n + axis] = float(stated @ tangent) / max(along, 0.1)
             turned.append(np.cross(stated, tangent))  # displacement along the tangent per rad about each axis
     own = np.repeat(stds[list(lamps)], 2)
     covariance = np.diag(own**2) + own.min() ** 2 * np.array(turned) @ np.array(turned).T

@@ -39,10 +39,11 @@ from matcam.inverse.fit.fit_data import (
 from matcam.inverse.fit.fit_parameters import BASE_WIDTH, COATED, STUDENT, TWO_LOBES, Layout
 from matcam.inverse.fit.fit_setup import FitSetup
 from matcam.inverse.fit.material_fit import MaterialFit
+from matcam.numerics.linalg import log_volume_ratio
 
 LEAST_NOISE = PixelNoise(5e-3, 1e-6, 0.0)
 """Smallest assumed noise of a pixel: shot noise of a full well of 40,000 electrons, and the accuracy of a modelled record."""
-_MISFIT_SCALE = 1e-2
+MISFIT_SCALE = 1e-2
 """Mean of the exponential prior of the misfit, relative to the value of a cell. Models with much larger errors do not explain a
 table.
 """
@@ -58,7 +59,7 @@ _FEWEST_PAIRS = 100
 """Smallest number of pairs of cells for an estimate of the noise. 100 pairs determine the noise to 7 %."""
 _AZIMUTH_BIN = 36
 """Number of azimuths of a table within which cells of one ring in two slices are neighbours. A ring has about five cells."""
-_PRIORS = {
+PARAMETER_PRIORS = {
     "width": (-4.5, 2.5), "power": (0.0, 0.7), STUDENT: (0.0, 1.0), "share": (0.0, 1.5), "tail": (0.5, 0.5),
     "spline": (0.0, 10.0), "rig": (0.0, 0.5), "fresnel": (0.0, 3.0), "diffuse": (0.2, 0.3),
     "base": (0.2, 0.3), BASE_WIDTH: (-2.0, 1.0), COATED: (0.0, 10.0),
@@ -191,9 +192,8 @@ class Explained(NamedTuple):
     of_strengths: np.ndarray
 
     def log_evidence(self, kappa: float) -> float:
-        posterior = kappa * self.information + self.prior
         strengths = 0.5 * np.log(2 * np.pi / (kappa * self.of_strengths)).sum()
-        volume = 0.5 * (np.linalg.slogdet(self.prior)[1] - np.linalg.slogdet(posterior)[1])
+        volume = log_volume_ratio(self.prior, kappa * self.information)
         return kappa * self.log_likelihood + self.log_misfit + self.log_prior + float(volume + strengths)
 
 
@@ -265,7 +265,7 @@ def explained(found: MaterialFit, noise: PixelNoise) -> Explained:
     power = (np.where(data.used, 1 / variance, 0.0) * model.lobe**2).sum(-1)
     return Explained(
         log_likelihood=-0.5 * float(np.log(variance[data.used]).sum() + _robust(u).sum()),
-        log_misfit=-float(np.sqrt(misfit)) / _MISFIT_SCALE,
+        log_misfit=-float(np.sqrt(misfit)) / MISFIT_SCALE,
         log_prior=-0.5 * distance - (np.log(TRIED_SPLINES) if problem.layout.kind.spline_size else 0.0),
         information=flat @ flat.T,
         prior=prior,
@@ -346,5 +346,5 @@ def _priors(layout: Layout) -> tuple[np.ndarray, np.ndarray]:
     unit = ["fresnel"] * layout.fresnel_size + ["diffuse"] * layout.diffuse + ["base"] * layout.base
     names = lobe * layout.lobes + ["rig"] * layout.axes + [COATED] * layout.coated + [BASE_WIDTH] * layout.base
     names += unit * layout.units
-    mean, std = np.array([_PRIORS[name] for name in names]).T
+    mean, std = np.array([PARAMETER_PRIORS[name] for name in names]).T
     return mean, std

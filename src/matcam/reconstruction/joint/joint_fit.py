@@ -114,7 +114,7 @@ def solve(problem: JointProblem, start: np.ndarray, judge: Likelihood, enough: f
     p = np.clip(start, problem.low, problem.high)
     free = np.flatnonzero(~problem.fixed)
     damping, mixing = 1e-3, AndersonMixing()
-    at = _assembled(problem, judge, p)
+    at = assembled(problem, judge, p)
     costs = [at.cost]
     for _ in range(_STEPS):
         scale = np.sqrt(np.maximum(np.diag(at.normal), 1e-30))
@@ -139,7 +139,7 @@ def solve(problem: JointProblem, start: np.ndarray, judge: Likelihood, enough: f
         p, damping = trial, damping if raised else max(damping / 10, 1e-9)
         if moved < _SETTLED or (gained < enough and (not mixed or abs(at.gradient @ first) < 5 * enough)):
             break
-        at = _assembled(problem, judge, p)
+        at = assembled(problem, judge, p)
         costs.append(at.cost)
         # the noise depends on the model, so near the end the new noise may cancel the improvement of a step
         if gained < _SLIGHT * enough and len(costs) > _LOOK_BACK and at.cost > costs[-1 - _LOOK_BACK] - enough:
@@ -152,7 +152,7 @@ def solve(problem: JointProblem, start: np.ndarray, judge: Likelihood, enough: f
 
 
 def _damped_step(
-    problem: JointProblem, at: _Assembled, scale: np.ndarray, free: np.ndarray, damping: float, p: np.ndarray
+    problem: JointProblem, at: Assembled, scale: np.ndarray, free: np.ndarray, damping: float, p: np.ndarray
 ) -> np.ndarray:
     """Compute a step of the free parameters that keeps parameters at their bounds fixed (Bertsekas 1982)."""
     held = ((p <= problem.low) & (at.gradient > 0)) | ((p >= problem.high) & (at.gradient < 0))
@@ -168,7 +168,7 @@ def summed_up(problem: JointProblem, p: np.ndarray, judge: Likelihood) -> JointS
     """Build the solution at given parameters: their covariance, and theta_d and chi squared of each image."""
     layout = problem.layout
     moving = replace(problem, changes=problem.unstated) if problem.unstated else problem
-    at, free = _assembled(moving, judge, p), ~problem.fixed
+    at, free = assembled(moving, judge, p), ~problem.fixed
     normal = at.normal
     fitted = np.zeros_like(normal)
     fitted[np.ix_(free, free)] = scaled_inverse(normal[np.ix_(free, free)], undetermined=1e14)
@@ -208,7 +208,7 @@ def _of_the_unstated(problem: JointProblem, normal: np.ndarray, covariance: np.n
     return field.k1.std**2 * np.outer(moved, moved)
 
 
-class _Assembled(NamedTuple):
+class Assembled(NamedTuple):
     """Cost, half its gradient and half its Hessian (Gauss-Newton), and the model of each image."""
 
     cost: float
@@ -217,16 +217,28 @@ class _Assembled(NamedTuple):
     levels: list[np.ndarray]
 
 
-def _assembled(problem: JointProblem, judge: Likelihood, p: np.ndarray) -> _Assembled:
-    def share(k: int) -> tuple[np.ndarray, _Assembled]:
-        fit = problem.picture(p, k, slopes=True)
+def assembled(
+    problem: JointProblem, judge: Likelihood, p: np.ndarray, exponents: Sequence[np.ndarray] | None = None
+) -> Assembled:
+    """Sum cost, gradient and Hessian over the images and the prior.
+
+    Args:
+        problem: problem to fit.
+        judge: likelihood of the pixels.
+        p: parameters, (size,).
+        exponents: exponents of the likelihoods of the pixels of each image. Default: None, 1.
+    """
+
+    def share(k: int) -> tuple[np.ndarray, Assembled]:
+        fit, pixels = problem.picture(p, k, slopes=True), problem.pixels[k]
         assert fit.jacobian is not None
-        residual, slope, weight = judge.residual(problem.pixels[k], fit.value)
+        residual, slope, weight = judge.residual(pixels, fit.value)
+        exponent = np.ones_like(weight) if exponents is None else exponents[k]
         columns = np.flatnonzero(np.any(fit.jacobian != 0, axis=0))
         jacobian = fit.jacobian[:, columns] * slope[:, None]
-        weighted = jacobian * weight[:, None]
-        cost = judge.cost(problem.pixels[k], fit.value)
-        return columns, _Assembled(cost, weighted.T @ residual, weighted.T @ jacobian, [fit.value])
+        weighted = jacobian * (exponent * weight)[:, None]
+        cost = float(exponent @ judge.costs(pixels, fit.value))
+        return columns, Assembled(cost, weighted.T @ residual, weighted.T @ jacobian, [fit.value])
 
     away = problem.prior_rows @ p - problem.prior_values
     cost, levels = float(away @ away), []
@@ -236,7 +248,7 @@ def _assembled(problem: JointProblem, judge: Likelihood, p: np.ndarray) -> _Asse
         normal[np.ix_(columns, columns)] += own.normal
         cost += own.cost
         levels += own.levels
-    return _Assembled(cost, gradient, normal, levels)
+    return Assembled(cost, gradient, normal, levels)
 
 
 def _of_pictures(work: Callable[[int], T], problem: JointProblem) -> Iterator[T]:

@@ -85,6 +85,21 @@ class JointLayout(NamedTuple):
     def diffuse_shape(self) -> slice:
         return slice(self.sample_radius + 1, self.shared)
 
+    def shared_of(self, p: np.ndarray, other: JointLayout) -> np.ndarray:
+        """Arrange the shared parameters of another order, (shared,). Parameters that it lacks are 0.
+
+        Args:
+            p: parameters in the other order, (other.size,).
+            other: the other order.
+        """
+        found = np.zeros(self.shared)
+        common = min(self.lobe, other.lobe)
+        found[:common] = p[:common]
+        found[self.scene.start : self.sample_radius + 1] = p[other.scene.start : other.sample_radius + 1]
+        if self.shape and other.shape:
+            found[self.diffuse_shape] = p[other.diffuse_shape]
+        return found
+
     def own(self, k: int) -> slice:
         """Return the indices of the parameters `OWN` of an image: centre and rotations of the lamp."""
         first = self.shared + k * self.each

@@ -60,8 +60,7 @@ class Likelihood(NamedTuple):
             value: model of the pixels, (pixels,).
             level: expected values from which the noise follows, (pixels,). Default: None, `value`.
         """
-        level = value if level is None else level
-        std = np.hypot(pixels.noise_at(level), self.noise * np.abs(level))
+        std = self.std(pixels, value if level is None else level)
         z = (value - pixels.values) / std
         by_value = 1 / std
         bound = np.clip(z, -_CLIPPED_OUT, _CLIPPED_OUT)
@@ -75,18 +74,19 @@ class Likelihood(NamedTuple):
         used = pixels.used
         return np.where(used, residual, 0.0), np.where(used, slope, 0.0), np.where(used, weight, 0.0)
 
-    def cost(self, pixels: ObservedPixels, value: np.ndarray, level: np.ndarray | None = None) -> float:
-        """Compute Huber's cost of an image. The arguments are those of `residual`."""
+    def std(self, pixels: ObservedPixels, level: np.ndarray) -> np.ndarray:
+        """Compute the standard deviation of pixels with the expected values `level`, (pixels,)."""
+        return np.hypot(pixels.noise_at(level), self.noise * np.abs(level))
+
+    def costs(self, pixels: ObservedPixels, value: np.ndarray, level: np.ndarray | None = None) -> np.ndarray:
+        """Compute Huber's cost of each pixel, (pixels,). The arguments are those of `residual`."""
         residual, _, _ = self.residual(pixels, value, level)
         size = np.abs(residual)
-        huber = np.where(size > _HUBER, 2 * _HUBER * size - _HUBER**2, size**2)
-        return float(huber.sum())
+        return np.where(size > _HUBER, 2 * _HUBER * size - _HUBER**2, size**2)
 
-    def surprise(self, pixels: ObservedPixels, value: np.ndarray) -> float:
-        """Compute minus twice the log likelihood per pixel, up to a constant, to compare lobes."""
-        std = np.hypot(pixels.noise_at(value), self.noise * np.abs(value))
-        measured = pixels.used & ~pixels.clipped
-        return (self.cost(pixels, value) + 2 * float(np.log(std[measured]).sum())) / max(int(pixels.used.sum()), 1)
+    def cost(self, pixels: ObservedPixels, value: np.ndarray, level: np.ndarray | None = None) -> float:
+        """Compute Huber's cost of an image. The arguments are those of `residual`."""
+        return float(self.costs(pixels, value, level).sum())
 
 
 def unexplained_share(problem: JointProblem, p: np.ndarray, pictures: Sequence[int] | None = None) -> float:

@@ -106,6 +106,7 @@ class _Document(BaseModel):
     budget: dict[str, dict[str, FiniteFloat | None]]
     unexplained: FiniteFloat
     tried: dict[str, FiniteFloat]
+    probabilities: dict[str, FiniteFloat] = Field(default_factory=dict)
     pictures: list[_Picture]
     not_determined: list[_Pairwise]
     radiometry: dict[str, Any] | None
