@@ -2,9 +2,9 @@
 
 An explanation is a joint fit. It has a lobe of one family, which may be spline-modified, a diffuse part that may depart from
 Lambert's law, and specified values, some of which may have a larger standard deviation than specified. The search starts with
-the family that fits a few images best. In each step the explanation is changed in one respect: first the change with the
-largest predicted evidence is fitted, then the next, until no prediction exceeds the evidence that was reached. The search ends
-if no change increases the evidence.
+the family that fits a few images best. In each step the explanation is changed in one respect. The evidence of each change is
+predicted, and the changes are fitted in the order of the prediction, until one increases the evidence. The search ends if none
+does.
 """
 
 from __future__ import annotations
@@ -50,8 +50,6 @@ All images are fitted at the end.
 """
 _GUESSED = 0.25
 """Relative standard deviation above which the width of the lens is treated as a guess."""
-_WIDTHS = np.array([0.4, 0.7, 1.1, 1.8])
-"""Widths with which the search for a lobe of another family starts, relative to the width of the present lobe."""
 
 
 class Alternative(NamedTuple):
@@ -206,25 +204,33 @@ class _Search:
         """Compute the posterior probabilities of all explanations that were fitted, for the pixels of the best one."""
         compared = ComparedPixels.of(self.fits[best].solution)
         logs = np.array([self._log_evidence(compared, one) for one in self.fits])
-        shares = np.exp(np.minimum(logs - logs[list(self.fits).index(best)], 0.0))
+        logs[list(self.fits).index(best)] = max(logs.max(), -1e300)
+        shares = np.exp(logs - logs.max())
         return dict(zip(self.fits, (shares / shares.sum()).tolist(), strict=True))
 
     def _better(self, one: Alternative, *, sources: bool) -> Alternative:
         fit = self.fits[one]
         compared = ComparedPixels.of(fit.solution)
-        best, most = one, self._log_evidence(compared, one)
+        now = self._log_evidence(compared, one)
         changes = self._changes(one, fit, compared, sources=sources)
         for predicted, change in sorted(changes, key=lambda pair: -pair[0])[:_TRIES]:
-            if predicted <= most:
+            if predicted <= now:
                 break
-            about = {"widths": np.exp(fit.solution.p[0]) * _WIDTHS}
-            self.fitted(change, **({"start": fit} if change.family == one.family else about))
-            found = self._log_evidence(compared, change)
-            best, most = (change, found) if found > most else (best, most)
-        return best
+            self.fitted(change, start=fit)
+            if self._log_evidence(compared, change) > now:
+                return change
+        return one
 
     def _log_evidence(self, compared: ComparedPixels, one: Alternative) -> float:
+        """Compute the logarithm of the evidence, without the probability that sources are right.
+
+        It is minus infinity if a parameter of the family is at a bound. Laplace's approximation is then wrong, because the
+        family does not describe the material, and the width of the lobe is meaningless.
+        """
         fit = self.fits[one]
+        own, problem, p = len(fit.kind.family_names), fit.solution.problem, fit.solution.p
+        if np.any((p <= problem.low)[:own] | (p >= problem.high)[:own]):
+            return -np.inf
         judged = compared.judged(fit.solution.problem, fit.kind, fit.solution.p)
         return judged.log_evidence() + one.log_prior
 
@@ -252,8 +258,8 @@ class _Search:
         if contradicted or unexplained_share(problem, solution.p) > ACCURACY:
             if self.free and not one.spline and not fit.kind.stretched:
                 predicted = self._predicted(compared, fit, KNOTS, fit.layout.shape) + surplus + one.log_prior
-                changes.append((predicted, one._replace(spline=True)))
                 changes += [(predicted, one._replace(family=name)) for name in CANDIDATES if name != one.family]
+                changes.append((predicted, one._replace(spline=True)))
             if self.diffuse and not one.shaped:
                 predicted = self._predicted(compared, fit, fit.kind.spline_size, TERMS) + surplus + one.log_prior
                 changes.append((predicted, one._replace(shaped=True)))

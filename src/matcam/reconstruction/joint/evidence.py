@@ -35,7 +35,7 @@ from matcam.reconstruction.observed_pixels import ObservedPixels
 ACCURACY = 3e-3
 """Smallest unexplained share of the light that is distinguished from none: the accuracy of a modelled pixel."""
 _UNSPECIFIED = 3.0
-"""Prior standard deviation of strengths and diffuse parts, relative to the median strength."""
+"""Prior standard deviation of strengths and diffuse parts, relative to the largest one."""
 
 
 class ComparedPixels(NamedTuple):
@@ -46,7 +46,7 @@ class ComparedPixels(NamedTuple):
         changes: effect of a change of the lens field on each image.
         unstated: effect of an unspecified distortion on each image.
         exponents: exponents of the likelihoods of the pixels of each image.
-        strength: median strength of the lobe, which is the unit of the priors of strengths.
+        strength: largest strength of lobe and diffuse part, which is the unit of their priors.
     """
 
     pixels: Sequence[ObservedPixels]
@@ -64,8 +64,8 @@ class ComparedPixels(NamedTuple):
             level = problem.picture(p, k, slopes=False).value
             exponents.append((judge._replace(correlated=1.0).std(pixels, level) / judge.std(pixels, level)) ** 2)
         layout = problem.layout
-        strengths = np.concatenate([p[layout.strengths(k)] for k in range(layout.pictures)])
-        return cls(problem.pixels, problem.changes, problem.unstated, exponents, float(np.median(np.abs(strengths))))
+        strengths = np.concatenate([p[layout.diffuse], *(p[layout.strengths(k)] for k in range(layout.pictures))])
+        return cls(problem.pixels, problem.changes, problem.unstated, exponents, float(np.abs(strengths).max()))
 
     def judged(self, problem: JointProblem, kind: LobeKind, p: np.ndarray) -> Judged:
         """Compute the terms of the evidence of parameters p that do not depend on the specified values.
@@ -80,10 +80,7 @@ class ComparedPixels(NamedTuple):
         share = max(unexplained_share(problem, p), ACCURACY)
         judge, none = Likelihood(share), np.zeros((0, layout.size))
         at = assembled(replace(problem, prior_rows=none, prior_values=np.zeros(0)), judge, p, self.exponents)
-        volume = 0.0
-        for pixels, level, exponent in zip(self.pixels, at.levels, self.exponents, strict=True):
-            measured = pixels.used & ~pixels.clipped
-            volume += float(exponent[measured] @ np.log(judge.std(pixels, level)[measured]))
+        log_likelihood = sum(map(judge.log_density, self.pixels, at.levels, self.exponents)) - share / MISFIT_SCALE
         mean, std = np.zeros(layout.size), np.full(layout.size, np.inf)
         own = len(kind.family_names)
         names = (
@@ -92,7 +89,7 @@ class ComparedPixels(NamedTuple):
         mean[: layout.lobe], std[: layout.lobe] = np.array([PARAMETER_PRIORS[name] for name in names]).T
         for part in (layout.diffuse, *(layout.strengths(k) for k in range(layout.pictures))):
             std[part] = _UNSPECIFIED * self.strength
-        return Judged(problem, p, -0.5 * at.cost - volume - share / MISFIT_SCALE, at.gradient, at.normal, mean, std)
+        return Judged(problem, p, log_likelihood, at.gradient, at.normal, mean, std)
 
 
 class Judged(NamedTuple):

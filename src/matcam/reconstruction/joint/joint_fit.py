@@ -232,12 +232,12 @@ def assembled(
     def share(k: int) -> tuple[np.ndarray, Assembled]:
         fit, pixels = problem.picture(p, k, slopes=True), problem.pixels[k]
         assert fit.jacobian is not None
-        residual, slope, weight = judge.residual(pixels, fit.value)
-        exponent = np.ones_like(weight) if exponents is None else exponents[k]
+        exponent = 1.0 if exponents is None else exponents[k]
+        residual, slope, weight = judge.residual(pixels, fit.value, exponent=exponent)
         columns = np.flatnonzero(np.any(fit.jacobian != 0, axis=0))
         jacobian = fit.jacobian[:, columns] * slope[:, None]
-        weighted = jacobian * (exponent * weight)[:, None]
-        cost = float(exponent @ judge.costs(pixels, fit.value))
+        weighted = jacobian * weight[:, None]
+        cost = judge.cost(pixels, fit.value, exponent=exponent)
         return columns, Assembled(cost, weighted.T @ residual, weighted.T @ jacobian, [fit.value])
 
     away = problem.prior_rows @ p - problem.prior_values

@@ -49,7 +49,11 @@ class Likelihood(NamedTuple):
         return float(self.share * np.sqrt(self.correlated))
 
     def residual(
-        self, pixels: ObservedPixels, value: np.ndarray, level: np.ndarray | None = None
+        self,
+        pixels: ObservedPixels,
+        value: np.ndarray,
+        level: np.ndarray | None = None,
+        exponent: np.ndarray | float = 1.0,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Compute standardised residuals, their derivatives with respect to the model, and robust weights, (pixels,).
 
@@ -59,8 +63,9 @@ class Likelihood(NamedTuple):
             pixels: observed pixels.
             value: model of the pixels, (pixels,).
             level: expected values from which the noise follows, (pixels,). Default: None, `value`.
+            exponent: exponent of the likelihood of each pixel, no unit, (pixels,). Default: 1.
         """
-        std = self.std(pixels, value if level is None else level)
+        std = self.std(pixels, value if level is None else level) / np.sqrt(exponent)
         z = (value - pixels.values) / std
         by_value = 1 / std
         bound = np.clip(z, -_CLIPPED_OUT, _CLIPPED_OUT)
@@ -78,15 +83,33 @@ class Likelihood(NamedTuple):
         """Compute the standard deviation of pixels with the expected values `level`, (pixels,)."""
         return np.hypot(pixels.noise_at(level), self.noise * np.abs(level))
 
-    def costs(self, pixels: ObservedPixels, value: np.ndarray, level: np.ndarray | None = None) -> np.ndarray:
-        """Compute Huber's cost of each pixel, (pixels,). The arguments are those of `residual`."""
-        residual, _, _ = self.residual(pixels, value, level)
-        size = np.abs(residual)
-        return np.where(size > _HUBER, 2 * _HUBER * size - _HUBER**2, size**2)
-
-    def cost(self, pixels: ObservedPixels, value: np.ndarray, level: np.ndarray | None = None) -> float:
+    def cost(
+        self,
+        pixels: ObservedPixels,
+        value: np.ndarray,
+        level: np.ndarray | None = None,
+        exponent: np.ndarray | float = 1.0,
+    ) -> float:
         """Compute Huber's cost of an image. The arguments are those of `residual`."""
-        return float(self.costs(pixels, value, level).sum())
+        residual, _, _ = self.residual(pixels, value, level, exponent)
+        size = np.abs(residual)
+        return float(np.where(size > _HUBER, 2 * _HUBER * size - _HUBER**2, size**2).sum())
+
+    def log_density(self, pixels: ObservedPixels, value: np.ndarray, exponent: np.ndarray) -> float:
+        """Compute the sum of the logarithms of the likelihoods of pixels, up to a constant.
+
+        Squared residuals are truncated at `_CUT` standard deviations, as for the unexplained share, so that dust on few pixels
+        has little effect.
+
+        Args:
+            pixels: observed pixels.
+            value: model of the pixels, (pixels,).
+            exponent: exponent of the likelihood of each pixel, no unit, (pixels,).
+        """
+        residual, _, _ = self.residual(pixels, value)
+        measured = pixels.used & ~pixels.clipped
+        logs = np.where(measured, np.log(self.std(pixels, value)), 0.0) + 0.5 * np.minimum(residual**2, _CUT**2)
+        return -float(exponent @ logs)
 
 
 def unexplained_share(problem: JointProblem, p: np.ndarray, pictures: Sequence[int] | None = None) -> float:
