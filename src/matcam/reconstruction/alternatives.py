@@ -201,10 +201,11 @@ class _Search:
         return one
 
     def probabilities(self, best: Alternative) -> dict[Alternative, float]:
-        """Compute the posterior probabilities of all explanations that were fitted, for the pixels of the best one."""
+        """Compute the posterior probabilities of the explanations that were fitted, for the pixels of `best`."""
         compared = ComparedPixels.of(self.fits[best].solution)
         logs = np.array([self._log_evidence(compared, one) for one in self.fits])
-        logs[list(self.fits).index(best)] = max(logs.max(), -1e300)
+        if not np.isfinite(logs).any():
+            return {best: 1.0}
         shares = np.exp(logs - logs.max())
         return dict(zip(self.fits, (shares / shares.sum()).tolist(), strict=True))
 
@@ -344,7 +345,8 @@ def _explored(whole: _Search, family: str) -> tuple[_Search, Alternative, dict[A
         # with other specified values, the images that were left out may be explained, too
         again = whole.fitted(best, start=search.fits[best])
         search = search if again.unexplained_pictures else whole
-    return search, best, search.probabilities(best)
+    shares = search.probabilities(best)
+    return search, max(shares, key=lambda one: shares[one]), shares
 
 
 def _without_unexplained(search: _Search, best: Alternative) -> _Search:
@@ -375,10 +377,9 @@ def _remarks(
         probability = sum(share for one, share in shares.items() if source in dict(one.wider))
         remarks.append(contradiction_remark(source, search.fits[by[0]], search.scene, probability))
     if fit.stuck:
-        text = "the fit was stopped early, because the unexplained share of the light does not decrease ("
-        text += (
-            f"{', '.join(f'{share:.0%}' for share in fit.stuck)}): look for clipping, a tone curve, or a mirrored room"
-        )
+        shares_after = ", ".join(f"{share:.0%}" for share in fit.stuck)
+        text = "the fit was stopped early, because the unexplained share of the light does not decrease "
+        text += f"({shares_after}): look for clipping, a tone curve, or a mirrored room"
         remarks.append(Remark("fit-stuck", text))
     if best.shaped:
         text = "Lambert's law does not explain the diffuse part: its shape was fitted"
@@ -406,9 +407,8 @@ def _with_odd_pictures(search: _Search, best: Alternative) -> tuple[SphereFit, l
         text = (
             f"{fit.names[k]}: the chi squared of this image is {chi2[k]:.1f}, but the median is {np.median(chi2):.1f}; "
         )
-        text += (
-            f"F of this image is {share:.1%} less certain: look for a second lamp, a reflection or dust in the image"
-        )
+        advice = "look for a second lamp, a reflection or dust in the image"
+        text += f"F of this image is {share:.1%} less certain: {advice}"
         remarks.append(Remark("picture-odd", text))
     return fit, remarks
 
