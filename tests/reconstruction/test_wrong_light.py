@@ -86,9 +86,8 @@ def test_one_exposure_of_each_lamp_position_by_the_dial(tmp_path):
 @pytest.mark.parametrize(("alpha", "power", "seed"), [(0.01, 0.6, 1), (0.01, 0.6, 2), (0.02, 1.2, 3)])
 def test_an_exponential_power_lobe_is_chosen_at_once(tmp_path, alpha, power, seed):
     result = reconstruct(drawn(chromium("epd", alpha, power), seed).write(tmp_path))
-    assert [one.name for one in result.tried] == [
-        "epd"
-    ]  # the lattice of both families tells it, and nothing else is fitted
+    # the lattice of both families tells it, and nothing else is fitted
+    assert [one.name for one in result.tried] == ["epd"]
     error, std = ratio_error(result)
     assert abs(error) < 3 * std < 0.025
     for name, true in (("beta", alpha), ("power", power)):

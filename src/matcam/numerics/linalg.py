@@ -74,9 +74,8 @@ def log_volume_ratio(prior: np.ndarray, information: np.ndarray) -> float:
         prior: information matrix of the prior, positive definite, shape (n, n).
         information: information matrix of the data, same shape.
     """
-    posterior = prior + information
-    scale = 1 / np.sqrt(np.diagonal(posterior))
-    before, after = (np.linalg.slogdet(one * np.outer(scale, scale))[1] for one in (prior, posterior))
+    posterior, scale = _to_unit_diagonal(prior + information)
+    before, after = (np.linalg.slogdet(one)[1] for one in (prior * np.outer(scale, scale), posterior))
     return 0.5 * float(before - after)
 
 

@@ -1,16 +1,15 @@
 """Explanations of the images of a sample, and their probabilities (docs/reconstruct.md).
 
-An explanation is a joint fit. It has a lobe of one family, which may be spline-modified, a diffuse part that may depart from
-Lambert's law, and specified values, some of which may have a larger standard deviation than specified. The search starts with
-the family that fits a few images best. In each step the explanation is changed in one respect. The evidence of each change is
-predicted, and the changes are fitted in the order of the prediction, until one increases the evidence. The search ends if none
-does.
+An explanation is a joint fit with a family of the lobe. Optionally, the lobe is spline-modified, the diffuse part departs from
+Lambert's law, and the standard deviations of some specified values are increased. The search starts with the family that fits a
+few images best. In each step the explanation is changed in one respect. The evidence of each change is predicted, and the
+changes are fitted in the order of the prediction, until one increases the evidence. The search ends if none does.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import NamedTuple
 
@@ -18,13 +17,14 @@ import numpy as np
 
 from matcam.acquisition.check.unmeasured_lens import BY_SHAPE
 from matcam.acquisition.merged_picture import MergedPicture
+from matcam.core.arrays import evenly
 from matcam.core.remark import Remark
 from matcam.inverse.fit.fit_setup import AUTO, CANDIDATES
 from matcam.material.diffuse_shape import TERMS
 from matcam.material.masking import Masking
 from matcam.material.ndf.free_lobe import KNOTS
 from matcam.reconstruction.contradiction import contradiction_remark, specified_sources, with_wider
-from matcam.reconstruction.joint.evidence import ACCURACY, ComparedPixels
+from matcam.reconstruction.joint.evidence import ACCURACY, ComparedPixels, Judged
 from matcam.reconstruction.joint.likelihood import unexplained_share
 from matcam.reconstruction.picture_model import lamp_coordinates
 from matcam.reconstruction.sphere_fit import SphereFit, fit_sphere, with_correlated_residuals
@@ -41,6 +41,7 @@ _DOUBTFUL = 0.05
 _TRIES = 3
 """Largest number of changes that are fitted in one step of the search."""
 _FEWEST = 3
+"""Smallest number of images that may remain if others are left out."""
 _ODD = 4.0
 """Ratio of chi squared of an image to the median above which the image is reported. Scatter of the lamps at most doubles it."""
 _MANY, _SOME = 32, 16
@@ -113,19 +114,18 @@ class ChosenFit(NamedTuple):
         fit: the fit. Its covariance includes the differences from other probable explanations.
         tried: explanations that were fitted to these images.
         remarks: remarks on images, specified values and the lobe.
-        chosen: description of the explanation.
     """
 
     fit: SphereFit
     tried: tuple[TriedExplanation, ...]
     remarks: tuple[Remark, ...]
-    chosen: Alternative
 
 
+@dataclass
 class _Search:
     """Fitted explanations of the same images.
 
-    Args:
+    Attributes:
         pictures: merged images.
         scene: prior knowledge as specified.
         lamps: unit vectors to the lamps with which fits start, (pictures, 3).
@@ -133,33 +133,22 @@ class _Search:
         free: True if the lobe may be of another family, or spline-modified.
         diffuse: True if there is a diffuse part.
         say: function that is called with a line about each step.
+        fits: fit of each explanation.
     """
 
-    def __init__(
-        self,
-        pictures: Sequence[MergedPicture],
-        scene: SphereScene,
-        lamps: np.ndarray,
-        fit_pictures: Callable[..., SphereFit],
-        *,
-        free: bool,
-        diffuse: bool,
-        say: Callable[[str], None],
-    ):
-        self.pictures, self.scene, self.lamps = pictures, scene, lamps
-        self.free, self.diffuse, self.say, self._fit_pictures = free, diffuse, say, fit_pictures
-        self.fits: dict[Alternative, SphereFit] = {}
+    pictures: Sequence[MergedPicture]
+    scene: SphereScene
+    lamps: np.ndarray
+    fit_pictures: Callable[..., SphereFit]
+    free: bool
+    diffuse: bool
+    say: Callable[[str], None]
+    fits: dict[Alternative, SphereFit] = field(default_factory=dict, init=False)
 
     def part(self, keep: Sequence[int]) -> _Search:
         """Build a search with some of the images."""
-        other = self.with_scene(part_of(self.scene, keep))
-        other.pictures, other.lamps = [self.pictures[k] for k in keep], self.lamps[list(keep)]
-        return other
-
-    def with_scene(self, scene: SphereScene) -> _Search:
-        """Build a search with other prior knowledge."""
-        more = {"free": self.free, "diffuse": self.diffuse, "say": self.say}
-        return _Search(self.pictures, scene, self.lamps, self._fit_pictures, **more)  # type: ignore[arg-type]
+        pictures = [self.pictures[k] for k in keep]
+        return replace(self, pictures=pictures, scene=part_of(self.scene, keep), lamps=self.lamps[list(keep)])
 
     def fitted(self, one: Alternative, rivals: Sequence[str] = (), **more: object) -> SphereFit:
         """Fit an explanation, or one with a lobe of another family that fits better at the start.
@@ -171,7 +160,7 @@ class _Search:
         """
         name = " or ".join([one.name, *rivals])
         if one not in self.fits:
-            found: SphereFit = self._fit_pictures(
+            found: SphereFit = self.fit_pictures(
                 self.pictures,
                 one.scene(self.scene),
                 one.family,
@@ -203,7 +192,7 @@ class _Search:
     def probabilities(self, best: Alternative) -> dict[Alternative, float]:
         """Compute the posterior probabilities of the explanations that were fitted, for the pixels of `best`."""
         compared = ComparedPixels.of(self.fits[best].solution)
-        logs = np.array([self._log_evidence(compared, one) for one in self.fits])
+        logs = np.array([self._log_evidence(one, self._judged(compared, one)) for one in self.fits])
         if not np.isfinite(logs).any():
             return {best: 1.0}
         shares = np.exp(logs - logs.max())
@@ -212,59 +201,65 @@ class _Search:
     def _better(self, one: Alternative, *, sources: bool) -> Alternative:
         fit = self.fits[one]
         compared = ComparedPixels.of(fit.solution)
-        now = self._log_evidence(compared, one)
-        changes = self._changes(one, fit, compared, sources=sources)
-        for predicted, change in sorted(changes, key=lambda pair: -pair[0])[:_TRIES]:
-            if predicted <= now:
+        judged = self._judged(compared, one)
+        now = self._log_evidence(one, judged)
+        changes = self._changes(one, compared, judged, sources=sources)
+        for gain, change in sorted(changes, key=lambda pair: -pair[0])[:_TRIES]:
+            if gain <= 0 and np.isfinite(now):
                 break
             self.fitted(change, start=fit)
-            if self._log_evidence(compared, change) > now:
+            if self._log_evidence(change, self._judged(compared, change)) > now:
                 return change
         return one
 
-    def _log_evidence(self, compared: ComparedPixels, one: Alternative) -> float:
-        """Compute the logarithm of the evidence, without the probability that sources are right.
+    def _judged(self, compared: ComparedPixels, one: Alternative) -> Judged:
+        fit = self.fits[one]
+        return compared.judged(fit.solution.problem, fit.kind, fit.solution.p)
+
+    def _log_evidence(self, one: Alternative, judged: Judged) -> float:
+        """Compute the logarithm of the evidence, times the prior probability of wrong sources.
 
         It is minus infinity if a parameter of the family is at a bound. Laplace's approximation is then wrong, because the
         family does not describe the material, and the width of the lobe is meaningless.
         """
-        fit = self.fits[one]
-        own, problem, p = len(fit.kind.family_names), fit.solution.problem, fit.solution.p
-        if np.any((p <= problem.low)[:own] | (p >= problem.high)[:own]):
-            return -np.inf
-        judged = compared.judged(fit.solution.problem, fit.kind, fit.solution.p)
-        return judged.log_evidence() + one.log_prior
+        own, problem, p = len(self.fits[one].kind.family_names), judged.problem, judged.p
+        at_bound = np.any((p <= problem.low)[:own] | (p >= problem.high)[:own])
+        return -np.inf if at_bound else judged.log_evidence() + one.log_prior
 
     def _changes(
-        self, one: Alternative, fit: SphereFit, compared: ComparedPixels, *, sources: bool
+        self, one: Alternative, compared: ComparedPixels, judged: Judged, *, sources: bool
     ) -> list[tuple[float, Alternative]]:
-        """Predict the logarithm of the evidence of explanations that differ in one respect.
+        """Predict the gain of log evidence of explanations that differ in one respect.
 
         A lobe of another family is approximated by a spline modification, so the prediction of the latter holds for both. The
         lobe and the diffuse part are not changed if noise explains the pixels within specified values.
+
+        Args:
+            one: present explanation.
+            compared: pixels of its fit.
+            judged: terms of its evidence.
+            sources: False to keep the specified standard deviations.
         """
-        solution, problem, changes = fit.solution, fit.solution.problem, list[tuple[float, Alternative]]()
-        judged = compared.judged(problem, fit.kind, solution.p)
+        fit, problem, changes = self.fits[one], judged.problem, list[tuple[float, Alternative]]()
         now = judged.log_evidence_with(problem.prior_rows, problem.prior_values)
-        surplus = judged.log_evidence() - now  # of a fit that is not quite at its optimum
         spline, own = _SPLINE if one.spline else 0.0, len(fit.kind.family_names)
         for source, factors in specified_sources(fit) if sources else ():
             found = []
             for factor in factors:
                 change = one.widened(source, float(factor))
                 rows, values, _ = prior_of(fit.layout, change.scene(self.scene), problem.frames, spline, own)
-                found.append((judged.log_evidence_with(rows, values) + surplus + change.log_prior, change))
+                gain = judged.log_evidence_with(rows, values) - now + change.log_prior - one.log_prior
+                found.append((gain, change))
             changes.append(max(found, key=lambda pair: pair[0]))
-        contradicted = any(predicted > now + surplus + one.log_prior for predicted, _ in changes)
-        if contradicted or unexplained_share(problem, solution.p) > ACCURACY:
+        if judged.share > ACCURACY or any(gain > 0 for gain, _ in changes):
             if self.free and not one.spline and not fit.kind.stretched:
-                predicted = self._predicted(compared, fit, KNOTS, fit.layout.shape) + surplus + one.log_prior
-                changes += [(predicted, one._replace(family=name)) for name in CANDIDATES if name != one.family]
-                changes.append((predicted, one._replace(spline=True)))
+                gain = self._predicted(compared, fit, KNOTS, fit.layout.shape) - now
+                changes += [(gain, one._replace(family=name)) for name in CANDIDATES if name != one.family]
+                changes.append((gain, one._replace(spline=True)))
             if self.diffuse and not one.shaped:
-                predicted = self._predicted(compared, fit, fit.kind.spline_size, TERMS) + surplus + one.log_prior
-                changes.append((predicted, one._replace(shaped=True)))
-        return [(predicted, change) for predicted, change in changes if change not in self.fits]
+                gain = self._predicted(compared, fit, fit.kind.spline_size, TERMS) - now
+                changes.append((gain, one._replace(shaped=True)))
+        return [(gain, change) for gain, change in changes if change not in self.fits]
 
     def _predicted(self, compared: ComparedPixels, fit: SphereFit, spline_size: int, shape: int) -> float:
         """Predict the evidence with additional parameters of the lobe or of the diffuse part."""
@@ -310,10 +305,9 @@ def chosen_fit(
     """
     say = progress or (lambda _: None)
     fit = partial(fit_pictures, masking=masking, diffuse=diffuse)
-    whole = _Search(pictures, scene, lamps, fit, free=family == AUTO, diffuse=diffuse, say=say)
+    whole = _Search(pictures, scene, lamps, fit, family == AUTO, diffuse, say)
     if len(pictures) > _MANY:
-        some = np.unique(np.linspace(0, len(pictures) - 1, _SOME).round().astype(int)).tolist()
-        part = whole.part(some)
+        part = whole.part(evenly(len(pictures), _SOME).tolist())
         part.say = lambda line: say(f"{_SOME} of {len(pictures)} images: {line}")
         search, best, shares = _explored(part, family)
         whole.fitted(best, start=search.fits[best])
@@ -325,7 +319,7 @@ def chosen_fit(
     found, remarks = _with_odd_pictures(search, best)
     found = _with_others(_with_its_lens_open(found), search.fits, shares)
     remarks = [*_remarks(found, best, shares, search, whole), *remarks]
-    return ChosenFit(found, tried, tuple(remarks), best)
+    return ChosenFit(found, tried, tuple(remarks))
 
 
 def _explored(whole: _Search, family: str) -> tuple[_Search, Alternative, dict[Alternative, float]]:
@@ -338,8 +332,7 @@ def _explored(whole: _Search, family: str) -> tuple[_Search, Alternative, dict[A
         # with a wrong lobe, images are unexplained, and specified values seem wrong
         best = whole.most_probable(start, sources=False)
         search = _without_unexplained(whole, best)
-    if search is not whole:
-        search.fitted(start, start=whole.fits[best])
+        search.fitted(start, start=whole.fits[best])  # the fit that exists if no image was left out
     best = search.most_probable(start)
     if search is not whole and best.wider:
         # with other specified values, the images that were left out may be explained, too
@@ -401,7 +394,7 @@ def _with_odd_pictures(search: _Search, best: Alternative) -> tuple[SphereFit, l
     shares = {k: unexplained_share(solution.problem, solution.p, [k]) for k in odd}
     for k, share in shares.items():
         gains[k] = np.hypot(gains[k], share)
-    fit = search.with_scene(replace(search.scene, gain_std=gains)).fitted(best, start=fit, rounds=1)
+    fit = replace(search, scene=replace(search.scene, gain_std=gains)).fitted(best, start=fit, rounds=1)
     chi2, remarks = fit.solution.chi2, []
     for k, share in shares.items():
         text = (
@@ -418,7 +411,7 @@ def _with_others(
 ) -> SphereFit:
     """Add the mean squared differences from other explanations, weighted by their probabilities, to the covariance.
 
-    Parameters that only one of two explanations has are not compared.
+    Not compared are lobes of different families, and a shape of the diffuse part that only one explanation has.
     """
     solution, layout = fit.solution, fit.layout
     more = np.zeros_like(solution.covariance)

@@ -18,8 +18,8 @@ from matcam.reconstruction.sphere_scene import SphereScene, prior_of
 
 _FAR = 10.0
 """Number of standard deviations beyond which a distance is printed as a lower limit."""
-_FACTORS = np.geomspace(2.0, 1e3, 10)
-"""Factors by which the standard deviation of a source may be too small."""
+_LEAST_FACTOR, _LARGEST_FACTOR, _FACTORS = 2.0, 1e3, 10
+"""Range and number of the factors by which the standard deviation of a source may be too small."""
 _LENGTH = 0.1
 """Largest relative standard deviation of a length. A length specified as exact may be 2 % wrong."""
 _CERTAIN = 0.95
@@ -51,11 +51,11 @@ def specified_sources(fit: SphereFit) -> Iterator[tuple[str, np.ndarray]]:
             continue  # not specified, or not fitted
         if source == "distortion" and fit.scene.camera.field is None:
             continue
-        factors = _FACTORS
+        largest = _LARGEST_FACTOR
         if source in _LENGTHS:
             known = getattr(fit.scene, _LENGTHS[source])
-            factors = np.geomspace(2.0, max(1e3, _LENGTH * known.value / max(known.std, 1e-30)), _FACTORS.size)
-        yield source, factors
+            largest = max(largest, _LENGTH * known.value / max(known.std, 1e-30))
+        yield source, np.geomspace(_LEAST_FACTOR, largest, _FACTORS)
 
 
 def contradiction_remark(source: str, fit: SphereFit, scene: SphereScene, probability: float) -> Remark:

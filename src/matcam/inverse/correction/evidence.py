@@ -36,7 +36,7 @@ from matcam.inverse.fit.fit_data import (
     standardised_residual,
     whitening,
 )
-from matcam.inverse.fit.fit_parameters import BASE_WIDTH, COATED, STUDENT, TWO_LOBES, Layout
+from matcam.inverse.fit.fit_parameters import BASE_WIDTH, COATED, STUDENT, TWO_LOBES, Layout, LobeKind
 from matcam.inverse.fit.fit_setup import FitSetup
 from matcam.inverse.fit.material_fit import MaterialFit
 from matcam.numerics.linalg import log_volume_ratio
@@ -59,7 +59,7 @@ _FEWEST_PAIRS = 100
 """Smallest number of pairs of cells for an estimate of the noise. 100 pairs determine the noise to 7 %."""
 _AZIMUTH_BIN = 36
 """Number of azimuths of a table within which cells of one ring in two slices are neighbours. A ring has about five cells."""
-PARAMETER_PRIORS = {
+_PRIORS = {
     "width": (-4.5, 2.5), "power": (0.0, 0.7), STUDENT: (0.0, 1.0), "share": (0.0, 1.5), "tail": (0.5, 0.5),
     "spline": (0.0, 10.0), "rig": (0.0, 0.5), "fresnel": (0.0, 3.0), "diffuse": (0.2, 0.3),
     "base": (0.2, 0.3), BASE_WIDTH: (-2.0, 1.0), COATED: (0.0, 10.0),
@@ -335,16 +335,20 @@ def _robust(u: np.ndarray) -> np.ndarray:
     return weight * (2 - weight) * u**2
 
 
-def _priors(layout: Layout) -> tuple[np.ndarray, np.ndarray]:
-    kind = layout.kind
+def lobe_priors(kind: LobeKind) -> tuple[np.ndarray, np.ndarray]:
+    """Return mean and standard deviation of the prior of each coordinate of a lobe, (coordinates,) each."""
     if kind.family == TWO_LOBES:
         own = ["width", "width", "share", "tail", "tail"]
     else:
-        second = STUDENT if kind.family == STUDENT else "power"
+        second = STUDENT if kind.family == STUDENT else "width" if kind.stretched else "power"
         own = ["width", *[second] * (len(kind.family_names) - 1)]
-    lobe = own + ["spline"] * (kind.spline_size + kind.shadows)
+    mean, std = np.array([_PRIORS[name] for name in own + ["spline"] * (kind.spline_size + kind.shadows)]).T
+    return mean, std
+
+
+def _priors(layout: Layout) -> tuple[np.ndarray, np.ndarray]:
     unit = ["fresnel"] * layout.fresnel_size + ["diffuse"] * layout.diffuse + ["base"] * layout.base
-    names = lobe * layout.lobes + ["rig"] * layout.axes + [COATED] * layout.coated + [BASE_WIDTH] * layout.base
-    names += unit * layout.units
-    mean, std = np.array([PARAMETER_PRIORS[name] for name in names]).T
+    names = ["rig"] * layout.axes + [COATED] * layout.coated + [BASE_WIDTH] * layout.base + unit * layout.units
+    lobes = np.tile(np.array(lobe_priors(layout.kind)), layout.lobes)
+    mean, std = np.concatenate([lobes, np.array([_PRIORS[name] for name in names]).reshape(-1, 2).T], axis=1)
     return mean, std

@@ -23,7 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from matcam.inverse.correction.evidence import MISFIT_SCALE, PARAMETER_PRIORS
+from matcam.inverse.correction.evidence import MISFIT_SCALE, lobe_priors
 from matcam.inverse.fit.fit_parameters import LobeKind
 from matcam.numerics.linalg import log_volume_ratio
 from matcam.reconstruction.joint.field_change import FieldChange
@@ -82,14 +82,10 @@ class ComparedPixels(NamedTuple):
         at = assembled(replace(problem, prior_rows=none, prior_values=np.zeros(0)), judge, p, self.exponents)
         log_likelihood = sum(map(judge.log_density, self.pixels, at.levels, self.exponents)) - share / MISFIT_SCALE
         mean, std = np.zeros(layout.size), np.full(layout.size, np.inf)
-        own = len(kind.family_names)
-        names = (
-            ["width"] * (1 + kind.stretched) + ["power"] * (own - 1 - kind.stretched) + ["spline"] * kind.spline_size
-        )
-        mean[: layout.lobe], std[: layout.lobe] = np.array([PARAMETER_PRIORS[name] for name in names]).T
+        mean[: layout.lobe], std[: layout.lobe] = lobe_priors(kind)
         for part in (layout.diffuse, *(layout.strengths(k) for k in range(layout.pictures))):
             std[part] = _UNSPECIFIED * self.strength
-        return Judged(problem, p, log_likelihood, at.gradient, at.normal, mean, std)
+        return Judged(problem, p, share, log_likelihood, at.gradient, at.normal, mean, std)
 
 
 class Judged(NamedTuple):
@@ -98,6 +94,7 @@ class Judged(NamedTuple):
     Attributes:
         problem: problem of the explanation, with the compared pixels.
         p: parameters, (size,).
+        share: unexplained share of the light, at least `ACCURACY`, no unit.
         log_likelihood: logarithm of the likelihood, and of the prior density of the unexplained share.
         gradient: gradient of minus the logarithm of the likelihood, (size,).
         information: information matrix of the data, (size, size).
@@ -107,6 +104,7 @@ class Judged(NamedTuple):
 
     problem: JointProblem
     p: np.ndarray
+    share: float
     log_likelihood: float
     gradient: np.ndarray
     information: np.ndarray
