@@ -42,12 +42,10 @@ _HIGHEST = 3.3
 
 
 class Laying(NamedTuple):
-    """Sizes of the quadratures of limb and highlight.
-
-    A separate program is compiled for each combination of sizes.
+    """Sizes of the quadratures of limb and highlight, each of which requires a program.
 
     Attributes:
-        lines: rows or columns for each side of the limb.
+        lines: rows for the left and right limb, and columns for the top and bottom.
         patch: size of the patch about the highlight.
     """
 
@@ -88,10 +86,9 @@ class LightGrid(NamedTuple):
         radius = float(known.sample.radius)
         cosine = np.sqrt(1 - (float(highlight_x(known.sample, known.lamp_angle, known.lamp_nearness)) / radius) ** 2)
         step = abs(self.x[1] - self.x[0])
-        sides = [(False, 1), (False, -1), (True, 1), (True, -1)]
         lines = tuple(
-            limb_lines(self.x if upright else self.y, radius, self.widths.widest_line, self.taps, upright, side)
-            for upright, side in sides[: 3 if self.symmetric else 4]
+            limb_lines(fixed, radius, self.widths.widest_line, self.taps, upright, sides)
+            for fixed, upright, sides in ((self.y, False, (1, -1)), (self.x, True, (1,) if self.symmetric else (1, -1)))
         )
         turned = scene.turn is not None
         return Laying(lines, patch_size(self.widths, cosine, step, self.taps, self.symmetric, turned))
@@ -102,7 +99,9 @@ class LightGrid(NamedTuple):
         `laying` contains the sizes of the quadratures. Default: None, the sizes are chosen, which requires concrete
         parameters.
         """
-        return _laid(scene, self.x, self.y, (self.widths, self.taps, self.symmetric), laying or self.laying(scene))
+        lines, patch = laying or self.laying(scene)
+        grid = _laid(scene, self.x, self.y, self.widths, self.taps, lines)
+        return _with_highlight(grid, scene, self.x, self.y, self.widths, self.taps, self.symmetric, patch)
 
 
 def per_px_for(highest: float, radius: float) -> int:
@@ -138,22 +137,33 @@ def serves(sample: Curved, elongation: float, highest: float) -> bool:
 
 @kept_program
 def _laid(
-    scene: Scene,
-    x: AnyArray,
-    y: AnyArray,
-    kind: tuple[RegionWidths, Taps, bool],
-    laying: Laying,
+    scene: Scene, x: AnyArray, y: AnyArray, widths: RegionWidths, taps: Taps, lines: tuple[LimbLines, ...]
 ) -> jax.Array:
-    widths, taps, symmetric = kind
+    """Compute the radiance on the grid without that around the highlight."""
     x, y = jnp.asarray(x), jnp.asarray(y)
     regions = Regions.of(scene, widths)
     grid = _smooth_part(regions, x, y)
-    for served in laying.lines:
+    for served in lines:
         across, along = (x, y) if served.upright else (y, x)
         grid = lay_limb(grid, regions, served, across, along, taps)
     grid = remove_kink(grid, regions, False, y, x)
-    grid = remove_kink(grid, regions, True, x, y)
-    return lay_highlight(grid, regions, laying.patch, x, y, taps, symmetric)
+    return remove_kink(grid, regions, True, x, y)
+
+
+@kept_program
+def _with_highlight(
+    grid: AnyArray,
+    scene: Scene,
+    x: AnyArray,
+    y: AnyArray,
+    widths: RegionWidths,
+    taps: Taps,
+    symmetric: bool,
+    patch: PatchSize,
+) -> jax.Array:
+    """Add the radiance around the highlight, whose patch has one of several sizes."""
+    x, y = jnp.asarray(x), jnp.asarray(y)
+    return lay_highlight(jnp.asarray(grid), Regions.of(scene, widths), patch, x, y, taps, symmetric)
 
 
 def _smooth_part(regions: Regions, x: jax.Array, y: jax.Array) -> jax.Array:

@@ -31,25 +31,27 @@ _AT_ONCE = 16
 
 
 class LimbLines(NamedTuple):
-    """Rows or columns (lines) of a grid for one side of the limb.
+    """Rows or columns (lines) of a grid for one side of the limb, or for two opposite sides.
 
     Attributes:
         upright: True for columns, False for rows.
-        side: 1 if the lines end at the right or top, -1 at the left or bottom.
+        sides: 1 if the lines end at the right or top, -1 at the left or bottom.
         first: index of the first line.
         last: index after the last line.
         length: number of grid points over which the nodes of one line are distributed.
     """
 
     upright: bool
-    side: int
+    sides: tuple[int, ...]
     first: int
     last: int
     length: int
 
 
-def limb_lines(fixed: np.ndarray, radius: float, widest: float, taps: Taps, upright: bool, side: int) -> LimbLines:
-    """Select the rows or columns (lines) for one side of the limb.
+def limb_lines(
+    fixed: np.ndarray, radius: float, widest: float, taps: Taps, upright: bool, sides: tuple[int, ...]
+) -> LimbLines:
+    """Select the rows or columns (lines) for one side of the limb, or for two.
 
     Args:
         fixed: positions of all lines across their direction, at a constant step, px.
@@ -57,23 +59,23 @@ def limb_lines(fixed: np.ndarray, radius: float, widest: float, taps: Taps, upri
         widest: largest depth of the region of the limb, px.
         taps: weights that distribute a node over neighbouring points of the grid.
         upright: see `LimbLines`.
-        side: see `LimbLines`.
+        sides: see `LimbLines`.
     """
     served = np.flatnonzero(np.abs(fixed) < radius * np.sin(_STEEPEST_LINE))
     step = abs(fixed[1] - fixed[0])
     length = int(np.ceil(widest / step / np.cos(_STEEPEST_LINE))) + 2 * taps.reach + 2
-    return LimbLines(upright, side, int(served[0]), int(served[-1]) + 1, length)
+    return LimbLines(upright, sides, int(served[0]), int(served[-1]) + 1, length)
 
 
 def lay_limb(
     grid: jax.Array, regions: Regions, served: LimbLines, across: jax.Array, along: jax.Array, taps: Taps
 ) -> jax.Array:
-    """Add the radiance of one side of the limb to a grid.
+    """Add the radiance of one side of the limb, or of two, to a grid.
 
     Args:
         grid: radiance on the grid, 1/sr, (rows, columns, channels).
         regions: regions of the radiance.
-        served: lines of this side.
+        served: lines of these sides.
         across: positions of all lines of the same direction, px.
         along: positions of the grid points on one line, px.
         taps: weights that distribute a node over neighbouring points of the grid.
@@ -83,13 +85,12 @@ def lay_limb(
     padded = -(-count // _AT_ONCE) * _AT_ONCE
     number = served.first + jnp.minimum(jnp.arange(padded), count - 1)
 
-    def light(fixed: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def light(block: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        fixed, side = block
         lines = Lines(regions.scene, served.upright, fixed)
-        low, high = _ends(lines, regions, served.side)
+        low, high = _ends(lines, regions, side)
         nothing = jnp.zeros((fixed.size, _NODES)), jnp.zeros((fixed.size, _NODES, grid.shape[-1]))
-        return jax.lax.cond(
-            jnp.any(high > low), lambda: _light(lines, regions, served.side, low, high), lambda: nothing
-        )
+        return jax.lax.cond(jnp.any(high > low), lambda: _light(lines, regions, side, low, high), lambda: nothing)
 
     def lay(node: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
         at, sent = node
@@ -105,14 +106,17 @@ def lay_limb(
         return start, jax.lax.cond(jnp.any(sent != 0), laid, lambda: nothing)
 
     # the radiance of all nodes is computed first, because it would be computed repeatedly inside the loop
-    nodes = jax.lax.map(light, across[number].reshape(-1, _AT_ONCE))
+    blocks, each = across[number].reshape(-1, _AT_ONCE), len(served.sides)
+    sides = np.repeat(np.array(served.sides, dtype=float), blocks.shape[0])
+    nodes = jax.lax.map(light, (jnp.tile(blocks, (each, 1)), jnp.asarray(sides)))
     starts, values = jax.lax.map(lay, nodes)
-    values = values.reshape(padded, served.length, -1)[:count]
-    where, line = starts.ravel()[:count, None] + np.arange(served.length), number[:count, None]
+    values = values.reshape(each, padded, served.length, -1)[:, :count]
+    where = starts.reshape(each, padded)[:, :count, None] + np.arange(served.length)
+    line = number[:count, None]
     return grid.at[(where, line) if served.upright else (line, where)].add(values)
 
 
-def _ends(lines: Lines, regions: Regions, side: int) -> tuple[jax.Array, jax.Array]:
+def _ends(lines: Lines, regions: Regions, side: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Compute the ends of the region of the limb on each line.
 
     They are angles on the circle of the line (see `Lines`), which increase towards `side`, rad.
@@ -127,7 +131,9 @@ def _ends(lines: Lines, regions: Regions, side: int) -> tuple[jax.Array, jax.Arr
     return low, jnp.maximum(high, low)
 
 
-def _light(lines: Lines, regions: Regions, side: int, low: jax.Array, high: jax.Array) -> tuple[jax.Array, jax.Array]:
+def _light(
+    lines: Lines, regions: Regions, side: jax.Array, low: jax.Array, high: jax.Array
+) -> tuple[jax.Array, jax.Array]:
     """Compute the nodes on each line, px, and the radiance times weight at the nodes, px/sr, channels last."""
     scene, sphere = regions.scene, regions.scene.sample
     assert isinstance(sphere, Sphere)

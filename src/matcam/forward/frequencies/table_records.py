@@ -91,15 +91,14 @@ def record_by_frequencies(
     turn = Turn(placed(np.cos(azimuth)), placed(np.sin(azimuth))) if azimuth else None
     assert positions.picture is not None
     counts = np.bincount(positions.picture, minlength=lamps.size)
-    ends = np.cumsum(counts)
-    records = [jnp.zeros((0, 1))] * lamps.size
+    ends, most = np.cumsum(counts), int(counts.max(initial=0))
+    records = dict[int, jax.Array]()
     dark_left = (lamps >= np.pi / 2) & (turn is None)
     for right_half in (True, False):
         pictures = np.flatnonzero((dark_left == right_half) & (counts > 0))
         if not pictures.size:
             continue
         frame = _frame(rig, sample, right_half=right_half, symmetric=turn is None)
-        most = int(counts[pictures].max())
         known = all(map(is_concrete, jax.tree.leaves((material, sample, frame.transfer))))
         for k in pictures:
             # all images share a program, because they have equal numbers of positions
@@ -109,8 +108,11 @@ def record_by_frequencies(
             recorded: Callable[..., jax.Array] = partial(_recorded, frame.grid, frame.grid.laying(scene), at)
             if not known:
                 recorded = eqx.filter_checkpoint(recorded)  # for derivatives, intermediate results are computed again
-            records[k] = recorded(scene, frame)[: counts[k]]
-    return jnp.concatenate([record for record, count in zip(records, counts, strict=True) if count])
+            records[k] = recorded(scene, frame)
+    if not records:
+        return jnp.zeros((0, 1))
+    ordered = sorted(records)
+    return jnp.stack([records[k] for k in ordered])[np.nonzero(np.arange(most) < counts[ordered, None])]
 
 
 def _recorded(

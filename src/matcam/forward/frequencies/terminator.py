@@ -37,26 +37,26 @@ def remove_kink(grid: jax.Array, regions: Regions, upright: bool, across: jax.Ar
     middle, half = lines.lit()
     ends = hit & (half > 0) & (half < np.pi) & ~regions.all_limb
     towards, beside, axis = lines.lamp()
+    side = np.array([[1.0], [-1.0]])
+    angle = middle + side * half
+    angle = angle - 2 * np.pi * jnp.round(angle / (2 * np.pi))
+    there = ends & (jnp.abs(angle) < np.pi / 2)
+    at = lines.radius * jnp.sin(angle)
+    depth = lines.radius * jnp.where(there, jnp.cos(angle), 1.0)
+    fixed = jnp.broadcast_to(lines.fixed, at.shape)
+    # slopes of the cosine of the angle of incidence along and across the line
+    grows, beyond = towards - axis * at / depth, beside - axis * across / depth
+    share = grows**2 / jnp.where(there, grows**2 + beyond**2, 1.0)
+    share = jnp.where(there, share * regions.inside(*lines.ordered(at, fixed)), 0.0)
+    near = _STEP * jnp.abs(step)
+    slope = regions.sent(*lines.ordered(at - side * near, fixed)) / near
+    position = (at - first) / step
+    below = jnp.floor(jax.lax.stop_gradient(position))
+    rest = position - below
+    off = jnp.where(side * step < 0, 1 - rest, rest)  # the lit part is on the other side
+    added = jnp.abs(step) / 2 * (off**2 - off + 1 / 6) * share
+    point, part = jnp.stack([below, below + 1]), jnp.stack([1 - rest, rest])
+    where = jnp.where((point >= 0) & (point < along.size), point, along.size).astype(int)
     number = jnp.arange(across.size)
-    for side in (1, -1):
-        angle = middle + side * half
-        angle = angle - 2 * np.pi * jnp.round(angle / (2 * np.pi))
-        there = ends & (jnp.abs(angle) < np.pi / 2)
-        at = lines.radius * jnp.sin(angle)
-        depth = lines.radius * jnp.where(there, jnp.cos(angle), 1.0)
-        # slopes of the cosine of the angle of incidence along and across the line
-        grows, beyond = towards - axis * at / depth, beside - axis * across / depth
-        share = grows**2 / jnp.where(there, grows**2 + beyond**2, 1.0)
-        share = jnp.where(there, share * regions.inside(*lines.ordered(at, lines.fixed)), 0.0)
-        near = _STEP * jnp.abs(step)
-        slope = regions.sent(*lines.ordered(at - side * near, lines.fixed)) / near
-        position = (at - first) / step
-        below = jnp.floor(jax.lax.stop_gradient(position))
-        rest = position - below
-        off = jnp.where(side * step < 0, 1 - rest, rest)  # the lit part is on the other side
-        added = jnp.abs(step) / 2 * (off**2 - off + 1 / 6) * share
-        for point, part in ((below, 1 - rest), (below + 1, rest)):
-            where = jnp.where((point >= 0) & (point < along.size), point, along.size).astype(int)
-            index = (where, number) if upright else (number, where)
-            grid = grid.at[index].add(slope * (added * part)[:, None], mode="drop")
-    return grid
+    index = (where, number) if upright else (number, where)
+    return grid.at[index].add(slope * (added * part)[..., None], mode="drop")
