@@ -151,9 +151,27 @@ def test_a_real_ball_is_not_lambertian(ball):
     assert 1 / nearness > 35
 
 
+def seen_from_highlights(lamps, camera, lamp):
+    """Directions from the highlights to lamps whose directions from the centre are given, by the inverse distances."""
+    eye, found = np.array([0.0, 0.0, 1 / camera]), []
+    for at in lamps / lamp:
+        normal = at / np.linalg.norm(at)
+        for _ in range(100):
+            both = [(end - normal) / np.linalg.norm(end - normal) for end in (eye, at)]
+            normal = sum(both) / np.linalg.norm(sum(both))
+        found.append(both[1])
+    return np.array(found)
+
+
 @pytest.mark.slow
 def test_lamps_of_a_real_ball(ball):
-    lamps, published = ball[0].fit.lamps, ball[1]
+    """The published directions are those that a mirror ball shows if its lamps are taken for distant.
+
+    Centroids of the 96 highlights give them within 0.31 degrees rms after a turn, if either the camera or the lamps are at
+    50 radii, and within 0.39 degrees if both are. So the fitted lamps, which are near, are compared as seen from the highlights.
+    """
+    fit, published = ball[0].fit, ball[1]
+    lamps = seen_from_highlights(fit.lamps, *fit.solution.p[fit.layout.scene][2:])
     again, turn = turned(lamps, published)
     print(f"lamps {apart(lamps, published):.2f} degrees off, after a turn of {turn:.2f} {apart(again, published):.2f}")
     assert apart(again, published) <= 0.4
