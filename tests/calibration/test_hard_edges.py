@@ -39,7 +39,7 @@ def measured(kind, many, seed):
 
 
 def rms(errors):
-    return float(np.sqrt(np.mean(errors**2)))
+    return float(np.sqrt(np.mean(np.square(errors))))
 
 
 @pytest.mark.parametrize("kind", ["even", "glint", "banding", "smoothed by 0.4 px", "rotated", "no noise"])
@@ -60,7 +60,7 @@ def test_many_of_each(kind):
         f"{kind:20s} right {right:.0%}, silent {silent}, refused {1 - errors.size / 80:.0%}; rms {rms(errors):.2%}, "
         f"stated {np.median(stated):.2%}; local regression {rms(theirs):.2%}"
     )
-    assert right >= (0.8 if kind == "far ghost" else 0.9)
+    assert right >= (0.85 if kind == "far ghost" else 0.9)
     assert silent <= 0.02 * 80
     if kind in oracle.LIGHT:
         assert rms(errors) <= rms(theirs)
@@ -69,6 +69,25 @@ def test_many_of_each(kind):
 def even_edge(light, seed=1, sigma=0.5, snr=100):
     scene = real_edges.lit(real_edges.response(sigma, 6.0, oracle.SIZE), light)
     return real_edges.exposed(scene, snr, np.random.default_rng(seed))
+
+
+@pytest.mark.parametrize(("share", "position"), [(0.1, 22.0), (0.06, -20.0)])
+def test_a_distant_ghost_is_no_uneven_light(share, position):
+    """As light that was removed, it was missing: MTF50 was 25 and 10 % too high, at stated errors of 6 and 2 %."""
+    errors = []
+    for seed in range(3):
+        rng, ghost = np.random.default_rng(seed), real_edges.response(0.5, 6.0, oracle.SIZE, offset=position)
+        scene = (1 - share) * real_edges.response(0.5, 6.0, oracle.SIZE) + share * ghost
+        edge = edge_mtf(real_edges.exposed(real_edges.levels(scene), 100, rng))
+        errors.append(edge.mtf50 / real_edges.ghosted_half(0.5, 6.0, share, position) - 1)
+        assert abs(errors[-1]) < 2 * edge.mtf50_std / edge.mtf50
+        assert any("a ghost with" in str(remark) for remark in edge.remarks)
+    assert rms(errors) < 0.06
+
+
+def test_tilted_light_is_no_ghost():
+    light = even_edge(lambda x, y: (1 - 0.1 * real_edges.soft_step((x + y) / 2**0.5 - 15, 0.6), 0.0))
+    assert not any("ghost" in str(remark) for remark in edge_mtf(light).remarks)
 
 
 def test_a_glint_is_no_glare():

@@ -168,7 +168,7 @@ def test_lamps_of_a_real_ball(ball):
     """The published directions are those that a mirror ball shows if its lamps are taken for distant.
 
     Centroids of the 96 highlights give them within 0.31 degrees rms after a turn, if either the camera or the lamps are at
-    50 radii, and within 0.39 degrees if both are. So the fitted lamps, which are near, are compared as seen from the highlights.
+    50 radii, and within 0.39 degrees if both are. So the fitted lamps are compared as seen from the highlights.
     """
     fit, published = ball[0].fit, ball[1]
     lamps = seen_from_highlights(fit.lamps, *fit.solution.p[fit.layout.scene][2:])

@@ -21,7 +21,7 @@ from matcam.calibration.edge.edge_result import EdgeMTF, EdgeStack
 from matcam.calibration.edge.free_curve import edge_response, ghost_of, line_width
 from matcam.calibration.edge.free_fit import VEIL
 from matcam.calibration.edge.rows import CLEAR, SHARPENED, EdgeRegions
-from matcam.calibration.edge.wider_errors import widened, with_core_as_total
+from matcam.calibration.edge.wider_errors import widened, with_core_as_total, with_ghosts
 from matcam.calibration.photograph.flat_noise import (
     LEAST_NOISE,
     TONE_CURVE_UNCERTAINTY,
@@ -40,7 +40,7 @@ from matcam.calibration.photograph.linear_filters import (
     mask_gain,
     needed_gain,
 )
-from matcam.calibration.photograph.uneven_light import LightField
+from matcam.calibration.photograph.uneven_light import GhostShare, LightField
 from matcam.core.arrays import FloatArray
 from matcam.core.remark import Remark
 from matcam.numerics.crossing import first_fall
@@ -169,9 +169,13 @@ def with_traces(
                 shares[trace.of][i] = np.hypot(shares[trace.of][i], trace.share)
     # A lens model determines the tails. Its errors are therefore a tenth of those of the model-free estimate.
     shares["lens"] = np.hypot(shares["lens"], 0.1 * shares["free"])
-    stack = with_core_as_total(stack, np.array([light is not None and light.amplitude > 0 for light in lights]))
-    ghosts = np.array([0.0 if light is None else light.ghost for light in lights])
-    return widened(replace(stack, given=tuple(given)), shares, ghosts)
+    removed = np.array([light is not None and light.amplitude > 0 for light in lights])
+    ghosts = [GhostShare() if light is None else light.ghost for light in lights]
+    stack = with_core_as_total(replace(stack, given=tuple(given)), removed)
+    shares_removed = np.where(removed, [one.share for one in ghosts], 0.0)
+    stack = with_ghosts(stack, shares_removed, np.array([one.position for one in ghosts]))
+    uncertain = np.where(removed, [one.std for one in ghosts], [one.rms for one in ghosts])
+    return widened(stack, shares, uncertain, shares_removed * [one.position_std for one in ghosts])
 
 
 def _narrow(region: _EdgeRegion) -> list[Trace]:
@@ -195,6 +199,9 @@ def _veiled(region: _EdgeRegion) -> list[Trace]:
         text = f"uneven light of {light.amplitude:.1%} beyond the terms up to third order was removed"
         if glare > 0:
             text += f"; {seen} the remainder of this light: the MTF excludes the glare"
+        if light.ghost.share > _GHOST:
+            text += f"; a ghost with {light.ghost.share:.1%} of the step, {light.ghost.position:.0f} px from the edge, "
+            text += "explains part of this light: the MTF includes the effect of the ghost"
         return [Trace(0.0, Remark("uneven-light", text), "glare")]
     width = (2 if region.mosaic else 1) * (region.value.shape[1] - 1)
     possible = 1.0 if edge.glare_radius > VEIL * width else 0.0 if light is None else light.possible
@@ -206,9 +213,12 @@ def _veiled(region: _EdgeRegion) -> list[Trace]:
 
 
 def _ghost(region: _EdgeRegion) -> list[Trace]:
-    ghost = ghost_of(region.edge.fits.free)
+    ghost, light = ghost_of(region.edge.fits.free), region.light
     if ghost.share < max(_GHOST, _SURE_GHOST * ghost.std):
-        return []
+        if light is None or light.amplitude or light.ghost.rms < _GHOST:
+            return []
+        text = f"a ghost with {light.ghost.rms:.1%} of the step may lie {light.ghost.position:.0f} px from the edge"
+        return [Trace(0.0, Remark("ghost", f"{text}: the standard deviation of the MTF includes its effect"))]
     side = "bright" if ghost.bright else "dark"
     text = f"a ghost with {ghost.share:.1%} of the step lies {ghost.position:.1f} px from the edge, on the {side} side"
     return [Trace(0.0, Remark("ghost", f"{text}: the MTF includes the effect of the ghost"))]

@@ -30,7 +30,26 @@ def with_core_as_total(stack: EdgeStack, which: np.ndarray) -> EdgeStack:
     return replace(stack, **moved)
 
 
-def widened(stack: EdgeStack, by_part: Mapping[str, np.ndarray], ghosts: np.ndarray) -> EdgeStack:
+def with_ghosts(stack: EdgeStack, shares: np.ndarray, positions: np.ndarray) -> EdgeStack:
+    """Include ghosts that were removed as uneven light in the model-free MTFs.
+
+    Args:
+        stack: results of n edges.
+        shares: shares of the ghosts (n,), no unit.
+        positions: distances of the ghosts from the edges (n,), px.
+    """
+    f, moved = stack.frequency, dict[str, Any]()
+    apart = np.cos(2 * np.pi * f * positions[:, None])
+    loss = np.sqrt(1 - 2 * (shares * (1 - shares))[:, None] * (1 - apart))
+    for name in ("mtf", "core_mtf"):
+        mtf, half = getattr(stack, name) * loss, getattr(stack, f"{name}50")
+        moved |= {name: mtf, f"{name}50": np.where(shares > 0, first_fall(f, mtf), half)}
+    return replace(stack, **moved)
+
+
+def widened(
+    stack: EdgeStack, by_part: Mapping[str, np.ndarray], ghosts: np.ndarray, distances: np.ndarray
+) -> EdgeStack:
     """Include an uncertain frequency scale and possible ghosts in the standard deviations of a stack.
 
     Args:
@@ -38,7 +57,8 @@ def widened(stack: EdgeStack, by_part: Mapping[str, np.ndarray], ghosts: np.ndar
         by_part: relative standard deviations (n,) of the frequency scale. "lens" applies to all estimates, "free" only
             to the model-free estimates, and "glare" only to the model-free MTF with glare. The standard deviations that
             apply to the same estimate are added in quadrature.
-        ghosts: shares (n,) of distant ghosts that may have been fitted as uneven light.
+        ghosts: standard deviations (n,) of the shares of distant ghosts that may have been fitted as uneven light.
+        distances: standard deviations (n,) of the distances of these ghosts times their shares, px.
     """
     lens, shares = stack.parametric, by_part["lens"]
     first, box = lens.values[:, 0], lens.half_width**2 / 3
@@ -47,7 +67,12 @@ def widened(stack: EdgeStack, by_part: Mapping[str, np.ndarray], ghosts: np.ndar
     covariance = lens.covariance.copy()
     covariance[:, 0, 0] += own**2
     core = np.hypot(shares, by_part["free"])
-    free = _errors(stack, "mtf", np.hypot(core, by_part["glare"]), ghosts) | _errors(stack, "core_mtf", core, ghosts)
+    # The effect of a ghost decreases below 0.05 cycles/px, the frequency of a ghost at a distance of 10 px.
+    f = stack.frequency
+    by_ghost = ghosts[:, None] * np.minimum(f / 0.05, 1.0)
+    by_ghost = np.hypot(by_ghost, 2 * np.pi * f * distances[:, None] * stack.mtf)
+    free = _errors(stack, "mtf", np.hypot(core, by_part["glare"]), by_ghost)
+    free |= _errors(stack, "core_mtf", core, by_ghost)
     mtf_std = np.hypot(lens.mtf_std, shares[:, None] * _by_scale(stack.frequency, lens.mtf))
     mtf50_std = np.hypot(lens.mtf50_std, shares * lens.mtf50)
     parametric = replace(lens, covariance=covariance, mtf_std=mtf_std, mtf50_std=mtf50_std)
@@ -59,7 +84,7 @@ def _by_scale(frequency: np.ndarray, mtf: np.ndarray) -> np.ndarray:
     return frequency * np.abs(np.gradient(mtf, frequency, axis=-1))
 
 
-def _errors(stack: EdgeStack, name: str, share: np.ndarray, ghosts: np.ndarray) -> dict[str, Any]:
+def _errors(stack: EdgeStack, name: str, share: np.ndarray, by_ghost: np.ndarray) -> dict[str, Any]:
     """Compute the standard deviations of an MTF and of its MTF50.
 
     A ghost makes the MTF oscillate. If the MTF is close to one half at two frequencies, a small error of the MTF may
@@ -68,13 +93,11 @@ def _errors(stack: EdgeStack, name: str, share: np.ndarray, ghosts: np.ndarray) 
     """
     f, mtf, half = stack.frequency, getattr(stack, name), getattr(stack, f"{name}50")
     by_scale = _by_scale(f, mtf)
-    # The effect of a ghost decreases below 0.05 cycles/px, the frequency of a ghost at a distance of 10 px.
-    by_ghost = ghosts[:, None] * np.minimum(f / 0.05, 1.0)
     std = np.sqrt(getattr(stack, f"{name}_std") ** 2 + (share[:, None] * by_scale) ** 2 + by_ghost**2)
     at = np.clip(np.searchsorted(f, np.nan_to_num(half)), 1, f.size - 1)
     slope = np.take_along_axis(by_scale, at[:, None], 1)[:, 0] / f[at]
     # The smallest slope prevents a division by zero.
-    ghost = ghosts / np.maximum(slope, 1e-3)
+    ghost = np.take_along_axis(by_ghost, at[:, None], 1)[:, 0] / np.maximum(slope, 1e-3)
     half_std = np.sqrt(getattr(stack, f"{name}50_std") ** 2 + (share * half) ** 2 + ghost**2)
     low, high = (first_fall(f, mtf + sign * std) for sign in (-1, 1))
     deviation = np.fmax(half - low, np.where(np.isnan(high), f[-1], high) - half)

@@ -2,10 +2,10 @@
 
 The model describes light that is not a polynomial of low order. Each side of the edge is averaged over bins of several
 px. The bins deviate from two levels times a polynomial of third order. The deviation is light that multiplies the scene
-(banding, a penumbra, a near lamp), light that is added to the scene (a glint), or glare of the lens. Glare depends only
-on the distance from the edge. All three are terms of one Gaussian model. The marginal likelihood of the model
-determines their scales and the probability of glare (Rasmussen & Williams, Gaussian Processes for Machine Learning,
-2006, ch. 5).
+(banding, a penumbra, a near lamp), light that is added to the scene (a glint), glare of the lens, or a distant ghost. Glare
+and ghost depend only on the distance from the edge. All are terms of one Gaussian model. The marginal likelihood of the
+model determines their scales, and the probabilities of glare and of a ghost (Rasmussen & Williams, Gaussian Processes for
+Machine Learning, 2006, ch. 5).
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy import ndimage
-from scipy.special import logsumexp, ndtr
+from scipy.special import ndtr
 
 from matcam.core.arrays import FloatArray, first_axis_map
 from matcam.numerics.polynomials import plane_powers
@@ -28,11 +28,17 @@ _LENGTHS = (8.0, 20.0, 50.0)
 _AMPLITUDES = np.append(0.0, 1e-3 * 2.0 ** np.arange(9))
 """Relative standard deviations of the light that are tested: 0 (even light), and 0.1 to 25 %."""
 GLARE_STD = 0.1
-"""Prior standard deviation of the share of light in glare."""
+"""Prior standard deviation of the share of light in glare, or in a ghost."""
 _GLARE_PROBABILITY = 0.1
 """Prior probability of glare."""
+_GHOST_PROBABILITY = 0.1
+"""Prior probability of a distant ghost."""
 _RADII = 4.0 * 1.5 ** np.arange(9)
 """Standard deviations of the glare that are tested, px."""
+_FARTHEST = 40.0
+"""Largest distance of a ghost from the edge that is tested, px."""
+_GHOST_WIDTH = 2.0
+"""Standard deviation of the rise of a ghost in bins, px: blur and half the side of a bin."""
 _NOISES = np.array([1.0, 1.5, 2.5, 4.0])
 """Variances of the bins that are tested, relative to independent noise. They exceed 1 if a filter has correlated the noise."""
 _SUSPECT = 3.0
@@ -47,6 +53,30 @@ _FEWEST_BINS = 24
 """Smallest number of bins for the estimate of a light field."""
 
 
+class GhostShare(NamedTuple):
+    """Distant ghost that may have been fitted as light, averaged over all models by their probabilities.
+
+    Attributes:
+        share: mean share of the ghost, no unit.
+        square: mean square of the share, no unit.
+        position: mean distance of the ghost from the edge, weighted by the share, px.
+        position_std: standard deviation of the distance, px.
+    """
+
+    share: float = 0.0
+    square: float = 0.0
+    position: float = 0.0
+    position_std: float = 0.0
+
+    @property
+    def rms(self) -> float:
+        return float(np.sqrt(self.square))
+
+    @property
+    def std(self) -> float:
+        return float(np.sqrt(max(self.square - self.share**2, 0.0)))
+
+
 class LightField(NamedTuple):
     """Residual uneven light of a region, beyond two levels times a polynomial of third order.
 
@@ -56,7 +86,7 @@ class LightField(NamedTuple):
         amplitude: standard deviation of the light over the region, relative to the scene, or to the step if the light is
             added.
         possible: rms of `amplitude` over all models of the light, weighted by their probabilities.
-        ghost: share of a ghost that may have been fitted as light.
+        ghost: ghost that may have been fitted as light.
         unknown: standard deviation of the interpolated light step across the edge, in units of the step of the image.
     """
 
@@ -64,7 +94,7 @@ class LightField(NamedTuple):
     addend: FloatArray
     amplitude: float
     possible: float
-    ghost: float = 0.0
+    ghost: GhostShare = GhostShare()
     unknown: float = 0.0
 
 
@@ -101,6 +131,7 @@ class _Family(NamedTuple):
         vectors: (p, p) eigenvectors of this covariance.
         data: (p,) data in the basis of the eigenvectors.
         glares: (radii, p) contributions of glare with a share of 1 to the data, for each radius, in the same basis.
+        ghosts: (positions, p) contributions of a ghost with a share of 1 to the data, for each position.
     """
 
     length: float
@@ -110,30 +141,47 @@ class _Family(NamedTuple):
     vectors: FloatArray
     data: FloatArray
     glares: FloatArray
+    ghosts: FloatArray
 
     def precision(self, amplitude: FloatArray | float, noise: FloatArray | float) -> FloatArray:
         return 1 / (noise + amplitude**2 * self.power)
 
-    def by_glare(self, precision: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Compute the score and the information of the glare share for every radius, both (..., radii)."""
-        score = np.maximum((precision * self.data) @ self.glares.T, 0.0)
-        return score, precision @ (self.glares**2).T + GLARE_STD**-2
+    def by_share(self, precision: FloatArray, columns: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Compute score and information of the share of glare or ghost for each of `columns`, both (..., columns)."""
+        score = np.maximum((precision * self.data) @ columns.T, 0.0)
+        return score, precision @ (columns**2).T + GLARE_STD**-2
 
-    def log_evidence(self) -> FloatArray:
-        """Compute the logarithm of the evidence times the prior, without and with glare, (2, amplitudes, noises)."""
+    def log_evidence(self, positions: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Compute the evidence of models without glare, with glare, and with a ghost.
+
+        Args:
+            positions: positions of a ghost, px.
+
+        Returns:
+            Logarithm of the evidence times the prior, (3, amplitudes, noises); and means of share, squared share, and share
+            times position and squared position of a ghost in its models, (4, amplitudes, noises).
+        """
         precision = self.precision(_AMPLITUDES[:, None, None], _NOISES[:, None])
         without = (np.log(precision) - self.data**2 * precision).sum(-1) / 2
-        score, alone = self.by_glare(precision)
-        gain = logsumexp((score**2 / alone - np.log(alone * GLARE_STD**2)) / 2, axis=-1) - np.log(len(_RADII))
-        prior = np.log([1 - _GLARE_PROBABILITY, _GLARE_PROBABILITY])[:, None, None]
+        gains = [np.zeros_like(without)]
+        for columns in (self.glares, self.ghosts):
+            score, alone = self.by_share(precision, columns)
+            each = (score**2 / alone - np.log(alone * GLARE_STD**2)) / 2
+            together = np.logaddexp.reduce(each, axis=-1)  # minus infinity if there are no columns
+            gains.append(together - np.log(max(len(columns), 1)))
+        probability, share = np.exp(each - together[..., None]), score / alone
+        moments = share, share**2 + 1 / alone, share * positions, share * positions**2
+        means = [(probability * one).sum(-1) for one in moments]
+        glare, ghost = _GLARE_PROBABILITY, _GHOST_PROBABILITY
+        prior = np.log([(1 - glare) * (1 - ghost), glare * (1 - ghost), ghost])[:, None, None]
         # Even light has half of the prior probability.
         uneven = np.log(np.where(_AMPLITUDES > 0, _AMPLITUDES.size - 1, 1))[:, None]
-        return prior - uneven + np.stack([without, without + gain])
+        return prior - uneven + without + np.stack(gains), np.stack(means)
 
     def weights(self, amplitude: float, noise: float, glaring: bool) -> FloatArray:
         """Compute the weights of the data (p,) in the posterior mean of the light."""
         precision = self.precision(amplitude, noise)
-        score, alone = self.by_glare(precision)
+        score, alone = self.by_share(precision, self.glares)
         k = int(np.argmax(score**2 / alone - np.log(alone)))
         share = score[k] / alone[k] if glaring else 0.0
         return self.vectors @ (precision * (self.data - share * self.glares[k]))
@@ -163,7 +211,8 @@ def light_field(
     Returns:
         The most probable light; None if a polynomial explains the light, or if the region has too few usable bins.
     """
-    bins = _bins(value, x, y, distance, noise, EXCLUDED_WIDTHS * blur + 1.5)
+    margin = EXCLUDED_WIDTHS * blur + 1.5
+    bins = _bins(value, x, y, distance, noise, margin)
     if bins is None:
         return None
     bright = bins.distance > 0
@@ -177,19 +226,29 @@ def light_field(
         return None
     basis = np.linalg.qr(design, mode="complete")[0][:, design.shape[1] :]
     data = basis.T @ scaled
-    columns = np.stack([(ndtr(bins.distance / radius) - bright) * step / bins.std for radius in _RADII]) @ basis
+    ghosts = _ghost_positions(bins, margin)
+    rises = [*(bins.distance / radius for radius in _RADII), *((bins.distance - at) / _GHOST_WIDTH for at in ghosts)]
+    columns = np.stack([(ndtr(rise) - bright) * step / bins.std for rise in rises]) @ basis
     families = _families(bins, basis, data, columns, step)
-    evidence = np.stack([family.log_evidence() for family in families], axis=1)
+    found = [family.log_evidence(ghosts) for family in families]
+    evidence, means = (np.stack(parts, axis=1) for parts in zip(*found, strict=True))
     probability = np.exp(evidence - evidence.max())
     probability /= probability.sum()
-    glaring = bool(probability[1].sum() > 0.5)
-    # The light is that of the more probable hypothesis, with or without glare.
+    share, square, *at = (float((probability[2] * one).sum()) for one in means)
+    position, distances = (one / max(share, 1e-300) for one in at)
+    near = 1 / (1 + share)  # the step near the edge lacks the share of the ghost
+    # The variance of a position within a step of 1 px is 1/12.
+    ghost = GhostShare(
+        share * near, square * near**2, position, float(np.sqrt(max(distances - position**2, 0.0) + 1 / 12))
+    )
+    glaring = bool(probability[1].sum() > probability[0].sum())
+    # The light is that of the more probable hypothesis, with or without glare. It may include a ghost.
     kind, level, scatter = np.unravel_index(np.argmax(evidence[int(glaring)]), evidence.shape[1:])
     best, power, unexplained = families[kind], float(_AMPLITUDES[level]), float(_NOISES[scatter])
-    possible = float(np.sqrt(probability.sum((0, 1, 3)) @ _AMPLITUDES**2))
+    possible = float(np.sqrt(probability[:2].sum((0, 1, 3)) @ _AMPLITUDES**2 / max(probability[:2].sum(), 1e-300)))
     factor, addend = np.ones_like(value), np.zeros_like(value)
     if not power:
-        return LightField(factor, addend, 0.0, possible) if glare else None
+        return LightField(factor, addend, 0.0, possible, ghost)
     weights = best.weights(power, unexplained, glaring)
     light = power**2 * (best.seen @ weights)
     # A correlation with all bins requires a few kB for each pixel.
@@ -202,13 +261,22 @@ def light_field(
     strengths[:2] = 0.0  # the linear terms belong to the fit of the edge
     polynomial = np.tensordot(strengths, _polynomials(x / scales[0], y / scales[1]), 1)
     amplitude = float(np.std(field[np.isfinite(value)]))
-    ghost = _ghost(field[np.isfinite(value)], distance[np.isfinite(value)])
     unknown = _unknown(bins, best, power, unexplained, (x, y, distance), blur)
     factor = np.maximum(factor + polynomial, _DARKEST)
     if best.adds:
         return LightField(factor, field * step, amplitude, possible, ghost, unknown)
     unknown *= float(bins.level.max()) / step
     return LightField(np.maximum(factor + field, _DARKEST), addend, amplitude, possible, ghost, unknown)
+
+
+def _ghost_positions(bins: _Bins, margin: float) -> FloatArray:
+    """List the positions of a ghost that are tested, px from the edge, at a step of 1 px.
+
+    Closer ghosts are part of the fit of the edge, and farther ones are indistinguishable from another level. `margin`: distance
+    from the edge within which pixels are excluded, px.
+    """
+    near, far = margin + _GHOST_WIDTH, np.minimum([-bins.distance.min(), bins.distance.max()], _FARTHEST) - _GHOST_WIDTH
+    return np.concatenate([-np.arange(near, far[0]), np.arange(near, far[1])])
 
 
 def _polynomials(x: FloatArray, y: FloatArray) -> FloatArray:
@@ -235,23 +303,6 @@ def _unknown(
     power = amplitude**2
     variance = power * mean @ own @ mean - power**2 * cross**2 @ best.precision(amplitude, noise)
     return float(np.sqrt(max(float(variance), 0.0)))
-
-
-def _ghost(field: FloatArray, distance: FloatArray) -> float:
-    """Compute the share of a ghost that may have been fitted as light.
-
-    A ghost of share q is a step of height q along a line parallel to the edge, so its light depends only on the distance
-    from the edge. The mean of the light is computed as a function of this distance. Let v be the variance
-    of this mean, and r the ratio of v to the variance of the light. The result is the height of a step with the variance v,
-    multiplied by r^4. This factor makes the result small if the light also varies along the edge. `field`: relative light
-    of n pixels. `distance`: distances of these pixels from the edge, px.
-    """
-    _, name = np.unique(np.floor(distance / _SMALLEST_BIN), return_inverse=True)
-    count = np.bincount(name)
-    along = np.bincount(name, field) / count
-    variance = float(np.average((along - field.mean()) ** 2, weights=count))
-    # The height of a step is 2.5 times its standard deviation over a region.
-    return 2.5 * float(np.sqrt(variance)) * (variance / max(float(field.var()), 1e-300)) ** 4
 
 
 def _bins(
@@ -293,11 +344,11 @@ def _bins(
     return _Bins(mean_x, mean_y, apart, level, np.where(bright, high, low), std)
 
 
-def _families(bins: _Bins, basis: FloatArray, data: FloatArray, glares: FloatArray, step: float) -> list[_Family]:
+def _families(bins: _Bins, basis: FloatArray, data: FloatArray, columns: FloatArray, step: float) -> list[_Family]:
     """List all models of the light.
 
-    `data`: (p,) residuals of the bins after the fit of levels and polynomials. `glares`: (radii, p) contributions of
-    glare with a share of 1 to these residuals, for each radius.
+    `data`: (p,) residuals of the bins after the fit of levels and polynomials. `columns`: (radii and positions, p)
+    contributions of glare, for each radius, and of a ghost, for each position, to these residuals, for a share of 1.
     """
     families = []
     for length in _LENGTHS:
@@ -306,7 +357,8 @@ def _families(bins: _Bins, basis: FloatArray, data: FloatArray, glares: FloatArr
             seen = basis * ((step if adds else bins.level) / bins.std)[:, None]
             power, axes = np.linalg.eigh(seen.T @ correlation @ seen)
             power = np.asarray(np.maximum(power, 0.0), float)
-            families.append(_Family(length, adds, seen, power, axes, axes.T @ data, glares @ axes))
+            shares = np.split(columns @ axes, [len(_RADII)])
+            families.append(_Family(length, adds, seen, power, axes, axes.T @ data, *shares))
     return families
 
 

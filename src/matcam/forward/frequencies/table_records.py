@@ -100,7 +100,7 @@ def record_by_frequencies(
             continue
         frame = _frame(rig, sample, right_half=right_half, symmetric=turn is None)
         known = all(map(is_concrete, jax.tree.leaves((material, sample, frame.transfer))))
-        for k in pictures:
+        for k in pictures.tolist():
             # all images share a program, because they have equal numbers of positions
             index = np.minimum(np.arange(ends[k] - counts[k], ends[k] - counts[k] + most), ends[k] - 1)
             at = placed(positions.x[index]), placed(positions.y[index])
