@@ -73,7 +73,7 @@ def even_edge(light, seed=1, sigma=0.5, snr=100):
 
 @pytest.mark.parametrize(("share", "position"), [(0.1, 22.0), (0.06, -20.0)])
 def test_a_distant_ghost_is_no_uneven_light(share, position):
-    """As light that was removed, it was missing: MTF50 was 13 and 5 % too high, the former at a stated error of 4 to 6 %."""
+    """Without its own hypothesis it was removed with the light: MTF50 was 13 and 5 % too high, at stated errors of 4 to 6 %."""
     errors = []
     for seed in range(3):
         rng, ghost = np.random.default_rng(seed), real_edges.response(0.5, 6.0, oracle.SIZE, offset=position)

@@ -152,7 +152,7 @@ def test_a_real_ball_is_not_lambertian(ball):
 
 
 def seen_from_highlights(lamps, camera, lamp):
-    """Directions from the highlights to lamps whose directions from the centre are given, by the inverse distances."""
+    """Directions from the highlights to lamps. `lamps`: directions from the centre; `camera`, `lamp`: inverse distances."""
     eye, found = np.array([0.0, 0.0, 1 / camera]), []
     for at in lamps / lamp:
         normal = at / np.linalg.norm(at)

@@ -172,10 +172,11 @@ def with_traces(
     removed = np.array([light is not None and light.amplitude > 0 for light in lights])
     ghosts = [GhostShare() if light is None else light.ghost for light in lights]
     stack = with_core_as_total(replace(stack, given=tuple(given)), removed)
-    shares_removed = np.where(removed, [one.share for one in ghosts], 0.0)
-    stack = with_ghosts(stack, shares_removed, np.array([one.position for one in ghosts]))
-    uncertain = np.where(removed, [one.std for one in ghosts], [one.rms for one in ghosts])
-    return widened(stack, shares, uncertain, shares_removed * [one.position_std for one in ghosts])
+    # Light that was removed may include a ghost, which is included in the MTF again.
+    included = np.where(removed, [one.share for one in ghosts], 0.0)
+    stack = with_ghosts(stack, included, np.array([one.position for one in ghosts]))
+    share_stds = np.where(removed, [one.std for one in ghosts], [one.rms for one in ghosts])
+    return widened(stack, shares, share_stds, included * [one.position_std for one in ghosts])
 
 
 def _narrow(region: _EdgeRegion) -> list[Trace]:

@@ -68,6 +68,21 @@ class GhostShare(NamedTuple):
     position: float = 0.0
     position_std: float = 0.0
 
+    @classmethod
+    def of(cls, share: float, square: float, at: float, at_square: float) -> GhostShare:
+        """Build the ghost from means over all models.
+
+        Args:
+            share: mean share, relative to the step near the edge, which lacks the share of the ghost, no unit.
+            square: mean square of this share, no unit.
+            at: mean of the share times the position, px.
+            at_square: mean of the share times the squared position, px^2.
+        """
+        position, squared = (one / max(share, 1e-300) for one in (at, at_square))
+        # The variance of a position within a step of 1 px is 1/12.
+        position_std = float(np.sqrt(max(squared - position**2, 0.0) + 1 / 12))
+        return cls(share / (1 + share), square / (1 + share) ** 2, position, position_std)
+
     @property
     def rms(self) -> float:
         return float(np.sqrt(self.square))
@@ -146,10 +161,15 @@ class _Family(NamedTuple):
     def precision(self, amplitude: FloatArray | float, noise: FloatArray | float) -> FloatArray:
         return 1 / (noise + amplitude**2 * self.power)
 
-    def by_share(self, precision: FloatArray, columns: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Compute score and information of the share of glare or ghost for each of `columns`, both (..., columns)."""
+    def by_share(self, precision: FloatArray, columns: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Fit the share of glare or of a ghost, for each of `columns`.
+
+        Returns:
+            Share, variance of the share, and logarithm of the factor by which it increases the evidence, each (..., columns).
+        """
         score = np.maximum((precision * self.data) @ columns.T, 0.0)
-        return score, precision @ (columns**2).T + GLARE_STD**-2
+        information = precision @ (columns**2).T + GLARE_STD**-2
+        return score / information, 1 / information, (score**2 / information - np.log(information * GLARE_STD**2)) / 2
 
     def log_evidence(self, positions: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Compute the evidence of models without glare, with glare, and with a ghost.
@@ -163,27 +183,27 @@ class _Family(NamedTuple):
         """
         precision = self.precision(_AMPLITUDES[:, None, None], _NOISES[:, None])
         without = (np.log(precision) - self.data**2 * precision).sum(-1) / 2
-        gains = [np.zeros_like(without)]
-        for columns in (self.glares, self.ghosts):
-            score, alone = self.by_share(precision, columns)
-            each = (score**2 / alone - np.log(alone * GLARE_STD**2)) / 2
-            together = np.logaddexp.reduce(each, axis=-1)  # minus infinity if there are no columns
-            gains.append(together - np.log(max(len(columns), 1)))
-        probability, share = np.exp(each - together[..., None]), score / alone
-        moments = share, share**2 + 1 / alone, share * positions, share * positions**2
+        _, _, by_glare = self.by_share(precision, self.glares)
+        share, variance, by_ghost = self.by_share(precision, self.ghosts)
+        # the sum over no columns is 0, and its logarithm minus infinity
+        glare_gain, ghost_gain = (np.logaddexp.reduce(each, axis=-1) for each in (by_glare, by_ghost))
+        counts = np.log([1, len(self.glares), max(len(self.ghosts), 1)])[:, None, None]
+        gains = np.stack([np.zeros_like(without), glare_gain, ghost_gain]) - counts
+        probability = np.exp(by_ghost - ghost_gain[..., None])
+        moments = share, share**2 + variance, share * positions, share * positions**2
         means = [(probability * one).sum(-1) for one in moments]
         glare, ghost = _GLARE_PROBABILITY, _GHOST_PROBABILITY
         prior = np.log([(1 - glare) * (1 - ghost), glare * (1 - ghost), ghost])[:, None, None]
         # Even light has half of the prior probability.
         uneven = np.log(np.where(_AMPLITUDES > 0, _AMPLITUDES.size - 1, 1))[:, None]
-        return prior - uneven + without + np.stack(gains), np.stack(means)
+        return prior - uneven + without + gains, np.stack(means)
 
     def weights(self, amplitude: float, noise: float, glaring: bool) -> FloatArray:
         """Compute the weights of the data (p,) in the posterior mean of the light."""
         precision = self.precision(amplitude, noise)
-        score, alone = self.by_share(precision, self.glares)
-        k = int(np.argmax(score**2 / alone - np.log(alone)))
-        share = score[k] / alone[k] if glaring else 0.0
+        shares, _, gains = self.by_share(precision, self.glares)
+        k = int(np.argmax(gains))
+        share = shares[k] if glaring else 0.0
         return self.vectors @ (precision * (self.data - share * self.glares[k]))
 
 
@@ -209,7 +229,8 @@ def light_field(
         glare: whether the fit of the edge has found glare, which must then be compared with uneven light.
 
     Returns:
-        The most probable light; None if a polynomial explains the light, or if the region has too few usable bins.
+        The most probable light; its amplitude is 0 if it is even. None if a polynomial explains the light, or if the region
+        has too few usable bins.
     """
     margin = EXCLUDED_WIDTHS * blur + 1.5
     bins = _bins(value, x, y, distance, noise, margin)
@@ -234,13 +255,7 @@ def light_field(
     evidence, means = (np.stack(parts, axis=1) for parts in zip(*found, strict=True))
     probability = np.exp(evidence - evidence.max())
     probability /= probability.sum()
-    share, square, *at = (float((probability[2] * one).sum()) for one in means)
-    position, distances = (one / max(share, 1e-300) for one in at)
-    near = 1 / (1 + share)  # the step near the edge lacks the share of the ghost
-    # The variance of a position within a step of 1 px is 1/12.
-    ghost = GhostShare(
-        share * near, square * near**2, position, float(np.sqrt(max(distances - position**2, 0.0) + 1 / 12))
-    )
+    ghost = GhostShare.of(*(float((probability[2] * one).sum()) for one in means))
     glaring = bool(probability[1].sum() > probability[0].sum())
     # The light is that of the more probable hypothesis, with or without glare. It may include a ghost.
     kind, level, scatter = np.unravel_index(np.argmax(evidence[int(glaring)]), evidence.shape[1:])

@@ -42,7 +42,9 @@ _HIGHEST = 3.3
 
 
 class Laying(NamedTuple):
-    """Sizes of the quadratures of limb and highlight, each of which requires a program.
+    """Sizes of the quadratures of limb and highlight.
+
+    A separate program is compiled for each size of the lines, and for each size of the patch.
 
     Attributes:
         lines: rows for the left and right limb, and columns for the top and bottom.
@@ -161,7 +163,7 @@ def _with_highlight(
     symmetric: bool,
     patch: PatchSize,
 ) -> jax.Array:
-    """Add the radiance around the highlight, whose patch has one of several sizes."""
+    """Add the radiance around the highlight to the grid."""
     x, y = jnp.asarray(x), jnp.asarray(y)
     return lay_highlight(jnp.asarray(grid), Regions.of(scene, widths), patch, x, y, taps, symmetric)
 

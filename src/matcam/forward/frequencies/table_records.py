@@ -109,8 +109,6 @@ def record_by_frequencies(
             if not known:
                 recorded = eqx.filter_checkpoint(recorded)  # for derivatives, intermediate results are computed again
             records[k] = recorded(scene, frame)
-    if not records:
-        return jnp.zeros((0, 1))
     ordered = sorted(records)
     return jnp.stack([records[k] for k in ordered])[np.nonzero(np.arange(most) < counts[ordered, None])]
 
