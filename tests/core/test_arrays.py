@@ -4,6 +4,7 @@ import dataclasses
 import subprocess
 import sys
 
+import mpmath
 import numpy as np
 import pytest
 
@@ -11,6 +12,7 @@ from matcam import GGX, Camera, DiffractionOptics, GaussianOptics, HaloOptics, S
 from matcam.core.arrays import (
     changed,
     either,
+    elementary,
     fft,
     first_axis_map,
     jacobian,
@@ -100,3 +102,50 @@ def test_steps_and_derivatives(kind):
     slope = 2 / np.sqrt(np.pi) * np.exp(-1)
     expected = [[slope * 2, special.erf(1.0), 0], [0, 0, -np.exp(-4.0)]]
     np.testing.assert_allclose(found, expected, rtol=1e-10, atol=1e-12)
+
+
+def test_the_error_function_of_compiled_programs_against_mpmath():
+    x = np.concatenate([np.linspace(-7, 12, 400), [0.0, 1e-300, 30.0, 1000.0]])
+    truth = np.array([float(mpmath.erfc(float(a))) for a in x])
+    found = np.asarray(jax.jit(elementary.erfc)(jnp.asarray(x)))
+    assert np.all(np.abs(found - truth) <= np.where(x < 6, 1e-14, 5e-14) * truth + 1e-300)
+    assert float(jax.jit(elementary.erfc)(jnp.asarray(1e200))) == 0.0
+    slopes = np.asarray(jax.vmap(jax.grad(elementary.erfc))(jnp.asarray(x)))
+    np.testing.assert_allclose(slopes, -2 / np.sqrt(np.pi) * np.exp(-x * x), rtol=5e-14)
+    np.testing.assert_allclose(elementary.erfc(x), truth, rtol=5e-14, atol=1e-300)
+
+
+_MANY = np.geomspace(1e-12, 1e6, 400)
+
+
+@pytest.mark.parametrize(
+    ("found", "truth", "x", "error"),
+    [
+        (elementary.cosine, mpmath.cos, np.linspace(0, np.pi, 400), lambda _: 5e-16),
+        (elementary.inverse_root, lambda x: 1 / mpmath.sqrt(x), _MANY, lambda y: 4e-16 * y),
+        (elementary.logarithm, mpmath.log, np.r_[_MANY, 1 + np.linspace(-1e-3, 1e-3, 40), 1e-300, 1e300], lambda y: 5e-16 * y),
+        (elementary.arcsinh, mpmath.asinh, np.r_[0.0, _MANY], lambda y: 5e-16 * (1 + y)),
+        (lambda x: elementary.angle_of(x, 0.3), lambda x: mpmath.atan2(x, 0.3), np.r_[0.0, _MANY], lambda y: 5e-16 * y),
+        (lambda x: elementary.angle_of(0.3, x), lambda x: mpmath.atan2(0.3, x), np.r_[0.0, _MANY], lambda y: 5e-16 * y + 5e-19),
+        (lambda x: elementary.power(x, 0.7), lambda x: mpmath.power(x, 0.7), _MANY, lambda y: 2e-14 * y),
+    ],
+    ids=["cosine", "inverse_root", "logarithm", "arcsinh", "angle_of_y", "angle_of_x", "power"],
+)  # fmt: skip
+def test_elementary_functions_against_mpmath(found, truth, x, error):
+    """Values of NumPy and of compiled programs, and derivatives."""
+    expected = np.array([float(truth(mpmath.mpf(float(one)))) for one in x])
+    compiled = np.asarray(jax.jit(found)(jnp.asarray(x)))
+    assert np.all(np.abs(compiled - expected) <= error(np.abs(expected)))
+    assert np.all(np.abs(found(x) - expected) <= 2 * error(np.abs(expected)))
+    inner = x[(x > 1e-6) & (x < 1e5)]
+    slopes = np.array([float(mpmath.diff(truth, mpmath.mpf(float(one)), h=1e-8 * one)) for one in inner])
+    np.testing.assert_allclose(jax.vmap(jax.grad(found))(jnp.asarray(inner)), slopes, rtol=1e-6, atol=1e-12)
+
+
+def test_the_angle_of_a_vector_without_direction():
+    np.testing.assert_array_equal(elementary.angle_of(np.array([0.0, 1.0]), np.array([0.0, -1.0])), [0.0, np.pi / 2])
+
+
+def test_the_power_differentiates_with_respect_to_its_exponent():
+    slope = jax.grad(elementary.power, argnums=1)(2.0, 0.5)
+    assert float(slope) == pytest.approx(np.log(2) * np.sqrt(2), rel=1e-14)

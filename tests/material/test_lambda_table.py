@@ -52,9 +52,9 @@ def test_derivatives_by_entries_are_those_of_the_sum():
     table = quick_table(StudentLobe(jnp.asarray(0.05), jnp.asarray(2.0)))  # of long tails: nowhere is Lambda 0
     rng = np.random.default_rng(5)
     cos, share = 0.9 * rng.uniform(0, 1, (6, 50, 2)) ** 3, rng.normal(size=(6, 50, 2))
-    directions, position = TabulatedDirections.of(cos, COTS.size), position_of(jnp.asarray(cos))
-    lambdas = lambda_at(table, position)
+    directions = TabulatedDirections.of(cos, COTS.size)
+    lambdas = lambda_at(table, jnp.asarray(cos))
     np.testing.assert_allclose(directions.one_plus_lambda(np.asarray(table)), 1 + lambdas, rtol=1e-11)
-    own = jax.vmap(jax.grad(lambda t, p, s: jnp.sum(s * lambda_at(t, p))), (None, 0, 0))(table, position, share)
+    own = jax.vmap(jax.grad(lambda t, c, s: jnp.sum(s * lambda_at(t, c))), (None, 0, 0))(table, cos, share)
     found = directions.by_tables(share * np.asarray(1 + lambdas), np.eye(COTS.size)).T
     np.testing.assert_allclose(found, own, rtol=1e-9, atol=1e-9 * np.abs(own).max())

@@ -16,8 +16,8 @@ import numpy as np
 
 from matcam.core import checks
 from matcam.core.arrays import is_concrete, special, xp
+from matcam.core.arrays.elementary import erfc
 from matcam.core.arrays.module import Module
-from matcam.numerics.elementary import erfc
 from matcam.numerics.normal import normal_density
 
 if TYPE_CHECKING:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 from matcam.core.arrays import xp
+from matcam.core.arrays.elementary import arcsine, inverse_root
 
 if TYPE_CHECKING:
     from jax.typing import ArrayLike
@@ -49,8 +50,8 @@ def shading(normal: Vector, tangent: Vector, light: Vector, view: Vector) -> Sha
     second = _cross(normal, tangent)
     along, across, up = _dot(total, tangent), _dot(total, second), _dot(total, normal)
     slopes = xp.divide(along, up), xp.divide(across, up)
-    length = xp.sqrt(_dot(total, total))
-    along, across, cos_h = along / length, across / length, up / length
+    per_length = inverse_root(_dot(total, total))
+    along, across, cos_h = along * per_length, across * per_length, up * per_length
     # azimuth of the light about the half vector, in the frame of the surface after the shortest rotation to the half
     # vector: it is well determined where the half vector is the normal, unlike the azimuth of the half vector
     carried = (along * _dot(light, tangent) + across * _dot(light, second)) / (1 + cos_h) + _dot(light, normal)
@@ -61,7 +62,7 @@ def shading(normal: Vector, tangent: Vector, light: Vector, view: Vector) -> Sha
         cos_o=_dot(view, normal),
         slope_along=slopes[0],
         slope_across=slopes[1],
-        theta_d=xp.arcsin(xp.minimum(xp.sqrt(_dot(difference, difference)) / 2, 1.0)),
+        theta_d=arcsine(xp.minimum(xp.sqrt(_dot(difference, difference)) / 2, 1.0)),
         phi_d=xp.pi - xp.mod(xp.pi - phi_d, 2 * xp.pi),
     )
 
@@ -87,8 +88,8 @@ def towards_source(source: Vector, point: Vector, nearness: ArrayLike) -> tuple[
     """
     x, y, z = (s - nearness * p for s, p in zip(source, point, strict=True))
     square = x**2 + y**2 + z**2
-    length = xp.sqrt(square)
-    return (x / length, y / length, z / length), square
+    per_length = inverse_root(square)
+    return (x * per_length, y * per_length, z * per_length), square
 
 
 def vector(x: ArrayLike, y: ArrayLike, z: ArrayLike) -> Vector:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from matcam.core.arrays import xp
+from matcam.core.arrays.elementary import arcsinh
 from matcam.material.masking import NEAREST, SlopeDensity, cot_of, smith_lambda
 from matcam.numerics.approximation import AnyValues, between_entries, four_about
 
@@ -43,13 +44,20 @@ def position_of(cos: AnyValues) -> AnyValues:
 
     The result is a NumPy array if `cos` is a NumPy array.
     """
-    return xp.arcsinh(xp.minimum(cot_of(cos), _LEVEL) / _KNEE) / _END
+    return arcsinh(_cot_in_table(cos) / _KNEE) / _END
 
 
-def lambda_at(table: jax.Array, position: jax.Array) -> jax.Array:
-    """Interpolate Lambda at positions (`position_of`) by cubics through four entries."""
-    log = between_entries(table, position * (table.size - 1))
-    return xp.maximum(xp.exp(log) / (_KNEE * xp.sinh(_END * position)) - 1, 0.0)
+def lambda_at(table: jax.Array, cos: jax.Array) -> jax.Array:
+    """Interpolate Lambda in directions by cubics through four entries.
+
+    cos: cosines of the angles of the directions to the normal, > 0.
+    """
+    log = between_entries(table, position_of(cos) * (table.size - 1))
+    return xp.maximum(xp.exp(log) / _cot_in_table(cos) - 1, 0.0)
+
+
+def _cot_in_table(cos: AnyValues) -> AnyValues:
+    return xp.minimum(cot_of(cos), _LEVEL)
 
 
 class TabulatedDirections(NamedTuple):
@@ -73,7 +81,7 @@ class TabulatedDirections(NamedTuple):
         """
         position = np.asarray(position_of(cos))
         first, _ = four_about(position * (entries - 1), entries)
-        return cls(first, position * (entries - 1) - first - 1, np.log(_KNEE * np.sinh(_END * position)))
+        return cls(first, position * (entries - 1) - first - 1, np.log(_cot_in_table(cos)))
 
     def one_plus_lambda(self, table: np.ndarray) -> np.ndarray:
         """Interpolate 1 + Lambda, (cells, ...)."""
@@ -121,4 +129,4 @@ def integrated_lambda(slope_density: SlopeDensity, scale: jax.Array, cos: jax.Ar
     cot = cot_of(cos)
     if cot.size <= _MANY:
         return smith_lambda(slope_density, scale, cot)
-    return lambda_at(table_of(smith_lambda(slope_density, scale, xp.asarray(cots_of_table(_MANY)))), position_of(cos))
+    return lambda_at(table_of(smith_lambda(slope_density, scale, xp.asarray(cots_of_table(_MANY)))), cos)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from matcam.core.arrays import constant, xp
+from matcam.core.arrays.elementary import inverse_root
 from matcam.core.registry import MASKING_MODELS
 
 if TYPE_CHECKING:
@@ -79,7 +80,7 @@ def cot_of(cos: jax.Array) -> jax.Array:
     Along the normal the result is large but finite.
     """
     cos = xp.maximum(cos, NEAREST)
-    return cos / xp.sqrt(xp.maximum((1 - cos) * (1 + cos), _FARTHEST**-2))
+    return cos * inverse_root(xp.maximum((1 - cos) * (1 + cos), _FARTHEST**-2))
 
 
 def g2(masking: Masking, lambda_i: Any, lambda_o: Any, azimuth: Any) -> Any:

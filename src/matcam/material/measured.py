@@ -30,12 +30,12 @@ import numpy.typing as npt
 import xarray as xr
 
 from matcam.core.arrays import compiled_by_jax, entries, xp
+from matcam.core.arrays.elementary import plane_length
 from matcam.core.arrays.module import Module, static_field
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import GRID_SHAPE, checked_table, sampling_of, theta_h_edges
 from matcam.core.shading import Shading
 from matcam.material.material import Material, above_horizon, theta_h_of
-from matcam.numerics.elementary import plane_length
 
 if TYPE_CHECKING:
     from matcam.core.jax import jax

@@ -11,6 +11,7 @@ from jax.typing import ArrayLike
 
 from matcam.core import checks
 from matcam.core.arrays import has_jax, xp
+from matcam.core.arrays.elementary import cosine
 from matcam.core.arrays.module import constructor_call
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import CHANNEL_WAVELENGTHS
@@ -18,6 +19,7 @@ from matcam.core.jax import is_concrete, jax, jnp
 from matcam.material.optical_constants import metal
 
 _LARGEST_INDEX = 1e6  # exceeds the index of any material at any wavelength; its fourth power is still accurate
+_LEAST_SQUARE = 1e-60  # prevents 0 / 0 where a ray in a medium with k = 0 is refracted to 90 degrees
 
 
 def fresnel_conductor(theta: ArrayLike, n: ArrayLike, k: ArrayLike) -> jax.Array:
@@ -50,19 +52,21 @@ def fresnel_conductor(theta: ArrayLike, n: ArrayLike, k: ArrayLike) -> jax.Array
 
 
 def _mean_of_polarisations(theta: jax.Array, n: jax.Array, k: jax.Array) -> jax.Array:
-    index = n + 1j * k
-    cos_i, sin2 = xp.cos(theta), xp.sin(theta) ** 2
-    inside = xp.sqrt(index**2 - sin2)  # index times the cosine of the refracted ray
-    r_s = (cos_i - inside) / (cos_i + inside)
-    r_p = (index**2 * cos_i - inside) / (index**2 * cos_i + inside)
-    return (_modulus2(r_s) + _modulus2(r_p)) / 2
+    """Compute the reflectance with real numbers, which takes a third of the time of complex numbers."""
+    cos_i = cosine(theta)
+    real, imaginary = (n - k) * (n + k), 2 * n * k  # of the squared index
+    # real and imaginary part, both positive, of the index times the cosine of the refracted ray
+    square = real - (1 - cos_i) * (1 + cos_i)
+    larger = xp.sqrt(xp.maximum((xp.sqrt(square**2 + imaginary**2) + xp.abs(square)) / 2, _LEAST_SQUARE))
+    smaller = imaginary / (2 * larger)
+    a, b = xp.where(square > 0, larger, smaller), xp.where(square > 0, smaller, larger)
+    r_s = ((cos_i - a) ** 2 + b**2) / ((cos_i + a) ** 2 + b**2)
+    real, imaginary = real * cos_i, imaginary * cos_i
+    r_p = ((real - a) ** 2 + (imaginary - b) ** 2) / ((real + a) ** 2 + (imaginary + b) ** 2)
+    return (r_s + r_p) / 2
 
 
 _compiled = jax.jit(_mean_of_polarisations)
-
-
-def _modulus2(z: jax.Array) -> jax.Array:
-    return z.real**2 + z.imag**2
 
 
 class Reflectance(eqx.Module):
@@ -202,7 +206,7 @@ class Schlick(Reflectance):
 
     def at(self, theta: jax.Array) -> jax.Array:
         """Evaluate Schlick's approximation at theta."""
-        return self.f0 + (1 - self.f0) * (1 - jnp.cos(_beside_channels(theta, self.f0))) ** 5
+        return self.f0 + (1 - self.f0) * (1 - cosine(_beside_channels(theta, self.f0))) ** 5
 
 
 class Constant(Reflectance):

@@ -12,7 +12,7 @@ import numpy as np
 from matcam.core.jax import jax, jnp
 from matcam.core.programs import kept_program
 from matcam.core.shading import Shading
-from matcam.material.lambda_table import cots_of_table, lambda_at, position_of, table_of
+from matcam.material.lambda_table import cots_of_table, lambda_at, table_of
 from matcam.material.material import Material
 from matcam.material.microfacet import Microfacet
 from matcam.material.ndf.beckmann import Beckmann
@@ -48,7 +48,7 @@ def quick_lambda(ndf: NDF, cos: jax.Array, table: jax.Array | None = None) -> ja
     `quick_table` is called.
     """
     table = quick_table(ndf) if table is None else table
-    return ndf.smith_lambda(cos) if table is None else lambda_at(table, position_of(cos))
+    return ndf.smith_lambda(cos) if table is None else lambda_at(table, cos)
 
 
 class TabulatedMasking(SlopeDistribution):
@@ -66,8 +66,7 @@ class TabulatedMasking(SlopeDistribution):
         return self.ndf.density(along, across)
 
     def lambdas(self, shading: Shading) -> tuple[jax.Array, jax.Array]:
-        first, second = (lambda_at(self.table, position_of(cos)) for cos in (shading.cos_i, shading.cos_o))
-        return first, second
+        return lambda_at(self.table, shading.cos_i), lambda_at(self.table, shading.cos_o)
 
     @property
     def finest(self) -> jax.Array:

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from matcam.core.arrays import xp
+from matcam.core.arrays.elementary import inverse_root, plane_length, sine
 from matcam.core.shading import Vector
-from matcam.numerics.elementary import plane_length, sine
 from matcam.sample.shape import Curved, Element, Position, checked_distance, checked_radius, is_infinite
 from matcam.sample.sight import depth_of
 
@@ -101,9 +101,9 @@ class Sphere(Curved):
 
     def _tangent(self, normal: Vector) -> Vector:
         """Compute the first tangent, along the circle of latitude."""
-        section = xp.sqrt(normal[0] ** 2 + normal[2] ** 2)
-        section = xp.where(section > 0, section, 1.0)
-        return normal[2] / section, xp.zeros(()), -normal[0] / section
+        square = normal[0] ** 2 + normal[2] ** 2
+        per_section = inverse_root(xp.where(square > 0, square, 1.0))
+        return normal[2] * per_section, xp.zeros(()), -normal[0] * per_section
 
     def coordinates(self, element: Element) -> tuple[jax.Array, jax.Array]:
         """Compute the longitude and latitude about the y axis, rad."""

@@ -17,10 +17,10 @@ import numpy as np
 
 from matcam.core import checks
 from matcam.core.arrays import is_concrete, xp
+from matcam.core.arrays.elementary import arcsine
 from matcam.core.arrays.module import Module, static_field
 from matcam.core.errors import ArgumentError
 from matcam.core.shading import Vector, towards_source
-from matcam.numerics.elementary import arcsine
 from matcam.sample.sight import angle_on_circle, highlight_between, parallax
 
 if TYPE_CHECKING:

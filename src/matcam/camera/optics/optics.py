@@ -19,10 +19,10 @@ import numpy as np
 from matcam.camera.parameters import fields_of
 from matcam.core import checks
 from matcam.core.arrays import compiled_by_jax, first_axis_map, is_concrete, xp
+from matcam.core.arrays.elementary import plane_length
 from matcam.core.arrays.module import Module, constructor_call
 from matcam.core.errors import ArgumentError
 from matcam.numerics.approximation import nodes_between, nodes_in_panels
-from matcam.numerics.elementary import plane_length
 
 if TYPE_CHECKING:
     from jax.typing import ArrayLike

@@ -13,7 +13,7 @@ import numpy as np
 from matcam.camera.optics.optics import Optics, Rule, piecewise_rule, reach_of
 from matcam.core import checks
 from matcam.core.arrays import compiled_by_jax, first_axis_map, is_concrete, xp
-from matcam.numerics.elementary import plane_length
+from matcam.core.arrays.elementary import plane_length
 from matcam.numerics.jinc import jinc
 
 if TYPE_CHECKING:

@@ -14,9 +14,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from matcam.core.arrays.elementary import erfc, plane_length
 from matcam.core.jax import jax, jnp
 from matcam.forward.integral.scene import Scene, highlight_x
-from matcam.numerics.elementary import erfc, plane_length
 
 STEEPEST = 0.1
 """Lower limit of the cosine of the viewing angle in the stretch of a patch around a highlight."""

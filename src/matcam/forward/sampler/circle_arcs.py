@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from matcam.core.arrays.elementary import sine
 from matcam.core.jax import AnyArray, jax, jnp
-from matcam.numerics.elementary import sine
 from matcam.sample.curved import Sphere
 from matcam.sample.shape import Element
 

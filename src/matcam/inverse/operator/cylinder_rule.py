@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from jax.typing import ArrayLike
 
+from matcam.core.arrays.elementary import angle_of
 from matcam.core.jax import jax, jit_plainly, jnp
 from matcam.forward.integral.blur import Blur, Spread
 from matcam.forward.sampler.cylinder_ridge import PlacedLamps, ends_of_light, ridge_of, seen_at, towards
@@ -331,8 +332,8 @@ def _angles(element, lamp) -> Directions:  # type: ignore[no-untyped-def]
     normal, tangent = element.normal, element.tangent
     cos_i, cos_o = (normal[0] * one[0] + normal[2] * one[2] for one in (lamp, element.view))
     along = tangent[0] * half[0] + tangent[2] * half[2]
-    theta_h = jnp.arctan2(jnp.hypot(along, half[1]), cos_i + cos_o)
-    theta_d = jnp.arctan2(*(jnp.sqrt(sum(a**2 for a in part)) for part in (apart, half)))
+    theta_h = angle_of(jnp.hypot(along, half[1]), cos_i + cos_o)
+    theta_d = angle_of(*(jnp.sqrt(sum(a**2 for a in part)) for part in (apart, half)))
     return Directions(jnp.ones(()), jnp.ones(()), cos_i, cos_o, theta_h, theta_d)
 
 

@@ -27,6 +27,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from matcam.core.arrays.elementary import angle_of, sine
 from matcam.core.jax import jax, jit_plainly, jnp
 from matcam.forward.integral.blur import Blur, Spread
 from matcam.forward.integral.blur_groups import fineness_of
@@ -47,7 +48,6 @@ from matcam.inverse.operator.theta_nodes import (
     rise_of,
 )
 from matcam.numerics.blocks import in_blocks, repeated_sum
-from matcam.numerics.elementary import sine
 
 _GROUP = 4
 """Number of nodes of an arc that are computed at once. It divides `MOST_NODES`."""
@@ -183,11 +183,11 @@ def directions(normal: Any, sin: Any, cos: Any, q: Any, w: Any) -> Directions:
     cos_o, cos_i = (n_z - q) / view, (up - w) / light
     # cross product of half vector and normal, without loss of digits near the highlight, where it is 0
     cross = -n_y / view - cos * n_y / light, n_x / view + (cos * n_x - sin * n_z) / light, sin * n_y / light
-    theta_h = xp.arctan2(xp.sqrt(cross[0] ** 2 + cross[1] ** 2 + cross[2] ** 2), cos_i + cos_o)
+    theta_h = angle_of(xp.sqrt(cross[0] ** 2 + cross[1] ** 2 + cross[2] ** 2), cos_i + cos_o)
     v = -q * n_x / view, -q * n_y / view, (1 - q * n_z) / view
     i = (sin - w * n_x) / light, -w * n_y / light, (cos - w * n_z) / light
     apart, together = (sum((a + side * b) ** 2 for a, b in zip(v, i, strict=True)) for side in (-1, 1))
-    return Directions(view, light, cos_i, cos_o, theta_h, xp.arctan2(xp.sqrt(apart), xp.sqrt(together)))
+    return Directions(view, light, cos_i, cos_o, theta_h, angle_of(xp.sqrt(apart), xp.sqrt(together)))
 
 
 class WindowArcs(NamedTuple):
@@ -279,7 +279,6 @@ def _kernel_sums(
     nodes = np.where(with_borders & ~evenly, np.maximum(nodes, _BESIDE_BORDER), nodes)
     rule = -(-nodes // _GROUP) + evenly * _MIDPOINT
     per_arc = angle[arcs.circle], arcs.middle, arcs.half
-    program = _arc_sums if kernel.disc is None else _arc_sums_of_disc
     sums = np.zeros((count, 7 + 2 * NODES[0].size if near else 4, arcs.circle.size))
     # all arcs of a block have one rule and one description of the disc, so the sums of an arc do not depend on the others
     described = rule + 2 * _MIDPOINT * with_borders
@@ -291,7 +290,7 @@ def _kernel_sums(
         some = order[begin : begin + _CALL]
         index = np.pad(some, (0, _CALL - some.size), mode="edge")
         seen_by = pixel[index]
-        found = program(
+        found = _arc_sums(
             np.array(-(-some.size // _BLOCK)), np.array(count), np.array(view), np.stack([a[seen_by] for a in per_pixel]),
             np.stack([a[index] for a in per_arc]), spread[:, seen_by], rule[index].reshape(-1, _BLOCK)[:, 0],
             _tabulated_rules(), blurs, kernel.disc_at(seen_by), kernel.terms, near, kernel.pixel_nodes,
@@ -335,7 +334,7 @@ def _tabulated_rules() -> np.ndarray:
     return np.moveaxis(rules, 1, 0).reshape(-1, 2, MOST_NODES // _GROUP, _GROUP)
 
 
-@partial(jit_plainly, static=("terms", "near", "pixel_nodes"))
+@partial(jit_plainly, runs="mostly", static=("terms", "near", "pixel_nodes"))
 def _arc_sums(
     used: Any,
     kernels: Any,
@@ -365,21 +364,22 @@ def _arc_sums(
 
     def block(arguments):  # type: ignore[no-untyped-def]
         of_pixel, of_arc, spread, disc, own = arguments
-        variances = jnp.stack(spread).reshape(most, 2, -1, 1)
-        pixel = tuple(a[:, None] for a in of_pixel)
-        circle, middle, half = (a[:, None] for a in of_arc)
-        peak = pixel[5]
-        arc = half, *(function(angle) for angle in (middle, circle, peak) for function in (jnp.sin, jnp.cos))
+        variances = jnp.stack(spread).reshape(most, 2, -1)
+        circle, middle, half = of_arc
+        angles = middle, circle, of_pixel[5], of_pixel[4]
+        arc = half, *(function(angle) for angle in angles for function in (jnp.sin, jnp.cos))
         nothing = jnp.zeros((most, 7 + 2 * NODES[0].size if near else 4, circle.shape[0]))
         rule = rules[own, 0], rules[own, 1]
         points = disc and chord_points(view, disc)
         return repeated_sum(
-            lambda node: sums(pixel, arc, variances, disc, points, nothing, *node), own % _MIDPOINT, rule, nothing
+            lambda node: sums(of_pixel, arc, variances, disc, points, nothing, *node), own % _MIDPOINT, rule, nothing
         )
 
     def sums(pixel, arc, variances, disc, points, nothing, node, node_weight):  # type: ignore[no-untyped-def]
-        x, y, cosine, sine_, lamp, _, cell, *spacing = pixel
-        half, sin_m, cos_m, s, c, sin_p, cos_p = arc
+        # the first axis is that of the nodes, because XLA computes sums over the first axis in vectors
+        node, node_weight = node[:, None], node_weight[:, None]
+        x, y, cosine, sine_, _, _, cell, *spacing = pixel
+        half, sin_m, cos_m, s, c, sin_p, cos_p, *lamp = arc
         off = half * node
         chord = sine(off / 2)
         haversine, sin_off = chord**2, 2 * chord * jnp.sqrt(1 - chord**2)
@@ -404,7 +404,7 @@ def _arc_sums(
             return blur.at(term, Spread(widths[0], widths[1], out_of_focus), *offset)
 
         if near:
-            at = directions(normal, jnp.sin(lamp), jnp.cos(lamp), view.camera, view.lamp)
+            at = directions(normal, *lamp, view.camera, view.lamp)
             # area in the image divided by the cosine of the viewing angle, times the irradiance of a surface that faces the
             # lamp
             measure = half * node_weight * at.view / depth**3 / at.light**2
@@ -420,9 +420,11 @@ def _arc_sums(
             if disc is None:
                 seen = sum((blur.share(term) * through(blur, term, var_x, var_y) for term in terms), jnp.zeros(()))
             else:
-                seen = lamp_kernel(view, blur, terms, disc, points, normal, in_plane(x, y), (var_x, var_y))
+                normals = tuple(jnp.broadcast_to(n, off.shape).T for n in normal)
+                own = tuple(tuple(a[:, None] for a in pair) for pair in (in_plane(x, y), (var_x, var_y)))
+                seen = lamp_kernel(view, blur, terms, disc, points, normals, *own).T
             share = jax.lax.optimization_barrier(seen * measure)
-            own = jnp.stack([jnp.sum(share * one, axis=1) for one in factors])
+            own = jnp.stack([jnp.sum(share * one, axis=0) for one in factors])
             if near:
                 own = jnp.concatenate([own, *legendre_sums(position, (share, share * rise_of(at.theta_d, cell)))])
             return found.at[number].set(own)
@@ -435,11 +437,3 @@ def _arc_sums(
     of_blocks = jax.tree.map(blocks, (tuple(of_pixel), tuple(of_arc), tuple(spread), disc))
     found = in_blocks(block, used, (*of_blocks, rule))
     return jnp.moveaxis(found, 0, 2).reshape(*found.shape[1:3], -1)
-
-
-_arc_sums_of_disc = jit_plainly(
-    _arc_sums.__wrapped__,  # type: ignore[attr-defined]
-    runs="mostly",
-    static=("terms", "near", "pixel_nodes"),
-)
-"""`_arc_sums`, compiled with all optimisation passes. The Gaussians of a disc then take a third of the computing time."""

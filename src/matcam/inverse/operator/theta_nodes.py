@@ -7,12 +7,14 @@ azimuths represent all azimuths in the window of the pixel.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from matcam.core.arrays import xp
+from matcam.core.arrays.elementary import arcsinh, sine
 from matcam.core.jax import jax, jit_plainly, jnp
 from matcam.numerics.approximation import lagrange_basis
 
@@ -143,7 +145,7 @@ class NodeSpacing(NamedTuple):
         """
         scale = xp.maximum(high / _RANGE_PER_SCALE, xp.minimum(0.15 * (high - low), low))
         scale = xp.minimum(scale, xp.maximum(low, largest_scale))
-        return cls(scale, xp.arcsinh(low / scale), xp.arcsinh(high / scale))
+        return cls(scale, arcsinh(low / scale), arcsinh(high / scale))
 
     def by_pixel(self) -> NodeSpacing:
         """Append an axis for the nodes of each pixel."""
@@ -151,7 +153,7 @@ class NodeSpacing(NamedTuple):
 
     def position(self, theta: Any) -> Any:
         """Compute the positions of angles among the nodes, in [-1.1, 1.1]."""
-        return self.share(xp.arcsinh(theta / self.scale))
+        return self.share(arcsinh(theta / self.scale))
 
     def share(self, stretched: Any) -> Any:
         """Compute positions among the nodes, in [-1.1, 1.1], from asinh(theta / scale)."""
@@ -243,13 +245,13 @@ def onto_nodes(positions: jax.Array, share: jax.Array) -> jax.Array:
         share: weights at the positions, in the shape of `positions`.
     """
     positions, share = (a.reshape(a.shape[0], -1) for a in (positions, share))
-    return legendre_sums(positions, (share,))[0].T @ FROM_MOMENTS.T
+    return legendre_sums(positions.T, (share.T,))[0].T @ FROM_MOMENTS.T
 
 
-def legendre_sums(position: jax.Array, shares: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
+def legendre_sums(position: jax.Array, shares: Sequence[jax.Array]) -> tuple[jax.Array, ...]:
     """Compute the sums of weights times Legendre polynomials of the position.
 
-    The sums are over the last axis. There is one result of shape (degrees, ...) for each array of weights.
+    The sums are over the first axis. There is one result of shape (degrees, ...) for each array of weights.
 
     Args:
         position: positions among the nodes, in [-1.1, 1.1].
@@ -258,12 +260,11 @@ def legendre_sums(position: jax.Array, shares: tuple[jax.Array, ...]) -> tuple[j
 
     def next_degree(state, k):  # type: ignore[no-untyped-def]
         before, now = state
-        sums = tuple((share * now) @ ones for share in shares)  # jnp.sum takes four times as long in XLA
-        return (now, ((2 * k + 1) * position * now - k * before) / (k + 1)), sums
+        sums = tuple(jnp.sum(share * now, axis=0) for share in shares)
+        return (now, (2 * k + 1) / (k + 1) * position * now - k / (k + 1) * before), sums
 
-    ones = np.ones(position.shape[-1])
     start = jnp.zeros_like(position), jnp.ones_like(position)
-    return jax.lax.scan(next_degree, start, jnp.arange(NODES[0].size, dtype=float))[1]
+    return jax.lax.scan(next_degree, start, jnp.arange(NODES[0].size, dtype=float), unroll=4)[1]
 
 
 FROM_MOMENTS = NODES[1][:, None] * np.polynomial.legendre.legvander(NODES[0], NODES[0].size - 1)
@@ -282,7 +283,7 @@ def rise_of(theta_d: jax.Array, cell: jax.Array) -> jax.Array:
 
 def cos_azimuth(cos_i: Any, cos_o: Any, theta_h: Any, theta_d: Any) -> jax.Array:
     """Compute the cosine of the azimuth of the normal about the half vector, measured from the side of the lamp."""
-    return jnp.clip((cos_i - cos_o) / jnp.maximum(2 * jnp.sin(theta_h) * jnp.sin(theta_d), 1e-300), -1, 1)
+    return jnp.clip((cos_i - cos_o) / jnp.maximum(2 * sine(theta_h) * sine(theta_d), 1e-300), -1, 1)
 
 
 class CircleSums(NamedTuple):

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from matcam.core.arrays import xp
-from matcam.material.masking import cot_of
+from matcam.material.masking import NEAREST
 from matcam.material.ndf.distribution import MixtureNDF, SlopeNDF, StretchedSlopes, checked_roughness
 
 if TYPE_CHECKING:
@@ -60,7 +60,9 @@ class GGX(SlopeNDF, MixtureNDF):
         Lambda is (sqrt(1 + alpha^2 tan^2 theta) - 1) / 2, where theta is the angle of the direction to the normal
         (from Walter et al. 2007, (34)).
         """
-        return ggx_lambda(cot_of(cos) / self.alpha)
+        cos = xp.maximum(cos, NEAREST)
+        across2 = self.alpha**2 * (1 - cos) * (1 + cos)
+        return across2 / (2 * cos * (cos + xp.sqrt(cos**2 + across2)))
 
     def mixture(self) -> tuple[jax.Array, jax.Array]:
         """Compute weights and widths of the Gaussians whose sum is the lobe.

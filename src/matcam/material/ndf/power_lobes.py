@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from matcam.core import checks
-from matcam.core.arrays import special, with_derivatives, xp
+from matcam.core.arrays import special, xp
+from matcam.core.arrays.elementary import power
 from matcam.material.lambda_table import integrated_lambda
 from matcam.material.ndf.distribution import MixtureNDF, SlopeNDF, checked_roughness
 
@@ -63,7 +64,7 @@ class EPD(SlopeNDF):
         peak = self.power / (xp.pi * self.beta**2 * xp.exp(special.gammaln(1 / self.power)))
         at_peak = slope2 == 0  # the derivative of x^p is infinite or of the form 0 ln 0 there
         x = xp.where(at_peak, 1.0, slope2 / self.beta**2)
-        return peak * xp.exp(-xp.where(at_peak, 0.0, _power(x, self.power)))
+        return peak * xp.exp(-xp.where(at_peak, 0.0, power(x, self.power)))
 
     def smith_lambda(self, cos: jax.Array) -> jax.Array:
         """Compute Smith's Lambda by its integral over slopes."""
@@ -122,7 +123,7 @@ class SGD(SlopeNDF, MixtureNDF):
         fall = slope2 / self.alpha
         above = fall / self.alpha  # x = alpha (1 + above)
         peak = 1 / (xp.pi * self.alpha**2 * self._integral)
-        return peak * xp.exp(-fall) * (1 + above) ** -self.power
+        return peak * xp.exp(-fall) * power(1 + above, -self.power)
 
     @property
     def _integral(self) -> jax.Array:
@@ -162,7 +163,3 @@ class SGD(SlopeNDF, MixtureNDF):
     def roughness(self) -> jax.Array:
         """First parameter, alpha, a slope, no unit."""
         return self.alpha
-
-
-_power = with_derivatives(lambda x, p: x**p, lambda dx, u, x, p: dx * u * p / x, lambda dp, u, x, p: dp * u * xp.log(x))
-"""Power x^p for x > 0, whose derivatives reuse the value of the power."""
