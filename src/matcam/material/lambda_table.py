@@ -44,7 +44,7 @@ def position_of(cos: AnyValues) -> AnyValues:
 
     The result is a NumPy array if `cos` is a NumPy array.
     """
-    return arcsinh(_cot_in_table(cos) / _KNEE) / _END
+    return arcsinh(_cot_in_table(cos) / _KNEE) / _END  # type: ignore[return-value]
 
 
 def lambda_at(table: jax.Array, cos: jax.Array) -> jax.Array:

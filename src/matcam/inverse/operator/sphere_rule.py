@@ -421,8 +421,8 @@ def _arc_sums(
                 seen = sum((blur.share(term) * through(blur, term, var_x, var_y) for term in terms), jnp.zeros(()))
             else:
                 normals = tuple(jnp.broadcast_to(n, off.shape).T for n in normal)
-                own = tuple(tuple(a[:, None] for a in pair) for pair in (in_plane(x, y), (var_x, var_y)))
-                seen = lamp_kernel(view, blur, terms, disc, points, normals, *own).T
+                per_arc = (tuple(a[:, None] for a in pair) for pair in (in_plane(x, y), (var_x, var_y)))
+                seen = lamp_kernel(view, blur, terms, disc, points, normals, *per_arc).T
             share = jax.lax.optimization_barrier(seen * measure)
             own = jnp.stack([jnp.sum(share * one, axis=0) for one in factors])
             if near:
