@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from jax.typing import ArrayLike
 
+from matcam.core.arrays.elementary import inverse_root, sine
 from matcam.core.jax import jax, jnp
 
 TERMS = 6
@@ -47,7 +48,7 @@ def terms(cos_i: jax.Array, cos_o: jax.Array, theta_d: ArrayLike) -> tuple[jax.A
     """Compute the terms that `departure` multiplies by the coefficients. The arguments are those of `departure`."""
     low_i, low_o = 1 - jnp.clip(cos_i, 0.0, 1.0), 1 - jnp.clip(cos_o, 0.0, 1.0)
     # sin_i sin_o cos(azimuth difference), divided by the factor that converts sin_i sin_o to rho_i rho_o
-    towards = (jnp.cos(2 * jnp.asarray(theta_d)) - cos_i * cos_o) / jnp.sqrt((2 - low_i) * (2 - low_o))
+    towards = (1 - 2 * sine(jnp.asarray(theta_d)) ** 2 - cos_i * cos_o) * inverse_root((2 - low_i) * (2 - low_o))
     return (
         low_i + low_o,
         low_i * low_o,

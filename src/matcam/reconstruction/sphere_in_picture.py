@@ -7,6 +7,7 @@ Both inverse distances may be 0.
 
 from __future__ import annotations
 
+from matcam.core.arrays.elementary import inverse_root
 from matcam.core.grid import azimuth_difference
 from matcam.core.jax import jax, jnp
 from matcam.core.shading import Shading, Vector, shading, towards_source
@@ -82,8 +83,8 @@ def sphere_tangent(normal: Vector) -> Vector:
     """Compute the horizontal tangents, of length 1, at points of the sphere."""
     x, _, z = normal
     # visible points have z > 0, or lie at the start of a row, so x and z are never both 0
-    across = jnp.sqrt(x**2 + z**2)
-    return z / across, jnp.zeros(()), -x / across
+    per_length = inverse_root(x**2 + z**2)
+    return z * per_length, jnp.zeros(()), -x * per_length
 
 
 def radiance(

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from matcam.core.arrays import xp
-from matcam.core.arrays.elementary import inverse_root, plane_length, sine
+from matcam.core.arrays.elementary import cosine, inverse_root, plane_length, sine
 from matcam.core.shading import Vector
 from matcam.sample.shape import Curved, Element, Position, checked_distance, checked_radius, is_infinite
 from matcam.sample.sight import depth_of
@@ -200,7 +200,7 @@ class Cylinder(Curved):
 
         u is in rad, and v in radii.
         """
-        element, _ = self._element(xp.sin(u), xp.cos(u), v)
+        element, _ = self._element(sine(u), cosine(xp.abs(u)), v)
         return element
 
     def at(self, x: jax.Array, y: jax.Array) -> tuple[Element, jax.Array]:

@@ -18,6 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from matcam.core.arrays.elementary import cosine
 from matcam.core.jax import AnyArray, jax, jnp
 from matcam.core.programs import kept_program
 from matcam.forward.integral.blur import Imaging
@@ -85,7 +86,7 @@ class CrossArcs(NamedTuple):
         t = jnp.asarray(self.middle) + self.half * node
         grown, inverse = jnp.exp(t), jnp.exp(-t)
         u = jnp.asarray(self.centre) + self.scale * (grown - inverse) / 2
-        per_px = (1 - sample.nearness * jnp.cos(u)) / sample.stretch
+        per_px = (1 - sample.nearness * cosine(jnp.abs(u))) / sample.stretch
         element = sample.surface(u, jnp.asarray(self.row) * per_px)
         return element, self.weight * self.scale * (grown + inverse) / 2 * per_px
 

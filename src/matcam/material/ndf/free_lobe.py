@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 from jax.typing import ArrayLike
 
+from matcam.core.arrays.elementary import arcsinh
 from matcam.core.jax import jax, jnp
 from matcam.core.programs import kept_program
 from matcam.material.lambda_table import integrated_lambda
@@ -98,7 +99,7 @@ def _knot_at(slope2: jax.Array) -> jax.Array:
     """Compute the position of squared slopes among the knots, counted from 0."""
     small = slope2 < 1e-24  # the derivative of the root is infinite at 0
     slope = jnp.where(small, 0.0, jnp.sqrt(jnp.where(small, 1.0, slope2)))
-    return jnp.minimum(jnp.arcsinh(slope / _FINEST) / _END, 1.0) * (KNOTS - 1)
+    return jnp.minimum(arcsinh(slope / _FINEST) / _END, 1.0) * (KNOTS - 1)
 
 
 def spline_smoothness() -> np.ndarray:

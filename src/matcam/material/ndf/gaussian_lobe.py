@@ -8,6 +8,7 @@ import numpy as np
 
 from matcam.core import checks
 from matcam.core.arrays import xp
+from matcam.core.arrays.elementary import angle_of
 from matcam.material.lambda_table import integrated_lambda
 from matcam.material.ndf.distribution import MixtureNDF, checked_roughness
 
@@ -56,7 +57,7 @@ class GaussianNDF(MixtureNDF):
     def slope_density(self, slope2: jax.Array) -> jax.Array:
         """Compute the density of slopes, P22 = D cos^4 theta_h."""
         small = slope2 < _SMALL
-        angle = xp.arctan(xp.sqrt(xp.where(small, 1.0, slope2)))
+        angle = angle_of(xp.sqrt(xp.where(small, 1.0, slope2)), xp.ones(()))
         series = slope2 * (1 - slope2 * (2 / 3 - slope2 * 23 / 45))
         return self._of_squared_angle(xp.where(small, series, angle**2)) / (1 + slope2) ** 2
 

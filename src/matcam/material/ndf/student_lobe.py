@@ -8,6 +8,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from matcam.core.arrays import xp
+from matcam.core.arrays.elementary import power
 from matcam.material.lambda_table import integrated_lambda
 from matcam.material.ndf.distribution import SlopeNDF
 
@@ -36,7 +37,7 @@ class StudentLobe(SlopeNDF):
     def slope_density(self, slope2: jax.Array) -> jax.Array:
         g = 1 + self.excess
         square = g * self.beta**2
-        return self.excess / (xp.pi * square) * xp.exp(-g * xp.log1p(slope2 / square))
+        return self.excess / (xp.pi * square) * power(1 + slope2 / square, -g)
 
     def smith_lambda(self, cos: jax.Array) -> jax.Array:
         return integrated_lambda(self.slope_density, self.beta, cos)
