@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from matcam.core.arrays.elementary import sine
 from matcam.core.jax import AnyArray, jax, jnp
 
 _LOST = 14.0
@@ -49,7 +50,7 @@ class Taps(NamedTuple):
         on_it = jnp.abs(away) < _ON_A_POINT
         # up to its sign, sin(pi away) equals sin(pi off), so one sine suffices for all grid points
         sign = 4 * jnp.abs(whole / 2 - jnp.floor(whole / 2)) - 1
-        sinc = jnp.where(on_it, 1.0, sign * jnp.sin(jnp.pi * off) / (jnp.pi * jnp.where(on_it, 1.0, away)))
+        sinc = jnp.where(on_it, 1.0, sign * sine(jnp.pi * off) / (jnp.pi * jnp.where(on_it, 1.0, away)))
         window = _polynomial(_window(), (away / self.reach) ** 2)
         return jnp.where(jnp.abs(away) < self.reach, sinc * window, 0.0)
 

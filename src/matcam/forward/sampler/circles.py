@@ -197,7 +197,10 @@ def _dot(vector: np.ndarray, others: np.ndarray) -> np.ndarray:
 
 def angles_from_axis(frame: Frame, normals: np.ndarray) -> np.ndarray:
     """Compute the angles between normals, (3, windows, points), and the axis, rad."""
-    return np.arctan2(np.hypot(_dot(frame.first, normals), _dot(frame.second, normals)), _dot(frame.axis, normals))
+    off = np.sqrt(
+        _dot(frame.first, normals) ** 2 + _dot(frame.second, normals) ** 2
+    )  # np.hypot takes four times as long
+    return np.arctan2(off, _dot(frame.axis, normals))
 
 
 def from_highlight(windows: Windows, normals: np.ndarray) -> np.ndarray:

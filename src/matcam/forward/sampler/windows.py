@@ -51,9 +51,10 @@ class SphereView(NamedTuple):
 
     def normals(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Compute the normals at positions in the image, px; positions beyond the limb are moved to the limb."""
-        beyond = np.maximum(np.hypot(x, y) / (self.radius * (1 - 1e-12)), 1.0)
-        x, y, q = x / beyond / self.stretch, y / beyond / self.stretch, self.camera
-        n_z, _ = depth_of(np.hypot(x, y), q)
+        off, q = np.sqrt(x**2 + y**2), self.camera  # np.hypot takes four times as long
+        scale = 1 / (np.maximum(off / (self.radius * (1 - 1e-12)), 1.0) * self.stretch)
+        x, y = x * scale, y * scale
+        n_z, _ = depth_of(off * scale, q)
         depth = 1 - q * n_z
         return x * depth, y * depth, n_z
 
