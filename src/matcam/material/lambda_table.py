@@ -16,7 +16,7 @@ import numpy as np
 from matcam.core.arrays import xp
 from matcam.core.arrays.elementary import arcsinh
 from matcam.material.masking import NEAREST, SlopeDensity, cot_of, smith_lambda
-from matcam.numerics.approximation import AnyValues, between_entries, four_about
+from matcam.numerics.approximation import AnyValues, between_entries, first_of_four
 
 if TYPE_CHECKING:
     from matcam.core.jax import jax
@@ -79,9 +79,9 @@ class TabulatedDirections(NamedTuple):
 
         cos: cosines of the angles to the normal, (cells, ...). entries: number of entries of the table.
         """
-        position = np.asarray(position_of(cos))
-        first, _ = four_about(position * (entries - 1), entries)
-        return cls(first, position * (entries - 1) - first - 1, np.log(_cot_in_table(cos)))
+        position = np.asarray(position_of(cos)) * (entries - 1)
+        first = first_of_four(position, entries)
+        return cls(first, position - first - 1, np.log(_cot_in_table(cos)))
 
     def one_plus_lambda(self, table: np.ndarray) -> np.ndarray:
         """Interpolate 1 + Lambda, (cells, ...)."""

@@ -49,8 +49,13 @@ def between_entries(table: jax.Array, position: jax.Array) -> jax.Array:
 
 def four_about(position: Any, entries: int) -> tuple[Any, list[Any]]:
     """Compute the index of the first of the four entries about each position, and the Lagrange weights of these entries."""
-    left = constant(xp.clip(xp.floor(position), 1, entries - 3))
-    return left.astype(int) - 1, lagrange_basis(np.arange(-1.0, 3.0), position - left)
+    first = first_of_four(position, entries)
+    return first, lagrange_basis(np.arange(-1.0, 3.0), position - first - 1)
+
+
+def first_of_four(position: Any, entries: int) -> Any:
+    """Compute the index of the first of the four entries about each position."""
+    return constant(xp.clip(xp.floor(position), 1, entries - 3)).astype(int) - 1
 
 
 def lagrange_basis(points: Any, at: Any) -> list[Any]:
