@@ -52,6 +52,8 @@ FOUND = SIGNIFICANT**2
 """Increase of 2 ln likelihood above which glare is accepted: that of one significant parameter."""
 GHOST_FOUND = 24.0
 """Increase of 2 ln likelihood above which a ghost is accepted. At one position, noise exceeds it with probability 1/2,000."""
+_FARTHEST_GHOST = 25.0
+"""Largest distance of a ghost from the edge in the search, px. Farther ghosts are part of the light (`uneven_light.py`)."""
 _PRIOR_GHOST = 0.3
 """Prior standard deviation of the coefficients of a ghost, relative to the step. Ghosts are weaker than the edge."""
 VEIL = 0.25
@@ -173,10 +175,10 @@ def ghost_found(fit: LinearFit, glare: tuple[jax.Array, jax.Array], known: jax.A
     """
     log_radius, rise = glare
     beside = fit.solved(changed(fit.columns, _COLUMN, xp.where(rise > FOUND, _column(fit, log_radius), 0.0)))
-    # The search extends from 2.2 s to the larger of 6 s and 8 px, but not beyond 0.3 of the width of the region.
+    # A ghost beyond 0.3 of the width of the region resembles uneven light.
     first = 2.2 * line_width(fit.shape)
-    last = xp.minimum(xp.maximum(6.0 * line_width(fit.shape), 8.0), 0.3 * _width(fit.cells))
-    positions = xp.linspace(first, last, 24)
+    last = xp.minimum(_FARTHEST_GHOST, 0.3 * _width(fit.cells))
+    positions = xp.linspace(first, last, 60)
 
     rises = _rises(beside, _ghosts(beside, positions), _PRIOR_GHOST)
     best = xp.argmax(rises)

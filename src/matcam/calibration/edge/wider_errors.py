@@ -11,9 +11,6 @@ import numpy as np
 from matcam.calibration.edge.edge_result import EdgeStack
 from matcam.numerics.crossing import first_fall
 
-_JUMP = 1.5
-"""Change of MTF50 due to a shifted MTF, in standard deviations of MTF50, above which the change replaces them."""
-
 
 def with_core_as_total(stack: EdgeStack, which: np.ndarray) -> EdgeStack:
     """Replace the MTF of selected edges with the MTF without glare, and set the glare of these edges to 0.
@@ -88,8 +85,8 @@ def _errors(stack: EdgeStack, name: str, share: np.ndarray, by_ghost: np.ndarray
     """Compute the standard deviations of an MTF and of its MTF50.
 
     A ghost makes the MTF oscillate. If the MTF is close to one half at two frequencies, a small error of the MTF may
-    change MTF50 discontinuously. Therefore the MTF plus or minus one standard deviation is also evaluated. If this
-    changes MTF50 by more than `_JUMP` standard deviations, the change replaces the standard deviation.
+    change MTF50 discontinuously. Therefore MTF50 is also computed for the MTF plus and minus one and two standard
+    deviations, and the largest change per standard deviation is used.
     """
     f, mtf, half = stack.frequency, getattr(stack, name), getattr(stack, f"{name}50")
     by_scale = _by_scale(f, mtf)
@@ -99,6 +96,8 @@ def _errors(stack: EdgeStack, name: str, share: np.ndarray, by_ghost: np.ndarray
     # The smallest slope prevents a division by zero.
     ghost = np.take_along_axis(by_ghost, at[:, None], 1)[:, 0] / np.maximum(slope, 1e-3)
     half_std = np.sqrt(getattr(stack, f"{name}50_std") ** 2 + (share * half) ** 2 + ghost**2)
-    low, high = (first_fall(f, mtf + sign * std) for sign in (-1, 1))
-    deviation = np.fmax(half - low, np.where(np.isnan(high), f[-1], high) - half)
-    return {f"{name}_std": std, f"{name}50_std": np.where(deviation > _JUMP * half_std, deviation, half_std)}
+    changes = [half_std]
+    for steps in (1, 2):
+        low, high = (first_fall(f, mtf + sign * std) for sign in (-steps, steps))
+        changes.append(np.fmax(half - low, np.where(np.isnan(high), f[-1], high) - half) / steps)
+    return {f"{name}_std": std, f"{name}50_std": np.fmax.reduce(changes)}
