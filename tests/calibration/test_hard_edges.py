@@ -60,7 +60,7 @@ def test_many_of_each(kind):
         f"{kind:20s} right {right:.0%}, silent {silent}, refused {1 - errors.size / 80:.0%}; rms {rms(errors):.2%}, "
         f"stated {np.median(stated):.2%}; local regression {rms(theirs):.2%}"
     )
-    assert right >= (0.85 if kind == "far ghost" else 0.9)
+    assert right >= 0.9
     assert silent <= 0.02 * 80
     if kind in oracle.LIGHT:
         assert rms(errors) <= rms(theirs)
@@ -71,9 +71,13 @@ def even_edge(light, seed=1, sigma=0.5, snr=100):
     return real_edges.exposed(scene, snr, np.random.default_rng(seed))
 
 
-@pytest.mark.parametrize(("share", "position"), [(0.1, 22.0), (0.06, -20.0)])
-def test_a_distant_ghost_is_no_uneven_light(share, position):
-    """Without its own hypothesis it was removed with the light: MTF50 was 13 and 5 % too high, at stated errors of 4 to 6 %."""
+@pytest.mark.parametrize(("share", "position"), [(0.1, 22.0), (0.06, -20.0), (0.15, 13.0), (0.12, -11.0), (0.08, 29.0)])
+def test_a_distant_ghost_is_neither_uneven_light_nor_sharpening(share, position):
+    """Up to 24 px it is part of the edge, and beyond that a hypothesis of the light.
+
+    Removed with the light, it made MTF50 5 to 13 % too high at stated errors of 4 to 6 %. Left in the light, it became an
+    overshoot of the edge, and the picture was refused as sharpened.
+    """
     errors = []
     for seed in range(3):
         rng, ghost = np.random.default_rng(seed), real_edges.response(0.5, 6.0, oracle.SIZE, offset=position)

@@ -52,6 +52,8 @@ FOUND = SIGNIFICANT**2
 """Increase of 2 ln likelihood above which glare is accepted: that of one significant parameter."""
 GHOST_FOUND = 24.0
 """Increase of 2 ln likelihood above which a ghost is accepted. At one position, noise exceeds it with probability 1/2,000."""
+_EXPLAINED = 0.7
+"""Share of the excess of chi-square that a ghost must explain. Dust and uneven light resemble a ghost only in part."""
 _FARTHEST_GHOST = 25.0
 """Largest distance of a ghost from the edge in the search, px. Farther ghosts are part of the light (`uneven_light.py`)."""
 _PRIOR_GHOST = 0.3
@@ -184,6 +186,7 @@ def ghost_found(fit: LinearFit, glare: tuple[jax.Array, jax.Array], known: jax.A
     best = xp.argmax(rises)
     left = (beside.chi2 - rises[best]) / beside.degrees
     found = rises[best] > GHOST_FOUND * xp.where(known, 1.0, xp.maximum(left, 1.0))
+    found &= rises[best] > _EXPLAINED * (beside.chi2 - beside.degrees)
     return found & (first < last), positions[best]
 
 
