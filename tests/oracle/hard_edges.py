@@ -130,12 +130,13 @@ def drawn(rng, kind, size=SIZE):
     """A picture of one of `KINDS` at a random strength, angle, blur (0.3 to 1.5 px) and SNR (40 or 100)."""
     sigma, snr = float(rng.choice([0.3, 0.5, 0.7, 1.0, 1.5])), float(rng.choice([40, 100]))
     degrees = float(rng.uniform(3.5, 14))
-    scene = edges.response(sigma, degrees, size, offset=rng.uniform(-0.5, 0.5))
+    offset = rng.uniform(-0.5, 0.5)
+    scene = edges.response(sigma, degrees, size, offset=offset)
     truth = edges.half(sigma, degrees)
     if kind == "far ghost":
         share, position = rng.uniform(0.02, 0.15), rng.uniform(9, 25) * rng.choice([-1, 1])
         scene = (1 - share) * scene + share * edges.response(sigma, degrees, size, offset=position)
-        truth = edges.ghosted_half(sigma, degrees, share, position)
+        truth = edges.ghosted_half(sigma, degrees, share, position - offset)
     scene = edges.lit(scene, LIGHT[kind](rng)) if kind in LIGHT else edges.levels(scene)
     if kind == "dust":
         scene = dust(scene, rng)

@@ -18,7 +18,7 @@ from scipy.optimize import least_squares
 from scipy.special import ndtr, ndtri
 
 from matcam.calibration.edge.edge_result import EdgeMTF, EdgeStack
-from matcam.calibration.edge.free_curve import edge_response, ghost_of, line_width
+from matcam.calibration.edge.free_curve import Ghost, edge_response, ghost_of, line_width
 from matcam.calibration.edge.free_fit import VEIL
 from matcam.calibration.edge.rows import CLEAR, SHARPENED, EdgeRegions
 from matcam.calibration.edge.wider_errors import widened, with_core_as_total, with_ghosts
@@ -108,9 +108,16 @@ class _EdgeRegion:
         return float(line_width(self.edge.fits.free.shape))
 
     @cached_property
+    def ghost(self) -> Ghost:
+        return ghost_of(self.edge.fits.free)
+
+    @cached_property
     def sides(self) -> tuple[np.ndarray, np.ndarray]:
-        # A side is assumed to be flat beyond 3 standard deviations of the blur plus 2 px.
+        # A side is assumed to be flat beyond 3 standard deviations of the blur plus 2 px from the edge and from its ghost.
         there, margin = np.isfinite(self.value), 3.0 * self.blur + 2.0
+        if self.ghost.share:
+            position = self.ghost.position * (1 if self.ghost.bright else -1)
+            there = there & (np.abs(self.distance - position) > margin)
         return there & (self.distance < -margin), there & (self.distance > margin)
 
     @cached_property
@@ -214,7 +221,7 @@ def _veiled(region: _EdgeRegion) -> list[Trace]:
 
 
 def _ghost(region: _EdgeRegion) -> list[Trace]:
-    ghost, light = ghost_of(region.edge.fits.free), region.light
+    ghost, light = region.ghost, region.light
     if ghost.share < max(_GHOST, _SURE_GHOST * ghost.std):
         if light is None or light.amplitude or light.ghost.rms < _GHOST:
             return []
