@@ -149,3 +149,5 @@ def test_the_angle_of_a_vector_without_direction():
 def test_the_power_differentiates_with_respect_to_its_exponent():
     slope = jax.grad(elementary.power, argnums=1)(2.0, 0.5)
     assert float(slope) == pytest.approx(np.log(2) * np.sqrt(2), rel=1e-14)
+    second = jax.grad(jax.grad(elementary.power, argnums=1))(2.0, 0.5)
+    assert float(second) == pytest.approx((1 + np.log(2) / 2) / np.sqrt(2), rel=1e-14)

@@ -136,7 +136,7 @@ The relative error is below 5e-16.
 power = with_derivatives(
     lambda x, p: xp.exp(p * _logarithm(x)) if has_jax(x, p) else x**p,
     lambda change, value, x, p: change * value * p / x,
-    lambda change, value, x, p: change * value * _logarithm(x),
+    lambda change, value, x, p: change * value * logarithm(x),
 )
 """Power x^p of positive numbers. The relative error is below 5e-16 |p ln x|. The derivatives reuse the value of the power."""
 
