@@ -86,6 +86,9 @@ def test_a_distant_ghost_is_neither_uneven_light_nor_sharpening(share, position)
         errors.append(edge.mtf50 / real_edges.ghosted_half(0.5, 6.0, share, position) - 1)
         assert abs(errors[-1]) < 2 * edge.mtf50_std / edge.mtf50
         assert any("a ghost with" in str(remark) for remark in edge.remarks)
+        samples = edge.samples
+        residual = (samples.value - edge.esf(samples.distance).value) / samples.std
+        assert rms(residual[np.abs(samples.distance) < 1.2]) < 1.6  # the figure shows both
     assert rms(errors) < 0.03
 
 

@@ -267,7 +267,7 @@ class EdgeMTF(Summarised, EdgeValues[float]):
         multiplied, added = cells.terms[free[2 : SHIFT - ADDED]], cells.terms[:ADDED][free[SHIFT - ADDED : SHIFT]]
         light = np.concatenate([np.ones((1, order.size)), scene * multiplied, added / unit])
         std = np.sqrt(fits.excess * variance / cells.pixels) / unit
-        distance, spread = np.asarray(cells.distance + fits.state.linear[SHIFT]), np.asarray(cells.spread)
+        distance, spread = np.asarray(cells.distance + fits.shift), np.asarray(cells.spread)
         blur = float(free_curve.line_width(fits.free.shape))
         return BareEdge(distance, spread, value, std, parametric, light, blur)
 

@@ -95,7 +95,8 @@ class EdgeFits(NamedTuple):
         core_mtf50: MTF50 without glare, cycles/px.
         overshoot: largest excess of the ESF beyond its levels, in units of the step.
         cells: means of the pixels.
-        state: parameters of the Gaussian fit, at which the free curve is linearised.
+        state: parameters of the Gaussian fit.
+        shift: shift of the distances in `cells` to those of the free curve, px.
         excess: factor by which variances were increased, because the scatter of the bins exceeds the noise.
         outliers: number of pixels that were excluded.
         roughness: standard deviation of the position of the edge in single rows beyond the noise, px.
@@ -119,6 +120,7 @@ class EdgeFits(NamedTuple):
     overshoot: SampledCurve
     cells: EdgeCells
     state: State
+    shift: jax.Array
     excess: jax.Array
     outliers: jax.Array
     roughness: jax.Array
@@ -227,6 +229,7 @@ def edge_fits(
         overshoot=_overshoot(free),
         cells=cells,
         state=model.state,
+        shift=linear.levels[SHIFT],
         excess=excess,
         outliers=(even_rows.valid - aligned.valid).sum(),
         roughness=moved.roughness,
