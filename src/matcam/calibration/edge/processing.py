@@ -373,7 +373,7 @@ def _asymmetric(region: _EdgeRegion) -> list[Trace]:
     A variance of the dark side that is larger than expected from its light makes a tone curve more probable.
     """
     edge, bare, noise = region.edge, region.edge.bare, region.noise
-    if ghost_of(edge.fits.free).share > 0:
+    if region.ghost.share > 0:
         return []
     at = bare.distance / np.sqrt(bare.blur**2 + bare.spread)
     response, line = ndtr(at), np.exp(-(at**2) / 2)

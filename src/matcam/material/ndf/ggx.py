@@ -61,8 +61,7 @@ class GGX(SlopeNDF, MixtureNDF):
         (from Walter et al. 2007, (34)).
         """
         cos = xp.maximum(cos, NEAREST)
-        across2 = self.alpha**2 * (1 - cos) * (1 + cos)
-        return across2 / (2 * cos * (cos + xp.sqrt(cos**2 + across2)))
+        return ggx_lambda(cos, self.alpha**2 * (1 - cos) * (1 + cos))
 
     def mixture(self) -> tuple[jax.Array, jax.Array]:
         """Compute weights and widths of the Gaussians whose sum is the lobe.
@@ -112,13 +111,13 @@ class AnisotropicGGX(StretchedSlopes):
 
     def unit_lambda(self, nu: jax.Array) -> jax.Array:
         """Compute Smith's Lambda for roughness 1 in closed form."""
-        return ggx_lambda(nu)
+        return ggx_lambda(nu, 1.0)
 
 
-def ggx_lambda(nu: jax.Array) -> jax.Array:
+def ggx_lambda(along: jax.Array, across2: ArrayLike) -> jax.Array:
     """Compute Smith's Lambda of GGX, (sqrt(1 + nu^-2) - 1) / 2, in a form without cancellation.
 
-    nu: cot theta / alpha, where theta is the angle of the direction to the normal.
+    nu is cot theta / alpha, where theta is the angle of the direction to the normal. The arguments have the ratio nu^2 =
+    along^2 / across2, such as cos theta and (alpha sin theta)^2.
     """
-    t = nu**-2
-    return t / (2 * (1 + xp.sqrt(1 + t)))
+    return across2 / (2 * along * (along + xp.sqrt(along**2 + across2)))
