@@ -31,7 +31,7 @@ def test_rules_are_kept_on_disk_and_made_again_when_broken(tmp_path, caplog):
     for _ in range(2):
         np.testing.assert_array_equal(workspace.store("rig", make)["a"], [0, 1, 2])
     assert make.calls == 1
-    (file,) = tmp_path.glob("*.npz")
+    (file,) = tmp_path.glob("*.arrays")
     file.write_bytes(b"not an archive")
     workspace.store("rig", make)
     assert caplog.messages == [f"matcam: {file.name} in the cache is damaged: it is computed again"]
@@ -49,7 +49,7 @@ def test_no_flipped_bit_is_believed(tmp_path, caplog, monkeypatch):
     arrays = {"weights": random.random((5, 7)), "places": np.arange(11), "none": np.zeros((0, 3))}
     store = Workspace(tmp_path).store
     store("rig", lambda: arrays)
-    (file,) = tmp_path.glob("*.npz")
+    (file,) = tmp_path.glob("*.arrays")
     whole = file.read_bytes()
 
     def full(*given, **options):
@@ -112,7 +112,7 @@ def test_another_s_file_is_not_believed(tmp_path):
     make = Counted()
     for name in ("rig", "another rig"):
         Workspace(tmp_path).store(name, make)
-    first, second = tmp_path.glob("*.npz")
+    first, second = tmp_path.glob("*.arrays")
     first.write_bytes(second.read_bytes())
     for name in ("rig", "another rig"):
         Workspace(tmp_path).store(name, make)
@@ -143,7 +143,7 @@ def test_the_latest_files_stay(tmp_path, most, left):
     workspace = Workspace(tmp_path, files=most)
     for number in range(14):
         workspace.store(str(number), Counted())
-    assert len(list(tmp_path.glob("*.npz"))) == left
+    assert len(list(tmp_path.glob("*.arrays"))) == left
 
 
 def test_a_folder_that_cannot_be_written_is_no_harm(tmp_path):

@@ -122,11 +122,14 @@ def test_a_lobe_is_found_before_a_near_camera_and_under_a_lamp_with_a_disc():
 
 
 def drawn_table(alpha, rng, scatter, slice_step):
-    """A table whose chosen cells are drawn by the oracle: F falls and rises again with theta_d; noise of each way alone."""
+    """A table whose chosen cells are drawn by the oracle, with independent noise of each way.
+
+    F falls and rises again with theta_d. It is a polynomial of cos theta_d, because F depends on theta_d through its cosine only.
+    """
     cells, _ = lobe_operator(RIG, "centre", slice_step)
     lobe = sphere_cells.GGX(alpha)
     table = np.full((90, 90, 180, 3), np.nan)
-    fresnel = 0.6 + 0.3 * np.sin(3 * cells.theta_d)
+    fresnel = 0.75 + 0.15 * np.cos(4 * cells.theta_d)
     for s, n in zip(*np.nonzero(cells.valid), strict=True):
         angles = cells.theta_h[s, n], cells.theta_d[s], cells.phi_d[s, n]
         directions = [

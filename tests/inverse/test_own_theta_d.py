@@ -155,7 +155,7 @@ def test_a_kept_rule_holds_its_moments(tmp_path):
     rig = near(Sphere)
     axes = (free_axis("optics.sigma_px", rig),)
     made, kept = (lobe_operator(rig, "centre", 45, axes, Workspace(tmp_path))[1] for _ in range(2))
-    assert len(list(tmp_path.glob("*.npz"))) == 1
+    assert len(list(tmp_path.glob("*.arrays"))) == 1
     assert made.moment is not None
     ours, theirs = made.moment.at, kept.moment.at
     assert np.abs(ours.along[0]).max() > 0

@@ -189,7 +189,7 @@ class _Kept(NamedTuple):
         stored = read_sealed(path, key)
         if stored is not None:
             try:
-                program = self._of_its_kind(unpack_program(stored))
+                program = self._of_its_kind(unpack_program(bytes(stored)))
                 result = jax.block_until_ready(program(*_arrays(self.leaves)))  # some faults appear only at run time
             except Exception as error:  # backends raise arbitrary errors
                 _log.warning(

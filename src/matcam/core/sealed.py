@@ -29,8 +29,8 @@ _BY_FOLDER = {os.open, os.rename, os.unlink, os.stat} <= os.supports_dir_fd and 
 _log = logging.getLogger("matcam")
 
 
-def read_sealed(path: Path, key: bytes) -> bytes | None:
-    """Read the content that is stored under a key.
+def read_sealed(path: Path, key: bytes) -> memoryview | None:
+    """Read the content that is stored under a key, without copying it in memory.
 
     The result is None if the file is missing, damaged, or not protected from other users.
     """
@@ -39,7 +39,7 @@ def read_sealed(path: Path, key: bytes) -> bytes | None:
             whole = _read_own(folder, path)
             if whole is None:
                 return None
-            content, seal = whole[:-_SEAL], whole[-_SEAL:]
+            content, seal = memoryview(whole)[:-_SEAL], whole[-_SEAL:]
             if len(whole) >= _SEAL and _seal(key, content) == seal:
                 return content
             _log.warning("matcam: %s in the cache is damaged: it is computed again", path.name)
@@ -49,7 +49,7 @@ def read_sealed(path: Path, key: bytes) -> bytes | None:
     return None
 
 
-def write_sealed(path: Path, key: bytes, content: bytes) -> None:
+def write_sealed(path: Path, key: bytes, content: bytes | memoryview) -> None:
     """Write the content of a key atomically, to a file that only this user can read.
 
     A file that cannot be written is skipped.
@@ -60,7 +60,7 @@ def write_sealed(path: Path, key: bytes, content: bytes) -> None:
         with _opened(path.parent) as folder:
             try:
                 with os.fdopen(folder.open(temporary, _NEW), "wb") as file:
-                    file.write(content + _seal(key, content))
+                    file.writelines((content, _seal(key, content)))
                 folder.rename(temporary, path.name)
             except BaseException:
                 with contextlib.suppress(OSError):
@@ -188,7 +188,7 @@ def _is_foreign(status: os.stat_result) -> bool:
     )
 
 
-def _seal(key: bytes, content: bytes) -> bytes:
+def _seal(key: bytes, content: bytes | memoryview) -> bytes:
     digest = hashlib.sha256(len(key).to_bytes(8, "little") + key)
     digest.update(content)
     return digest.digest()
@@ -219,7 +219,8 @@ class CompiledFunctions:
             cls._passed_by.now = False
 
     def get(self, key: str) -> bytes | None:
-        return None if self._is_passed_by else read_sealed(self._file(key), key.encode())
+        stored = None if self._is_passed_by else read_sealed(self._file(key), key.encode())
+        return None if stored is None else bytes(stored)
 
     def put(self, key: str, value: bytes) -> None:
         if not self._is_passed_by:

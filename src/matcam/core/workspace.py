@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import hashlib
 import io
+import math
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
@@ -25,6 +26,12 @@ import numpy as np
 from matcam.core import checks
 from matcam.core.io import user_cache_folder
 from matcam.core.sealed import read_sealed, remove_sealed, sealed_files, write_sealed
+
+_SUFFIX = ".arrays"
+_HEAD = 4096
+"""Number of bytes that are read for the header of an array. Headers of .npy files have 128 bytes."""
+_ALIGNED = 64
+"""Arrays begin at multiples of this number of bytes, as in .npy files."""
 
 T = TypeVar("T")
 
@@ -117,7 +124,7 @@ class Workspace:
             make: function that computes the arrays.
 
         Returns:
-            The arrays by name.
+            The arrays by name. Arrays from disk are read-only.
         """
         if self.folder is None:
             return make()
@@ -125,17 +132,12 @@ class Workspace:
         path = self.folder / _file_name(key)
         stored = read_sealed(path, key)
         if stored is not None:
-            with np.load(io.BytesIO(stored), allow_pickle=False) as file:
-                return {name: file[name] for name in file.files}
+            return _unpacked(stored)
         arrays = make()
         if not arrays:
             return arrays
-        packed = io.BytesIO()
-        np.savez(packed, **arrays)  # type: ignore[arg-type]
-        write_sealed(path, key, packed.getvalue())
-        by_age = sorted(
-            (one.status.st_mtime, one.name) for one in sealed_files(self.folder) if one.name.endswith(".npz")
-        )
+        write_sealed(path, key, _packed(arrays))
+        by_age = sorted((one.status.st_mtime, one.name) for one in sealed_files(self.folder) if is_kept(one.name))
         remove_sealed(self.folder, [name for _, name in by_age[: max(len(by_age) - self.files, 0)]])
         return arrays
 
@@ -144,12 +146,43 @@ def kept_file(folder: Path, description: str) -> Path:
     return folder / _file_name(_key(description))
 
 
+def is_kept(name: str) -> bool:
+    """Tell whether a file in the folder of a workspace contains arrays, also those of earlier versions."""
+    return name.endswith((_SUFFIX, ".npz"))
+
+
+def _packed(arrays: dict[str, np.ndarray]) -> memoryview:
+    """Write arrays as a sequence of .npy files; the first one contains the names."""
+    file = io.BytesIO()
+    for array in (np.array(list(arrays)), *arrays.values()):
+        np.save(file, array, allow_pickle=False)
+        file.write(bytes(-file.tell() % _ALIGNED))
+    return file.getbuffer()
+
+
+def _unpacked(stored: memoryview) -> dict[str, np.ndarray]:
+    """View the arrays that `_packed` wrote, without copying them in memory."""
+    arrays: list[np.ndarray] = []
+    start = 0
+    while start < len(stored):
+        head = io.BytesIO(stored[start : start + _HEAD])
+        np.lib.format.read_magic(head)
+        shape, by_columns, dtype = np.lib.format.read_array_header_1_0(head)
+        start += head.tell()
+        array = np.frombuffer(stored, dtype, math.prod(shape), start)
+        arrays.append(array.reshape(shape, order="F" if by_columns else "C"))
+        start += array.nbytes
+        start += -start % _ALIGNED
+    names, *values = arrays
+    return dict(zip(names.tolist(), values, strict=True))
+
+
 def _key(description: str) -> bytes:
     return f"{metadata.version('matcam')}\n{description}".encode()
 
 
 def _file_name(key: bytes) -> str:
-    return f"{hashlib.sha256(key).hexdigest()[:32]}.npz"
+    return f"{hashlib.sha256(key).hexdigest()[:32]}{_SUFFIX}"
 
 
 @cache

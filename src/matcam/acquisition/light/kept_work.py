@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from matcam.core.sealed import remove_sealed, sealed_files
-from matcam.core.workspace import Workspace, kept_file
+from matcam.core.workspace import Workspace, is_kept, kept_file
 
 _PIECE = 1 << 16  # number of bytes at either end of a frame that its fingerprint includes
 _OLD = 14 * 86400.0  # age at which files of other computations are removed, s
@@ -54,9 +54,7 @@ class KeptWork:
 
     def clear(self) -> None:
         since = time.time() - _OLD
-        old = [
-            one.name for one in sealed_files(self.folder) if one.status.st_mtime < since and one.name.endswith(".npz")
-        ]
+        old = [one.name for one in sealed_files(self.folder) if one.status.st_mtime < since and is_kept(one.name)]
         remove_sealed(self.folder, [*(path.name for path in self._files), *old])
 
 

@@ -107,7 +107,8 @@ def rule_arrays(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[st
     arrays = {name: np.concatenate([column[name] for column in columns], axis=2) for name in columns[0]}
     for name in ("along", MOMENT_ALONG) if "moment" in arrays else ("along",):
         for n, axis in enumerate(axes):
-            arrays[f"{name}{n}"] = np.stack([arrays.pop(f"{name}{n}.{point}") for point in range(len(axis.points))])
+            points = [arrays.pop(f"{name}{n}.{point}") for point in range(len(axis.points))]
+            arrays[f"{name}{n}"] = np.stack(points, axis=1)
     return arrays
 
 

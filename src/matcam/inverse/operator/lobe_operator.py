@@ -199,7 +199,7 @@ class _Rules(NamedTuple):
         at = NodeArrays(
             slope2=np.tan(self.theta) ** 2,
             weight=self.weight,
-            along=_cells_first(self.along),
+            along=self.along,
             light_and_view=TabulatedDirections.of(np.stack([cos_i, cos_o], axis=1), COTS.size),
             azimuth=np.broadcast_to(azimuth, cos_i.shape),
             share=self.sample_share,
@@ -207,11 +207,7 @@ class _Rules(NamedTuple):
         own = LobeOperator(_in_blocks(OperatorNodes(at, through, axes)), cells.valid.shape)
         if self.moment is None:
             return own
-        return dataclasses.replace(own, moment=own.with_weights(self.moment, _cells_first(self.moment_along)))
-
-
-def _cells_first(along: tuple[np.ndarray, ...]) -> tuple[np.ndarray, ...]:
-    return tuple(np.moveaxis(one, 0, 1) for one in along)
+        return dataclasses.replace(own, moment=own.with_weights(self.moment, self.moment_along))
 
 
 class WholeRule(NamedTuple):

@@ -184,13 +184,15 @@ T = TypeVar("T")
 def in_blocks(cells: T) -> list[T]:
     """Divide arrays over cells into blocks of `CELLS` cells.
 
-    The last block is padded with copies of the last cell.
+    The blocks are views of the arrays. Only the last one is a copy, if it is padded with copies of the last cell.
 
     cells: array, or tree of arrays, whose first axis is that of the cells.
     """
     count = len(jax.tree.leaves(cells)[0])
-    index = np.minimum(np.arange(-(-count // CELLS) * CELLS), count - 1).reshape(-1, CELLS)
-    return [jax.tree.map(lambda array, some=some: np.asarray(array)[some], cells) for some in index]
+    blocks = [slice(start, start + CELLS) for start in range(0, count - CELLS + 1, CELLS)]
+    if count % CELLS:
+        blocks.append(np.minimum(np.arange(len(blocks) * CELLS, (len(blocks) + 1) * CELLS), count - 1))
+    return [jax.tree.map(lambda array, some=some: np.asarray(array)[some], cells) for some in blocks]
 
 
 def joined(blocks: Sequence[T], count: int) -> T:
