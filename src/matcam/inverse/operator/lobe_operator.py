@@ -188,15 +188,25 @@ class _Rules(NamedTuple):
     moment_along: tuple[np.ndarray, ...] = ()
 
     def operator(self, cells: ChosenCells, through: np.ndarray, axes: tuple[Axis, ...]) -> LobeOperator:
-        theta = self.sample_theta[..., None]
-        theta_d = np.repeat(cells.theta_d, cells.valid.shape[1]).reshape(-1, *[1] * (theta.ndim - 1))
-        if self.sample_theta_d is not None:
-            theta_d = self.sample_theta_d
+        rules = self
+        if self.sample_theta_d is None:
+            theta_d = np.repeat(cells.theta_d, cells.valid.shape[1])
+            rules = self._replace(sample_theta_d=theta_d.reshape(-1, *[1] * self.sample_theta.ndim))
+        # in blocks, whose intermediate arrays fit into the cache of a processor
+        blocks = tuple(OperatorNodes(one.nodes(), through, axes) for one in in_blocks(rules))
+        own = LobeOperator(blocks, cells.valid.shape)
+        if self.moment is None:
+            return own
+        return dataclasses.replace(own, moment=own.with_weights(self.moment, self.moment_along))
+
+    def nodes(self) -> NodeArrays:
+        theta, theta_d = self.sample_theta[..., None], self.sample_theta_d
+        assert theta_d is not None
         mean = np.cos(theta) * np.cos(theta_d)
         half = np.sin(theta) * np.sin(theta_d) * self.sample_cos_psi
         azimuth = azimuth_difference(theta, theta_d, np.pi - np.arccos(self.sample_cos_psi))
         cos_i, cos_o = (np.maximum(c, _LEAST_COSINE) for c in (mean + half, mean - half))
-        at = NodeArrays(
+        return NodeArrays(
             slope2=np.tan(self.theta) ** 2,
             weight=self.weight,
             along=self.along,
@@ -204,10 +214,6 @@ class _Rules(NamedTuple):
             azimuth=np.broadcast_to(azimuth, cos_i.shape),
             share=self.sample_share,
         )
-        own = LobeOperator(_in_blocks(OperatorNodes(at, through, axes)), cells.valid.shape)
-        if self.moment is None:
-            return own
-        return dataclasses.replace(own, moment=own.with_weights(self.moment, self.moment_along))
 
 
 class WholeRule(NamedTuple):
