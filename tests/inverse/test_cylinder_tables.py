@@ -124,7 +124,7 @@ def test_a_lobe_is_found_before_a_near_camera_and_under_a_lamp_with_a_disc():
 def drawn_table(alpha, rng, scatter, slice_step):
     """A table whose chosen cells are drawn by the oracle, with independent noise of each way.
 
-    F falls and rises again with theta_d. It is a polynomial of cos theta_d, because F depends on theta_d through its cosine only.
+    F falls and rises again with theta_d. It is a polynomial of cos theta_d, as F is smooth in this cosine.
     """
     cells, _ = lobe_operator(RIG, "centre", slice_step)
     lobe = sphere_cells.GGX(alpha)
