@@ -17,7 +17,7 @@ from matcam.cli.options import (
     option,
     use_caches,
 )
-from matcam.cli.rig_options import HaloRig, RigOptions
+from matcam.cli.rig_options import RigOptions, TurnedHaloRig
 from matcam.core.io import check_picture, write_columns
 
 _PARAMETERS = {
@@ -54,7 +54,7 @@ def command(
             help="Integrate over the curved sample with its limb and Smith masking, instead of its tangent plane.",
         ),
     ] = False,
-    rig: HaloRig = RigOptions(),
+    rig: TurnedHaloRig = RigOptions(),
     map_: Annotated[
         Path | None,
         option("--map", "FILE", "Figure over roughness and angle to write; a .csv is written beside it."),

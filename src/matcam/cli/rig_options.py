@@ -65,8 +65,7 @@ class RigOptions:
         option(
             "--azimuth",
             "DEGREES",
-            "Azimuth of the lamp about the optical axis in the images behind a table, degrees; 0 is right, 90 up. "
-            "Default: from the table, or 0.",
+            "Azimuth of the lamp about the optical axis, degrees; 0 is right, 90 up. Default: from the table, or 0.",
         ),
     ] = None
     glare: Annotated[
@@ -147,5 +146,6 @@ _NEAR = "camera sample radius distance lamp lamp_distance sample_mm"
 DistantRig = Annotated[RigOptions, "camera radius lamp"]
 SphereRig = Annotated[RigOptions, "camera radius distance lamp_distance sample_mm"]
 HaloRig = Annotated[RigOptions, f"{_NEAR} glare glare_radius"]
+TurnedHaloRig = Annotated[RigOptions, f"{_NEAR} glare glare_radius azimuth"]
 TurnedRig = Annotated[RigOptions, f"{_NEAR} azimuth"]
 TableRig = Annotated[RigOptions, f"{_NEAR} azimuth sampling cell phase"]

@@ -36,6 +36,8 @@ def exact_response(rig: Rig, ndf: SlopeDistribution, theta: AnyArray, masking: M
     sample, near, material = rig.sample, rig.lamp.nearness, Microfacet(ndf, 1.0, masking=masking)
     lamps = np.asarray(jax.lax.stop_gradient(sample.lamp_angle(jnp.asarray(theta), near)))
     x = np.asarray(jax.lax.stop_gradient(highlight_x(sample, jnp.asarray(lamps), near)))
-    recorded = record_under_lamp(material, rig, imaging_of(rig), RecordPositions(x, np.zeros_like(x), lamps))
+    turn = float(rig.azimuths())
+    positions = RecordPositions(x * np.cos(turn), x * np.sin(turn), lamps, np.full_like(x, turn) if turn else None)
+    recorded = record_under_lamp(material, rig, imaging_of(rig), positions)
     element, _ = sample.at(jnp.asarray(x), jnp.zeros(x.size))
     return recorded[:, 0] / Scene(material, sample, jnp.asarray(lamps), near).sent(element)[:, 0]

@@ -1,4 +1,4 @@
-"""Record of any lobe through any isotropic lens, by one integral over frequencies (docs/model.md 4).
+"""Record of any lobe through any single lens, by one integral over frequencies (docs/model.md 4).
 
     record = integral of transfer(f) spectrum(f) discs(f) exp(2 pi i f x) df
 
@@ -6,7 +6,10 @@ Here f is the frequency and x is the offset from the peak, both vectors in the p
 the product of the Fourier transforms of the discs of lamp and lens, which are uniform ellipses.
 
 The nodes are polar, a product of frequencies and azimuths. The panels of the frequencies become narrower towards f = 0,
-where the spectra of broad lobes are concentrated. The azimuths become denser towards the short axis of the lobe.
+where the spectra of broad lobes are concentrated. The azimuths become denser towards the short axis of the lobe. They cover a
+quarter of the plane, because the spectra of lobe and discs are symmetric about the plane of incidence. The transfer function
+is not symmetric, because the plane of incidence rotates with the lamp, and because lenses may have aberrations. It is therefore
+evaluated at the azimuths phi and -phi. At opposite frequencies it is complex conjugate.
 """
 
 from __future__ import annotations
@@ -101,7 +104,8 @@ def _line(rig: Rig, ndf: NDF, theta: jax.Array, discs: Discs | None, points: Dis
     reach = _largest(*((points.x,) if points else ()), *(discs[:3] if discs else ()))
     rule = _frequencies(rig, ndf, scale, reach)
     f = xp.asarray(rule.frequency)
-    amplitude = 2 * rule.weight * rig.camera.mtf(f) * _of_jitter(rig, f)
+    turn = rig.azimuths()
+    amplitude = 2 * rule.weight * rig.camera.transfer(f * xp.cos(turn), f * xp.sin(turn)) * _of_jitter(rig, f)
     ln_k, through = xp.log(2 * np.pi * f), None if points else lobe_spectrum(ndf, 1)
 
     def at(scale: jax.Array, *more: jax.Array) -> jax.Array:
@@ -109,12 +113,12 @@ def _line(rig: Rig, ndf: NDF, theta: jax.Array, discs: Discs | None, points: Dis
         if through is None:
             x, aside = more
             spectrum = lobe_spectrum(ndf, 1, aside).at(xp.broadcast_to(ln_scaled, (*x.shape, f.size)))
-            waves = xp.cos(2 * np.pi * f * x[..., None])
+            waves = _waves(amplitude, 2 * np.pi * f * x[..., None])
         else:
-            spectrum, waves = through.at(ln_scaled), xp.ones(())
+            spectrum, waves = through.at(ln_scaled), xp.real(amplitude)
             for size in more:
                 waves = waves * jinc(2 * np.pi * f * size[:, None, None], 2 * np.pi * reach * optics.band())
-        return scale[:, None] * xp.sum(spectrum * amplitude * waves, axis=-1)
+        return scale[:, None] * xp.sum(spectrum * waves, axis=-1)
 
     optics = rig.camera.optics
     given = (points.x, points.aside) if points else (discs.lamp_x, discs.lens) if discs else ()
@@ -130,7 +134,8 @@ class _PolarNodes(NamedTuple):
         frequency: frequencies, cycles/px, (frequencies, 1).
         cos: cosines of the azimuths, (azimuths,).
         sin: sines of the azimuths, (azimuths,).
-        amplitude: transfer function times the weights of all four quarters, (frequencies, azimuths).
+        amplitude: transfer function times the weights of two opposite quarters, at the azimuths and at their mirror images,
+            (2, frequencies, azimuths).
         discs: True if lamp or lens has a disc.
         largest: largest argument of `jinc`: 2 pi times the cutoff of the lens, cycles/px, times the largest radius, px.
         together: number of slices that are computed at a time.
@@ -155,7 +160,7 @@ class _PolarNodes(NamedTuple):
         """
         stretch = (scale_x[:, None] * self.cos) ** 2 + (scale_y[:, None] * self.sin) ** 2
         ln_k = xp.log(2 * np.pi * self.frequency) + xp.log(stretch)[:, None] / 2
-        spectra = self.spectrum.at(ln_k) * self.amplitude * (scale_x * scale_y)[:, None, None]
+        spectra = self.spectrum.at(ln_k) * (scale_x * scale_y)[:, None, None]
         turns = 2 * np.pi * self.frequency
         if self.discs:
             lamp_x, lamp_y, lens = (size[:, None, None] for size in more[:3])
@@ -163,11 +168,17 @@ class _PolarNodes(NamedTuple):
             spectra = spectra * jinc(lamp, self.largest) * jinc(turns * lens, self.largest)
         positions = more[3:] if self.discs else more
         if not positions:
-            return xp.sum(spectra, axis=(1, 2))[:, None]
+            return xp.sum(spectra * xp.real(self.amplitude).sum(0), axis=(1, 2))[:, None]
         along, across = (
-            xp.cos(turns * axis * at[..., None, None]) for axis, at in zip((self.cos, self.sin), positions, strict=True)
+            turns * axis * at[..., None, None] for axis, at in zip((self.cos, self.sin), positions, strict=True)
         )
-        return xp.sum(spectra[:, None] * along * across, axis=(2, 3))
+        waves = _waves(self.amplitude[0], along + across) + _waves(self.amplitude[1], along - across)
+        return xp.sum(spectra[:, None] * waves, axis=(2, 3))
+
+
+def _waves(amplitude: jax.Array, phase: jax.Array) -> jax.Array:
+    """Compute the real part of amplitude * exp(i phase). phase: rad."""
+    return xp.real(amplitude) * xp.cos(phase) - xp.imag(amplitude) * xp.sin(phase)
 
 
 def _polar_nodes(
@@ -182,12 +193,15 @@ def _polar_nodes(
     band = rig.camera.optics.band()
     v, weight = nodes_between(np.zeros(()), np.arcsinh(np.pi / 2 / short), _AZIMUTHS + int(4 * reach * band))
     phi = short * np.sinh(v)
-    f, cos, sin = xp.asarray(rule.frequency)[:, None], np.cos(phi), np.sin(phi)
-    area = 4 * xp.asarray(rule.weight)[:, None] * f * (weight * short * np.cosh(v))
-    transfer = rig.camera.transfer(f * cos, f * sin) * _of_jitter(rig, f)
+    f = xp.asarray(rule.frequency)[:, None]
+    area = 2 * xp.asarray(rule.weight)[:, None] * f * (weight * short * np.cosh(v)) * _of_jitter(rig, f)
+    turn = rig.azimuths() + np.stack([phi, -phi])[:, None]
+    amplitude = area * rig.camera.transfer(f * xp.cos(turn), f * xp.sin(turn))
     together = max(1, _VALUES // (area.size * (1 if positions is None else positions[0].shape[1])))
     largest = 2 * np.pi * of_discs * band
-    return _PolarNodes(lobe_spectrum(ndf, 2), f, cos, sin, area * transfer, discs is not None, largest, together)
+    return _PolarNodes(
+        lobe_spectrum(ndf, 2), f, np.cos(phi), np.sin(phi), amplitude, discs is not None, largest, together
+    )
 
 
 def _frequencies(rig: Rig, ndf: NDF, scale: jax.Array, reach: float) -> Rule:

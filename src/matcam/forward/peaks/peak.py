@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from matcam.core import checks
 from matcam.core.arrays import xp
 from matcam.core.errors import ArgumentError
@@ -16,11 +18,15 @@ from matcam.forward.peaks.tangent_plane import response_at_peak
 from matcam.material.masking import MASKINGS, Masking
 from matcam.material.ndf.distribution import SlopeDistribution
 from matcam.rigs import Rig
+from matcam.sample.curved import Cylinder
 
 if TYPE_CHECKING:
     from jax.typing import ArrayLike
 
     from matcam.core.jax import jax
+
+_ACROSS = 1e-9
+"""Largest sine of the azimuth of a lamp in the plane across the axis of a cylinder."""
 
 
 def peak_response(
@@ -35,12 +41,12 @@ def peak_response(
 
     In the tangent plane the response lies in (0, 1]. On a sphere, the response of a lobe much narrower than the kernel
     decreases at most by the factor cos(theta) relative to theta = 0. The integral over the lobe is accurate to 1e-6 for
-    every lobe and every isotropic lens. The exact response may exceed 1 close to the limb, where the BRDF increases. The
+    every lobe and every single lens. The exact response may exceed 1 close to the limb, where the BRDF increases. The
     relative error of the exact response is below 1e-6 for Gaussian lenses. Other lenses are approximated by sums of
     Gaussians; on a sphere, the residual of this approximation is included.
 
     Args:
-        rig: camera, sample and lamp.
+        rig: camera, sample and lamp. The square pixels do not rotate with `lamp_azimuth`.
         ndf: distribution of the microfacets' normals, such as `GGX(0.01)`.
         theta: viewing angle of the highlight, half the angle between lamp and camera, in [0, pi/2), rad, any shape.
         dims: 2 for a real sample, 1 for the one-dimensional model of Holzschuch and Pacanowski, which includes only the blur
@@ -55,8 +61,9 @@ def peak_response(
         tangent plane, in `theta`.
 
     Raises:
-        ArgumentError: an argument is out of its range; the lobe is not isotropic and `exact` is False; the lens is not
-            isotropic, unless `exact` is True and the sample is a sphere; or `theta` is traced and `exact` is True.
+        ArgumentError: an argument is out of its range; the lobe is not isotropic and `exact` is False; the lens has several
+            colours or varies over the field; the lens has aberrations, `exact` is True and the sample is a cylinder; the lamp
+            of a cylinder is outside the plane across its axis; or `theta` is traced and `exact` is True.
 
     Source:
         Holzschuch and Pacanowski (2017), section 3, as corrected in docs/model.md 4.
@@ -72,6 +79,12 @@ def peak_response(
     checks.instance("rig", rig, Rig, "rigs.merl()")
     if not isinstance(ndf, SlopeDistribution):
         raise ArgumentError(f"ndf must be an NDF such as GGX(0.1), got {type(ndf).__name__}")
+    turn = float(rig.azimuths())
+    if isinstance(rig.sample, Cylinder) and abs(np.sin(turn)) > _ACROSS:
+        raise ArgumentError(
+            "the lamp of a cylinder must be in the plane across its axis: its azimuth must be 0 or 180 degrees, got "
+            f"{np.degrees(turn):g} degrees"
+        )
     flat = xp.reshape(theta, -1)
     if checks.flag("exact", exact):
         if dims != 2:

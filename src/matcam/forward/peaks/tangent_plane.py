@@ -3,9 +3,9 @@
 On a curved sample, the angle of the normal is approximated by a linear function of the offset t from the peak, px:
 theta = theta_o + t / (r_s cos theta_o) (Holzschuch and Pacanowski 2017, (7)). Here theta_o is the viewing angle of the
 peak, and r_s is the radius of the sample, px. The lobe on the sensor is therefore stretched by `px_per_rad` of the sample.
-The record is an integral over frequencies for every lobe and every isotropic lens (`lobe_quadrature.py`). If both the lens
-and the lobe are sums of Gaussians, the integral has a closed form. For one Gaussian of the lobe and one of the lens, it is
-the product over both directions of
+The record is an integral over frequencies for every lobe and every single lens (`lobe_quadrature.py`). It has a closed
+form if both the lens and the lobe are sums of Gaussians, and the plane of incidence is parallel to rows or columns of the
+pixels. For one Gaussian of the lobe and one of the lens, it is the product over both directions of
 
     b(u; s) = sqrt(2 pi) s pixel.of_gaussian(u, sqrt(s^2 + sigma^2)).
 
@@ -21,7 +21,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from matcam.camera.optics.gaussian import GaussianOptics
-from matcam.camera.optics.optics import checked_isotropic
 from matcam.core.arrays import first_axis_map, xp
 from matcam.core.errors import ArgumentError
 from matcam.forward.peaks.disc_points import DiscPoints, has_discs, mean_over_discs
@@ -34,6 +33,8 @@ if TYPE_CHECKING:
     from matcam.core.jax import AnyArray, jax
     from matcam.rigs import Rig
 
+_PARALLEL = 1e-9
+"""Largest sine of twice the azimuth of the lamp for a plane of incidence that is parallel to rows or columns of the pixels."""
 _VALUES = 1 << 20
 """Largest number of values of the Gaussians of a lobe that are stored at a time, which take 8 MiB."""
 
@@ -51,7 +52,8 @@ def response_at_peak(rig: Rig, ndf: SlopeDistribution, theta: jax.Array, dims: i
         dims: 2 for a real sample, 1 for the direction towards the limb only.
 
     Raises:
-        ArgumentError: the lens or the lobe is not isotropic, or the sample is smaller than a pixel.
+        ArgumentError: the lobe is not isotropic, the lens has several colours or varies over the field, or the sample is
+            smaller than a pixel.
     """
     if not isinstance(ndf, NDF):
         raise ArgumentError(f"the tangent plane needs an isotropic lobe, not {type(ndf).__name__}: use exact=True")
@@ -92,9 +94,14 @@ def lobe_record(rig: Rig, ndf: NDF, theta_o: AnyArray, x: AnyArray, y: AnyArray)
 
 
 def _gaussians_of(rig: Rig) -> Gaussians | None:
-    """Compute the Gaussians of a lens, widened by the jitter; None if the lens is not a sum of Gaussians."""
-    parts = checked_isotropic(rig.camera.optics, "a prediction").components()
-    if not all(isinstance(part, GaussianOptics) for _, part in parts):
+    """Compute the Gaussians of a lens, widened by the jitter.
+
+    The result is None if the lens is not a sum of Gaussians, or if the plane of incidence is not parallel to rows or columns.
+    """
+    parts = rig.camera.optics.components()
+    if abs(np.sin(2 * float(rig.azimuths()))) > _PARALLEL or not all(
+        isinstance(part, GaussianOptics) for _, part in parts
+    ):
         return None
     return [(weight, xp.sqrt(part.sigma**2 + rig.jitter**2)) for weight, part in parts]  # type: ignore[attr-defined]
 
