@@ -105,7 +105,8 @@ def _line(rig: Rig, ndf: NDF, theta: jax.Array, discs: Discs | None, points: Dis
     rule = _frequencies(rig, ndf, scale, reach)
     f = xp.asarray(rule.frequency)
     turn = rig.azimuths()
-    amplitude = 2 * rule.weight * rig.camera.transfer(f * xp.cos(turn), f * xp.sin(turn)) * _of_jitter(rig, f)
+    transfer = rig.camera.transfer(f * xp.cos(turn), f * xp.sin(turn))
+    amplitude = 2 * xp.asarray(rule.weight) * transfer * _of_jitter(rig, f)
     ln_k, through = xp.log(2 * np.pi * f), None if points else lobe_spectrum(ndf, 1)
 
     def at(scale: jax.Array, *more: jax.Array) -> jax.Array:

@@ -74,8 +74,7 @@ class OperatorNodes(NamedTuple):
         """
         pairs = zip(self.at.along, other.at.along, strict=True)
         return self.with_weights(
-            self.at.weight + factor * other.at.weight,
-            [one + factor[:, None].astype(one.dtype) * more for one, more in pairs],
+            self.at.weight + factor * other.at.weight, [one + factor[:, None] * more for one, more in pairs]
         )
 
     def along_axes(self, indices: Sequence[int]) -> OperatorNodes:
@@ -100,7 +99,7 @@ class OperatorNodes(NamedTuple):
         by_weight: derivatives of the sum with respect to the weights, (cells, directions, nodes).
         """
         scaled, slopes = scaled_changes(self.axes, shifts)
-        column = by_weight.reshape(len(by_weight), -1, 1).astype(np.float32)
+        column = by_weight.reshape(len(by_weight), -1, 1)
         own = np.zeros((len(self.axes), len(by_weight)))
         for row, axis, along, shift in zip(own, self.axes, self.at.along, scaled.tolist(), strict=True):
             by_points = (along.reshape(*along.shape[:2], -1) @ column)[..., 0]
@@ -157,7 +156,7 @@ class JointMasking(NamedTuple):
 
 def _along_points(differences: np.ndarray, basis: np.ndarray) -> np.ndarray:
     cells, points, *nodes = differences.shape
-    return (basis.astype(differences.dtype) @ differences.reshape(cells, points, -1)).reshape(cells, *nodes)
+    return (basis @ differences.reshape(cells, points, -1)).reshape(cells, *nodes)
 
 
 def facets(ndf: NDF, slope2: Any) -> jax.Array:
@@ -190,7 +189,7 @@ def in_blocks(cells: T) -> list[T]:
     cells: array, or tree of arrays, whose first axis is that of the cells.
     """
     count = len(jax.tree.leaves(cells)[0])
-    blocks = [slice(start, start + CELLS) for start in range(0, count - CELLS + 1, CELLS)]
+    blocks: list[Any] = [slice(start, start + CELLS) for start in range(0, count - CELLS + 1, CELLS)]
     if count % CELLS:
         blocks.append(np.minimum(np.arange(len(blocks) * CELLS, (len(blocks) + 1) * CELLS), count - 1))
     return [jax.tree.map(lambda array, some=some: np.asarray(array)[some], cells) for some in blocks]
