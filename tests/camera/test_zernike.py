@@ -169,7 +169,10 @@ METAL = Microfacet(GGX(0.1), 0.9)
             lambda: matcam.forward.highlight_stamps(Camera(LENS), 8, matcam.forward.Highlights(1.0, 0, 0, 1, 1)),
             "stamps need",
         ),
-        (lambda: matcam.forward.texture_contrast(Rig(Camera(LENS), Flat()), 0.1, 0.3), "a texture requires a lens"),
+        (
+            lambda: matcam.forward.texture_contrast(Rig(Camera(ColourOptics(LENS, LENS, LENS)), Flat()), 0.1, 0.3),
+            "use Camera(optics.red, pixel)",
+        ),
         (lambda: matcam.calibrate([], model="zernike"), "model must be one of"),
     ],
 )

@@ -123,6 +123,8 @@ def test_bad_arguments():
         response_preview(rig, matcam.EPD(0.01, 1.0), [0.0])
     with pytest.raises(ArgumentError, match="needs a Sphere"):
         response_preview(matcam.Rig(rig.camera, matcam.Cylinder(60.0)), matcam.GGX(0.01), [0.0])
+    with pytest.raises(ArgumentError, match=r"needs a lamp towards \+x, got the azimuth 0.5 rad"):
+        sphere_preview(metal(0.1), matcam.Rig(rig.camera, rig.sample, lamp_azimuth=0.5), 0.6)
     with pytest.raises(ArgumentError, match="theta_d"):
         sphere_preview(metal(0.1), rig, 2.0)
     with pytest.raises(ArgumentError, match="side must be"):

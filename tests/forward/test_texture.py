@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.special import erf
 
-from matcam import BoxPixel, Camera, DiffractionOptics, Flat, GaussianOptics, HaloOptics, Rig, rigs
+from matcam import BoxPixel, Camera, DiffractionOptics, Flat, GaussianOptics, HaloOptics, Rig, ZernikeOptics, rigs
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import jax
 from matcam.forward import textured_picture
@@ -42,6 +42,24 @@ def test_a_sine_keeps_the_mtf_along_and_across_the_tilt(optics):
         picture = np.asarray(textured_picture(np.broadcast_to(texture, (20, 20)), rig(optics), theta, (1, 1), pitch))
         # the central pixel lies on the crest
         assert float(picture[0, 0]) == pytest.approx(1 + float(camera.mtf(f)), rel=1e-9)
+
+
+def test_aberrations_shift_and_weaken_waves_as_the_kernel_of_the_lens_does():
+    """Waves to the right and upwards, against integrals over the kernel of a line."""
+    lens = ZernikeOptics(8, 550e-9, 5e-6, coma=(0.25, -0.2), astigmatism=(0.05, 0.04))
+    u, step = np.linspace(-150, 150, 12001, retstep=True)
+    wave, turns = 0.5 * np.cos(2 * np.pi * 3 * (np.arange(16) - 7.5) / 16), 2 * np.pi * 3 / 16
+    for angle, texture in (
+        (0.0, np.broadcast_to(1 + wave, (16, 16))),
+        (np.pi / 2, np.broadcast_to(1 + wave[:, None], (16, 16))),
+    ):
+        seen = np.asarray(textured_picture(texture, rig(lens), 0.0, (5, 5)))
+        along = seen[2] if angle == 0 else seen[::-1, 2]
+        kernel = np.asarray(rig(lens).camera.lsf(u, angle))
+        for position, value in zip(np.arange(5) - 2, along, strict=True):
+            truth = 1 + 0.5 * step * np.sum(kernel * np.cos(turns * (u + position)))
+            assert value == pytest.approx(truth, abs=1e-4)
+    assert abs(seen[3, 2] - seen[1, 2]) > 3e-3  # coma moves the wave
 
 
 @pytest.mark.parametrize("texels", ["band-limited", "squares"])

@@ -176,6 +176,11 @@ def _checked_rig(rig: Rig, ndf: object) -> Rig:
         raise ArgumentError(
             f"a preview needs a lobe that is a sum of Gaussians, such as GGX(0.1), got {type(ndf).__name__}"
         )
+    if rig.lamp_azimuth:
+        raise ArgumentError(
+            f"a preview needs a lamp towards +x, got the azimuth {rig.lamp_azimuth:g} rad: omit lamp_azimuth, or use "
+            "peak_response or picture"
+        )
     optics, sphere = rig.camera.optics, rig.sample
     if not isinstance(optics, HaloOptics):
         optics = HaloOptics(optics, 0.0, 1.0)

@@ -13,7 +13,6 @@ import equinox as eqx
 import numpy as np
 from jax.typing import ArrayLike
 
-from matcam.camera.optics.optics import checked_isotropic
 from matcam.core import checks
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import is_concrete, jax, jnp
@@ -21,7 +20,7 @@ from matcam.rigs import Rig
 from matcam.sample.shape import Flat
 
 Texels = Literal["band-limited", "squares"]
-_MOST_WAVES = 1 << 23  # largest number of waves in a quarter of the plane, which take half a GB per channel
+_MOST_WAVES = 1 << 25  # largest number of waves, which take half a GB per channel
 
 
 def texture_contrast(rig: Rig, frequency: ArrayLike, theta_o: ArrayLike) -> jax.Array:
@@ -39,7 +38,8 @@ def texture_contrast(rig: Rig, frequency: ArrayLike, theta_o: ArrayLike) -> jax.
         Relative contrast, signed, of the broadcast shape, no unit.
 
     Raises:
-        ArgumentError: the sample is not flat, the lens is not isotropic, or an argument is out of its range.
+        ArgumentError: the sample is not flat, the lens has several colours or varies over the field, or an argument is out
+            of its range.
 
     Source:
         Holzschuch and Pacanowski (2017), equation (4); docs/model.md 3.
@@ -81,8 +81,8 @@ def textured_picture(
         The image is differentiable in the texture, the angle and the parameters of the camera.
 
     Raises:
-        ArgumentError: the sample is not flat, the lens is not isotropic, an argument is out of its range, or the texture
-            requires too many waves.
+        ArgumentError: the sample is not flat, the lens has several colours or varies over the field, an argument is out of
+            its range, or the texture requires too many waves.
 
     Source:
         Holzschuch and Pacanowski (2017), equations (3) and (4); docs/model.md 3.
@@ -105,14 +105,13 @@ def textured_picture(
     band = rig.camera.optics.band() if texels == "squares" else None
     across = _axis_waves(height, rows, 1.0, pitch, band)
     along = _axis_waves(width, columns, jnp.cos(theta_o), pitch, band)
-    if (along.k.size // 2 + 1) * (across.k.size // 2 + 1) > _MOST_WAVES:
+    if along.k.size * across.k.size > _MOST_WAVES:
         raise ArgumentError(
             f"texture of {height} x {width} texels of {pitch:g} px requires {across.k.size} x {along.k.size} waves, more than "
-            f"{4 * _MOST_WAVES} in total: give a smaller texture"
+            f"{_MOST_WAVES} in total: give a smaller texture"
         )
-    # the transfer function is even in both frequencies: a quarter of the plane suffices
-    frequency_x = flat.frequency_on_sensor(np.arange(along.k.size // 2 + 1) / (width * pitch), theta_o)
-    frequency_y = jnp.arange(across.k.size // 2 + 1)[:, None] / (height * pitch)
+    frequency_x = flat.frequency_on_sensor(along.k / (width * pitch), theta_o)
+    frequency_y = -across.k[:, None] / (height * pitch)  # rows are numbered downwards
     picture = _sum_of_waves(
         texture if texture.ndim == 3 else texture[..., None],
         rig.camera.transfer(frequency_x, frequency_y),
@@ -157,9 +156,8 @@ def _axis_waves(texels: int, pixels: int, foreshortening: ArrayLike, pitch: floa
 def _sum_of_waves(planes: jax.Array, transfer: jax.Array, across: _AxisWaves, along: _AxisWaves) -> jax.Array:
     """Sum the waves of a texture, multiplied by the transfer function of the camera; (rows, columns, channels).
 
-    planes: texture, (H, W, channels). transfer: transfer function at the wave numbers 0, 1, 2, ... of both axes.
+    planes: texture, (H, W, channels). transfer: transfer function at the wave numbers of both axes.
     """
-    transfer = transfer[jnp.abs(across.k)[:, None], jnp.abs(along.k)]
     spectrum = jnp.fft.fft2(planes, axes=(0, 1), norm="forward")
     spectrum = spectrum[(across.k % across.texels)[:, None], along.k % along.texels]
     spectrum = spectrum * (transfer * across.weight[:, None] * along.weight)[..., None]
@@ -194,5 +192,4 @@ def _flat_sample(rig: Rig) -> Flat:
     checks.instance("rig", rig, Rig)
     if not isinstance(rig.sample, Flat):
         raise ArgumentError(f"a texture needs a rig with a Flat sample, got {type(rig.sample).__name__}")
-    checked_isotropic(rig.camera.optics, "a texture")
     return rig.sample
