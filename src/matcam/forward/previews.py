@@ -181,6 +181,11 @@ def _checked_rig(rig: Rig, ndf: object) -> Rig:
             f"a preview needs a lamp towards +x, got the azimuth {rig.lamp_azimuth:g} rad: omit lamp_azimuth, or use "
             "peak_response or picture"
         )
+    if float(rig.aperture) > 0:
+        raise ArgumentError(
+            f"a preview needs a rig without defocus over the depth of the sample, got aperture {float(rig.aperture):g}: omit "
+            "aperture, or use peak_response or picture"
+        )
     optics, sphere = rig.camera.optics, rig.sample
     if not isinstance(optics, HaloOptics):
         optics = HaloOptics(optics, 0.0, 1.0)

@@ -111,7 +111,7 @@ def textured_picture(
             f"{_MOST_WAVES} in total: give a smaller texture"
         )
     frequency_x = flat.frequency_on_sensor(along.k / (width * pitch), theta_o)
-    frequency_y = -across.k[:, None] / (height * pitch)  # rows are numbered downwards
+    frequency_y = jnp.asarray(-across.k[:, None] / (height * pitch))  # rows are numbered downwards
     picture = _sum_of_waves(
         texture if texture.ndim == 3 else texture[..., None],
         rig.camera.transfer(frequency_x, frequency_y),
