@@ -125,7 +125,7 @@ def test_bad_arguments():
         response_preview(matcam.Rig(rig.camera, matcam.Cylinder(60.0)), matcam.GGX(0.01), [0.0])
     with pytest.raises(ArgumentError, match=r"needs a lamp towards \+x, got the azimuth 0.5 rad"):
         sphere_preview(metal(0.1), matcam.Rig(rig.camera, rig.sample, lamp_azimuth=0.5), 0.6)
-    with pytest.raises(ArgumentError, match="without defocus over the depth of the sample, got aperture 0.1"):
+    with pytest.raises(ArgumentError, match="without defocus over the depth of the sample, got aperture"):
         response_preview(matcam.Rig(rig.camera, rig.sample, aperture=0.1), matcam.GGX(0.01), [0.0])
     with pytest.raises(ArgumentError, match="theta_d"):
         sphere_preview(metal(0.1), rig, 2.0)
