@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
+import matcam
 from matcam import (
     EPD,
     GGX,
@@ -85,6 +86,16 @@ def sent(body, peak, width, theta_i, count=700):
     cos_d = (half * light).sum(0)
     value = body / np.pi + peak * np.exp(-((np.arccos(np.clip(half[2], -1, 1)) / width) ** 2)) * cos_d**2
     return (value * np.cos(theta) * np.sin(theta)).sum() * (np.pi / 2 / count) * (np.pi / count)
+
+
+@pytest.mark.parametrize("sampling", ["centre", "edge"])
+@pytest.mark.parametrize("ndf", [matcam.GaussianNDF(0.001), GGX(0.001), GGX(0.01), matcam.GaussianNDF(0.1)], ids=repr)
+def test_the_albedo_of_a_narrow_lobe_is_its_reflectance(ndf, sampling):
+    """A mirror reflects what it receives, also if few cells contain its highlight: no false excess of energy."""
+    table = matcam.forward.true_table(matcam.Microfacet(ndf, 0.97, masking=None), sampling)
+    near = 80 if ndf.roughness < 0.05 else 20
+    np.testing.assert_allclose(albedo(table.values, sampling)[:near], 0.97, atol=0.015)
+    assert np.abs(albedo(table.values, sampling)[:40] - 0.97).max() < 0.002
 
 
 @pytest.mark.parametrize(("body", "peak", "width"), [(0.8, 0.0, 1.0), (0.1, 20.0, 0.1), (0.0, 2.0, 0.4)])

@@ -30,7 +30,8 @@ _MOST_STEPS = 2.0
 wrong absolute scale of the table is the more likely cause.
 """
 _TRIED_STEPS = np.linspace(0, _MOST_STEPS, 41)[1:]
-_DIRECTIONS = np.radians(np.arange(90) + 0.5)
+_HALF_CELL = np.radians(0.5)
+"""Half of a cell in theta_d and phi_d, rad."""
 
 
 class LobeRatio(NamedTuple):
@@ -171,7 +172,7 @@ def energy_limit(recorded: np.ndarray, corrected: np.ndarray, std: np.ndarray, s
         std: standard deviation of the correction, 1/sr; NaN for entries that are not corrected, which are treated as 0.
         sampling: sampling of the tables.
     """
-    cells, weight = _albedo_rule()
+    cells, weight = _albedo_rule(sampling)
     before, after, error = (table.reshape(-1, table.shape[-1])[cells] for table in (recorded, corrected, std))
     known = np.isfinite(after) & np.isfinite(error)
     sent = weight @ np.nan_to_num(before)
@@ -188,36 +189,47 @@ def energy_limit(recorded: np.ndarray, corrected: np.ndarray, std: np.ndarray, s
     return EnergyLimit(steps, left, *_directions(sampling))
 
 
-def albedo(table: np.ndarray) -> np.ndarray:
+def albedo(table: np.ndarray, sampling: Sampling = "centre") -> np.ndarray:
     """Compute the directional albedo of a table, (directions, channels).
 
-    The directions are 0.5, 1.5, ... 89.5 degrees from the normal. The integration variable is the half vector, because the
-    cells of a table are dense about its peak. The integrand over the solid angle of half vectors is 4 brdf cos_o cos(theta_d).
+    The angles of the directions to the normal are the theta_d of the cells. The integration variable is the half vector,
+    because the cells of a table are dense about its peak. The integrand over the solid angle of half vectors is
+    4 brdf cos_o cos(theta_d).
 
-    table: BRDF, 1/sr, (90, 90, 180, channels); missing entries are treated as 0.
+    Args:
+        table: BRDF, 1/sr, (90, 90, 180, channels); missing entries are treated as 0.
+        sampling: point of each cell at which the BRDF is given. Default: "centre".
     """
-    cells, weight = _albedo_rule()
+    cells, weight = _albedo_rule(sampling)
     return weight @ np.nan_to_num(table.reshape(-1, table.shape[-1])[cells])
 
 
 @cache
-def _albedo_rule() -> tuple[np.ndarray, csr_matrix]:
-    """Compute the indices of the cells in the albedo integrals, and their weights, (directions, cells)."""
-    edges = np.pi / 2 * (np.arange(GRID_SHAPE[0] + 1) / GRID_SHAPE[0]) ** 2
-    ring = -np.diff(np.cos(edges))
-    theta = ((edges[:-1] + edges[1:]) / 2)[:, None]
+def _albedo_rule(sampling: Sampling) -> tuple[np.ndarray, csr_matrix]:
+    """Compute the indices of the cells in the albedo integrals, and their weights, (directions, cells).
+
+    The theta_h of the cells are equally spaced in sqrt(theta_h), so the trapezoidal rule in this variable is accurate.
+    """
+    grid = merl_grid(sampling)
+    theta = grid.theta_h[:, None]
+    ring = np.sin(theta) * np.sqrt(2 * np.pi * theta) / GRID_SHAPE[0]
     turn = 2 * np.pi * (np.arange(_AZIMUTHS) + 0.5) / _AZIMUTHS
+    to_nearest = _HALF_CELL - grid.theta_d[0]
     rows = []
-    for direction in _DIRECTIONS:
+    for direction in grid.theta_d:
         cos_d = np.cos(direction) * np.cos(theta) + np.sin(direction) * np.sin(theta) * np.cos(turn)
         cos_o = 2 * cos_d * np.cos(theta) - np.cos(direction)
         x = np.cos(theta) * np.sin(direction) * np.cos(turn) - np.sin(theta) * np.cos(direction)
         phi_d = np.arctan2(-np.sin(direction) * np.sin(turn) + 0 * theta, x) % np.pi
         seen = (cos_d > 0) & (cos_o > 0)
         theta_d = np.arccos(np.clip(cos_d, 0, 1))
-        at = merl_grid("centre").index(theta_h=theta + 0 * turn, theta_d=theta_d, phi_d=phi_d)
+        at = grid.index(
+            theta_h=theta + 0 * turn,
+            theta_d=np.minimum(theta_d + to_nearest, np.pi / 2),
+            phi_d=(phi_d + to_nearest) % np.pi,
+        )
         index = np.ravel_multi_index(at, GRID_SHAPE)
-        weight = 4 * cos_d * cos_o * ring[:, None] * (2 * np.pi / _AZIMUTHS)
+        weight = 4 * cos_d * cos_o * ring * (2 * np.pi / _AZIMUTHS)
         rows.append((index[seen], weight[seen]))
     cells, position = np.unique(np.concatenate([index for index, _ in rows]), return_inverse=True)
     counts = np.cumsum([0, *(index.size for index, _ in rows)])
