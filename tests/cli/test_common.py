@@ -204,6 +204,11 @@ def test_the_next_command_is_about_the_same_rig_and_images(tmp_path, monkeypatch
     fitted = {"files": [Path("a.binary")], "lamp": 0.0}
     assert suggestions.after("fit", fitted) == "matcam correct a.binary"
     assert suggestions.after("fit", {**fitted, "blind": True}) is None
+    cells = {**fitted, "sampling": "edge", "cell": "nearest", "phase": (0.1, -0.25)}
+    told = "matcam correct a.binary --sampling edge --cell nearest --phase 0.1 -0.25"
+    assert suggestions.after("fit", cells) == told
+    Path("a-corrected.binary").touch()  # an output is not replaced without --force
+    assert suggestions.after("fit", fitted) == "matcam correct a.binary -o a-corrected-2.binary"
 
 
 def test_no_next_command_reads_a_file_that_is_not_there(tmp_path, monkeypatch):

@@ -76,7 +76,7 @@ def test_correct_writes_four_files(merl_file, tmp_path):
     document = json.loads(done.stdout)
     assert len(document["files"]) == 6
     budgets = json.loads((tmp_path / "b.json").read_text())["budgets"]
-    assert [one["result"] for one in budgets][-1].startswith("peak at 75.0 deg, B")
+    assert [one["result"] for one in budgets][-1].startswith("peak at 75.5 deg, B")
     layers = OpenEXR.File(str(tmp_path / "l.exr"), separate_channels=True).channels()
     names = {f"{layer}.{c}" for layer in ("recorded", "corrected", "std") for c in "RGB"} | {"supported.Y"}
     assert set(layers) == names

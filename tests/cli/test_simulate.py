@@ -82,6 +82,7 @@ def test_a_flat_samples_table_is_the_materials_own(simulate, tmp_path):
         (("-o", "a.exr", "--metal", "Unobtainium"), "Unobtainium"),
         (("-o", "a.exr", "--exposure", 100), "camera with a sensor"),
         (("--capture", "shots", "--seed", -1), "--seed must be a whole number >= 0, got -1"),
+        (("--capture", "shots", "--lamp-positions", 0), "--lamp-positions must be a whole number >= 1, got 0"),
         (("-o", "a.exr", "--size", 0, 5), "--size must be (height, width)"),
         (("-o", "a.binary", "--sample", "cylinder", "--azimuth", 20), "omit the azimuth of the lamp"),
         (("-o", "a.binary", "--preview", "a.png"), "--preview shows an image"),

@@ -11,7 +11,8 @@ from matcam import GGX, Conductor, Flat, GaussianNDF, Microfacet, Rig, convert, 
 from matcam.cli import _run
 from matcam.core.errors import ArgumentError, FileFormatError, OutputError
 from matcam.core.jax import jnp
-from matcam.exchange import adaptive_grid
+from matcam.exchange import adaptive_grid, conversion
+from matcam.exchange.contents import Contents
 from matcam.exchange.conversion import resampling_error
 from matcam.io import (
     read_exr,
@@ -24,7 +25,7 @@ from matcam.io import (
     write_rgl,
     write_sidecar,
 )
-from matcam.material import Adaptive
+from matcam.material import Adaptive, Tabulated
 from matcam.material.material import Material
 
 
@@ -74,6 +75,18 @@ def test_a_table_through_text(folder, tmp_path):
     convert(tmp_path / "a.binary", tmp_path / "b.csv")
     convert(tmp_path / "b.csv", tmp_path / "c.binary")
     np.testing.assert_array_equal(read_merl(tmp_path / "c.binary").values, read_merl(tmp_path / "a.binary").values)
+
+
+def test_negative_values_that_are_set_to_zero_are_counted(monkeypatch, tmp_path, folder):
+    """Tables of RGL are negative where data are missing."""
+    table = read_merl(folder / "a.binary")
+    negative = table.copy(data=np.where(np.isfinite(table) & (np.arange(180)[:, None] < 18), -1.0, table.values))
+    monkeypatch.setattr(conversion, "material_of", lambda contents: Tabulated(negative))
+    contents, details = conversion._as_table(Contents("fields", None, None), "centre")
+    share = float((negative.values < 0).mean())
+    assert 0.02 < share < 0.1
+    assert details["resampled"].endswith(f"negative values set to zero: {share:.2%}")
+    assert float(contents.values.min()) == 0
 
 
 @pytest.mark.slow

@@ -51,6 +51,7 @@ _SCALES = {
     "--lamp": (180 / math.pi, "degrees"),
     "--lamp-angle": (180 / math.pi, "degrees"),
     "--azimuth": (180 / math.pi, "degrees"),
+    "--last": (180 / math.pi, "degrees"),
     "--pitch": (1e6, "um"),
     "--wavelength": (1e9, "nm"),
 }

@@ -177,8 +177,10 @@ def _capture(
 ) -> None:
     import numpy as np
 
+    from matcam.core import checks
     from matcam.forward.synthetic_capture import CapturePlan, sensor_or_usual, simulate_capture
 
+    checks.whole_number("--lamp-positions", positions, 1)
     use_caches()
     material, described = _microfacet(lobe)
     theta_d = np.radians(np.linspace(5, 82, positions)) if positions > 1 else [math.radians(45)]

@@ -48,15 +48,24 @@ def _camera(values: dict[str, Any]) -> list[Any]:
     return found
 
 
+def _cells(values: dict[str, Any]) -> list[Any]:
+    """List the options that state how the cells of a table were read."""
+    found: list[Any] = ["--sampling", "edge"] if values.get("sampling") == "edge" else []
+    found += ["--cell", values["cell"]] if values.get("cell") else []
+    return found + (["--phase", *(f"{one:.12g}" for one in values["phase"])] if values.get("phase") else [])
+
+
 def _of_table(values: dict[str, Any], file: Path | None) -> list[Any] | None:
     return None if file is None or values.get("blind") else _correct(file, values)
 
 
 def _correct(file: Path, values: dict[str, Any]) -> list[Any]:
-    words = ["matcam", "correct", file, *_camera(values)]
-    if values.get("channels", _OF_MERL) == _OF_MERL:
-        return words
-    return [*words, "-o", _unused(Path(f"{file.stem}-corrected.nc"))]
+    words = ["matcam", "correct", file, *_camera(values), *_cells(values)]
+    usual = f"{file.stem}-corrected.binary"
+    if values.get("channels", _OF_MERL) != _OF_MERL:
+        return [*words, "-o", _unused(Path(usual).with_suffix(".nc"))]
+    output = _unused(Path(usual))
+    return words if output == usual else [*words, "-o", output]
 
 
 def _after_predict(values: dict[str, Any]) -> list[Any] | None:

@@ -23,7 +23,7 @@ from matcam.exchange.parameterisation import GRID_SIZES, SQUARE, adaptive_grid, 
 from matcam.files.formats import MEASUREMENTS, Format, format_for
 from matcam.files.sidecar import read_sidecar, sidecar_path
 from matcam.forward.measurement import true_table
-from matcam.material.material import Material
+from matcam.material.material import Material, cell_values
 from matcam.material.measured import Adaptive, Tabulated
 
 _PAIRS, _FARTHEST = 4096, np.radians(80)
@@ -203,7 +203,7 @@ def _smallest_grid(material: Material, error: float, description: str) -> tuple[
     Returns:
         Fields of the grid, and their `resampling_error`.
     """
-    checks.positive("error", error)
+    checks.within("error", error, 0, 1, open_low=True)
     for size in GRID_SIZES:
         fields = resampled_grid(material, size, description, peak_error=error)
         found = resampling_error(material, Adaptive(fields))
@@ -233,9 +233,10 @@ def _as_table(contents: Contents, sampling: Sampling) -> tuple[Contents, dict[st
             "the BRDF in RGL's parameterisation is anisotropic, but a table on the MERL grid is isotropic: give an isotropic "
             "BRDF, or another output format"
         )
-    table = true_table(material, sampling)
-    negative = float((table < 0).mean())  # tables of RGL are negative where data are missing
-    table = table.clip(min=0).assign_attrs(table.attrs)
+    table = true_table(material, sampling)  # without negative values
+    negative = float(
+        (np.asarray(cell_values(material, sampling)) < 0).mean()
+    )  # as in tables of RGL where data are missing
     note = f"to the MERL grid at each cell's {sampling}; negative values set to zero: {negative:.2%}"
     details = {"resampled": note, "missing_share": 0.0, "error": resampling_error(material, Tabulated(table))}
     return Contents("table", table, contents.format), details

@@ -208,7 +208,7 @@ class Correction(Summarised):
             raise ArgumentError(f"channel must be a whole number from 0 to {count - 1}, got {channel!r}")
         at = self._peak(float(checks.scalar("theta_d", checks.within("theta_d", theta_d, 0, np.pi / 2, "rad"))))
         value, std = (float(self.table[name].values[at][channel]) for name in ("brdf", "brdf_std"))
-        label, degrees = self._channel_names[channel], np.degrees(theta_d)
+        label, degrees = self._channel_names[channel], float(np.degrees(self.table["theta_d"].values[at[1]]))
         if not np.isfinite(std):
             raise ArgumentError(
                 f"the table has no standard deviation of the peak at {degrees:.1f} degrees, {label}: choose an angle at which "
