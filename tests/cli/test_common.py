@@ -18,6 +18,7 @@ from matcam.cli import _run, show, suggestions
 from matcam.cli.help_page import EXIT_CODES, GROUPS
 from matcam.cli.options import Command
 from matcam.cli.rig_file import read_rig_file
+from matcam.core.errors import ArgumentError
 from matcam.core.grid import brdf_table
 from matcam.core.io import all_or_nothing, replacing, write_json
 from matcam.core.threads import ONE_BLAS_THREAD
@@ -128,6 +129,10 @@ def test_every_entry_of_a_rig_file_is_an_option(tmp_path):
     path = tmp_path / "rig.toml"
     path.write_text(page.split("```toml\n")[1].split("```")[0])
     assert set(read_rig_file(path, known, "predict")) == known
+    of_table = {"cell", "phase"}
+    assert set(read_rig_file(path, known - of_table, "predict")) == known - of_table
+    with pytest.raises(ArgumentError, match=r"matcam limits does not support lens\.glare"):
+        read_rig_file(path, known - of_table - {"glare"}, "limits")
 
 
 def test_quiet_prints_nothing_but_errors_and_json(matcam):

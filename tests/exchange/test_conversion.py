@@ -86,7 +86,7 @@ def test_negative_values_that_are_set_to_zero_are_counted(monkeypatch, tmp_path,
     share = float((negative.values < 0).mean())
     assert 0.02 < share < 0.1
     assert details["resampled"].endswith(f"negative values set to zero: {share:.2%}")
-    assert float(contents.values.min()) == 0
+    assert float(contents.data.min()) == 0
 
 
 @pytest.mark.slow

@@ -23,7 +23,7 @@
     phase_px = [0.1, -0.3]      # offset (x, y) of the pixel centres from the centre of the sphere
 
 All entries except `schema` may be omitted. An option of the command line overrides the file. Entries that a command does not
-support are errors.
+support are errors, except those of `table`, which do not concern a command that reads no table.
 """
 
 from __future__ import annotations
@@ -80,9 +80,10 @@ def read_rig_file(path: Path, known: set[str], command: str) -> dict[str, Any]:
                 f"{path}: unknown entry {printable(where):.60}; the entries of a rig file are "
                 f"{', '.join('.'.join(k) for k in _KEYS)}"
             )
-        if keys in _MEANINGLESS and value == _MEANINGLESS[keys] and _KEYS[keys] not in known:
-            continue
         if _KEYS[keys] not in known:
+            if keys[0] == "table" or value == _MEANINGLESS.get(keys):
+                _value(path, keys, value)
+                continue
             raise ArgumentError(f"{path}: matcam {command} does not support {where}: remove it from the file")
         values[_KEYS[keys]] = _value(path, keys, value)
     return values
