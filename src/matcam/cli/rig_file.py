@@ -52,7 +52,7 @@ _KEYS = {
 }
 """Entries of the file, and the parameters of commands that they set."""
 
-_MEANINGLESS = {("sample", "shape"): "sphere"}
+_MEANINGLESS: dict[tuple[str, ...], str] = {("sample", "shape"): "sphere"}
 """Values that a command without an option for them assumes."""
 
 
