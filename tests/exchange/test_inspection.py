@@ -29,8 +29,9 @@ from matcam.core.grid import brdf_table
 from matcam.exchange.contents import read_contents
 from matcam.exchange.inspection import inspect_contents, inspect_table
 from matcam.files.formats import identify
+from matcam.forward import true_table
 from matcam.io import write_exr, write_netcdf
-from matcam.material import albedo
+from matcam.material import Tabulated, albedo
 from tests.oracle import merl_lobe
 
 
@@ -104,6 +105,15 @@ def test_a_goniophotometer_shows_no_camera(real_data, name):
     assert found["own_grid"]["isotropic"]
     assert found["own_grid"]["light_directions"] == {"phi_i": 1, "theta_i": 8}
     assert all(0 < row["G"] < 1.05 for row in found["albedo"])
+
+
+@pytest.mark.parametrize("sampling", ["centre", "edge"])
+@pytest.mark.parametrize("alpha", [0.001, 0.01, 0.3])
+def test_the_albedo_of_a_table_is_that_of_its_material(alpha, sampling):
+    """Between the values of a narrow lobe, interpolation is too bright by 6 to 14 %."""
+    material, angles = Microfacet(GGX(alpha), 0.97, diffuse=0.02), np.radians([0.0, 20, 45, 60])
+    found = albedo(Tabulated(true_table(material, sampling)), angles)
+    np.testing.assert_allclose(found, np.tile(albedo(material, angles), 3), rtol=2.5e-3)
 
 
 def test_albedo_is_energy():

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from matcam.core.jax import jax
 
-_NODES, _AZIMUTHS = 720, 64  # numbers of theta_h and phi_h of the half vectors of the albedo
+_AZIMUTHS = 64  # number of phi_h of the half vectors of the albedo
 
 
 class Material(Module):
@@ -45,6 +45,14 @@ class Material(Module):
 
         This scale determines the grading of quadratures.
         """
+
+    @property
+    def rings(self) -> tuple[int, float]:
+        """Number of half angles of the albedo, and their position.
+
+        The half angles are evenly spaced in sqrt(theta_h). The position in an interval is a number from 0 to 1.
+        """
+        return 720, 0.5
 
     @property
     def elongation(self) -> float:
@@ -130,7 +138,8 @@ def albedo(material: Material, theta: ArrayLike) -> np.ndarray:
     The directional albedo, or directional-hemispherical reflectance, is the integral of BRDF cos theta_i over the directions of
     the light. A midpoint rule is used for half vectors that are evenly spaced in sqrt(theta_h). The solid angle of the light is
     4 cos theta_d times that of the half vector, where theta_d is the angle between light and half vector. The rule resolves
-    lobes down to a width of 1e-4 rad.
+    lobes down to a width of 1e-4 rad. For a table, the nodes are the theta_h of its values, because the interpolation between
+    the values of a narrow lobe is inaccurate.
 
     Args:
         material: any material. Directions of light with missing values (NaN) are omitted, so the albedo is then a lower bound.
@@ -163,18 +172,19 @@ def albedo_and_missing(material: Material, theta: ArrayLike) -> tuple[np.ndarray
     if angles.ndim != 1 or not angles.size:
         raise ArgumentError(f"theta must have shape (n,) with at least one angle, got shape {angles.shape}")
     checks.instance("material", material, Material)  # type: ignore[type-abstract]
-    u = ((np.arange(_NODES) + 0.5) / _NODES)[:, None]
+    count, shift = material.rings
+    u = ((np.arange(count) + shift) / count)[:, None]
     phi = ((np.arange(_AZIMUTHS) + 0.5) / _AZIMUTHS * 2 * np.pi)[None, :]
     theta_h = u**2 * np.pi / 2
     half = np.sin(theta_h) * np.cos(phi), np.sin(theta_h) * np.sin(phi), np.cos(theta_h) + 0 * phi
-    solid = np.sin(theta_h) * np.pi * u / _NODES * 2 * np.pi / _AZIMUTHS
+    solid = np.sin(theta_h) * np.pi * u / count * 2 * np.pi / _AZIMUTHS
     albedos, missing = [], []
     for angle in angles:
         view = np.sin(angle), 0.0, np.cos(angle)
         towards = half[0] * view[0] + half[2] * view[2]
         light = vector(*(2 * towards * h - v for h, v in zip(half, view, strict=True)))
         reflected = material.reflected(local_shading(light, vector(*view)))
-        values = np.asarray(reflected).reshape(_NODES, _AZIMUTHS, -1)
+        values = np.asarray(reflected).reshape(count, _AZIMUTHS, -1)
         weight = np.where(towards > 0, 4 * towards * solid, 0.0)
         unknown, diffuse = np.isnan(values), weight * np.maximum(2 * towards * half[2] - view[2], 0.0)
         share = (unknown * diffuse[..., None]).sum(axis=(0, 1)) / diffuse.sum()

@@ -96,6 +96,14 @@ class Tabulated(Material):
         """Width of the first theta_h cell, rad."""
         return xp.asarray(theta_h_edges()[1])
 
+    @property
+    def rings(self) -> tuple[int, float]:
+        """Number of half angles of the table, and their position.
+
+        The half angles are evenly spaced in sqrt(theta_h). The position in a cell is `shift`.
+        """
+        return GRID_SHAPE[0], self.shift
+
     def _interpolate(self, theta_h: jax.Array, theta_d: jax.Array, phi_d: jax.Array) -> jax.Array:
         n_h, n_d, n_p = GRID_SHAPE
         peak = theta_h == 0
