@@ -147,7 +147,10 @@ def kept_file(folder: Path, description: str) -> Path:
 
 
 def is_kept(name: str) -> bool:
-    """Tell whether a file in the folder of a workspace contains arrays, also those of earlier versions."""
+    """Check whether a file contains stored arrays, by its name.
+
+    Files of earlier versions count, too, so that they are removed.
+    """
     return name.endswith((_SUFFIX, ".npz"))
 
 

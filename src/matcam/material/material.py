@@ -50,7 +50,8 @@ class Material(Module):
     def rings(self) -> tuple[int, float]:
         """Number of half angles of the albedo, and their position.
 
-        The half angles are evenly spaced in sqrt(theta_h). The position in an interval is a number from 0 to 1.
+        The half angles are evenly spaced in sqrt(theta_h). The position in an interval is a number from 0 to 1. 720 half
+        angles resolve lobes down to a width of 1e-4 rad.
         """
         return 720, 0.5
 

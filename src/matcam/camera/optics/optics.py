@@ -349,5 +349,5 @@ def checked_isotropic(optics: Optics, what: str) -> Optics:
     raise ArgumentError(
         f"{what} requires a lens whose blur does not depend on direction, colour or position, got {type(optics).__name__}: "
         "approximate this lens by an isotropic one, such as DefocusOptics, or MeasuredOptics with the mean MTF; only "
-        "predictions, `picture` and tables of a sphere support other lenses"
+        "predictions, textures, `picture` and tables of a sphere support other lenses"
     )

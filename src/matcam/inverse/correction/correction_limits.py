@@ -214,7 +214,7 @@ def _albedo_rule(sampling: Sampling) -> tuple[np.ndarray, csr_matrix]:
     theta = grid.theta_h[:, None]
     ring = np.sin(theta) * np.sqrt(2 * np.pi * theta) / GRID_SHAPE[0]
     turn = 2 * np.pi * (np.arange(_AZIMUTHS) + 0.5) / _AZIMUTHS
-    to_nearest = _HALF_CELL - grid.theta_d[0]
+    to_nearest = _HALF_CELL - grid.theta_d[0]  # `index` rounds down, but values may be at the edges of cells
     rows = []
     for direction in grid.theta_d:
         cos_d = np.cos(direction) * np.cos(theta) + np.sin(direction) * np.sin(theta) * np.cos(turn)
