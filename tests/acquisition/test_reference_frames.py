@@ -37,7 +37,9 @@ def light_of(capture):
     radiometry, remarks = measure_radiometry(capture), []
     ball = MirrorBall(VIEW.row, VIEW.column, VIEW.radius, VIEW.camera)
     lamps = np.array([lamp["direction"] for lamp in truth["lamps"]])
-    found = gains_of(capture, radiometry, list(capture.lamps), lamps, ball, Stated(1 / VIEW.lamp, 2e-4), remarks)
+    found = gains_of(capture, radiometry, list(capture.lamps), lamps, ball, 1 / VIEW.lamp, remarks)(
+        lamps, 1 / VIEW.lamp
+    )
     return found, np.array([lamp["gain"] for lamp in truth["lamps"]]), radiometry, {one.code for one in remarks}
 
 

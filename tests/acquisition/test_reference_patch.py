@@ -35,9 +35,9 @@ def light_of(capture, truth, radiometry, **changes):
     return patch_light(
         patch._replace(**changes),
         [radiometry.reference_light[lamp["lamp"]] for lamp in truth["lamps"]],
-        np.array([lamp["direction"] for lamp in truth["lamps"]]),
         BALL,
-        Stated(1 / far.value, far.std / far.value**2),
+        np.array([lamp["direction"] for lamp in truth["lamps"]]),
+        1 / far.value,
         lamp_std=np.full(len(truth["lamps"]), 1e-4),
         gain_std=0.005,
         exposure_std=max(one.std / one.value for one in radiometry.exposures.values()),

@@ -2,8 +2,10 @@
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 
 from matcam import edge_mtf_stack
+from matcam.calibration.camera.processed_pictures import picture_noise
 from matcam.calibration.photograph.flat_noise import crushed_share, flat_noise
 from matcam.calibration.photograph.linear_filters import correlations, effect_on_half, mask_gain
 from tests.oracle import processed_pictures as software
@@ -283,3 +285,19 @@ def test_a_pile_at_the_lowest_value():
     # without noise both sides are as flat
     assert share(np.full(50, 2.0), np.full(50, 9.0)) == 0
     assert share(dark[:1], bright) == 0
+
+
+@pytest.mark.parametrize(("lens", "electrons"), [(0.4, 20000), (0.8, 20000), (1.5, 20000), (0.4, 1000)])
+def test_a_star_that_the_lens_does_not_resolve_is_no_correlated_noise(lens, electrons):
+    """Spokes that become grey at the centre, beside squares: the noise of all pixels is independent."""
+    fine, size = 5, 400
+    y, x = (np.mgrid[: size * fine, : size * fine] + 0.5) / fine
+    page = np.where((x // 60 + y // 60) % 4 == 0, 0.25, 0.95)
+    dx, dy = x - size / 2, y - size / 2
+    page = np.where(np.hypot(dx, dy) < 110, np.where(np.sin(72 * np.arctan2(dy, dx)) > 0, 0.25, 0.95), page)
+    light = gaussian_filter(page, lens * fine).reshape(size, fine, size, fine).mean((1, 3))
+    noisy = np.random.default_rng(1).poisson(electrons * light).astype(float)
+    noise = picture_noise(noisy)
+    assert noise.neighbour_ratio == pytest.approx(1, abs=4 * noise.neighbour_ratio_std)
+    assert noise.neighbour_ratio_std < 0.03
+    assert picture_noise(gaussian_filter(noisy, 0.5)).smoothed

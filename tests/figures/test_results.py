@@ -202,6 +202,7 @@ def test_reconstructions(results):
             "outline_radius_px": (80.0, 0.1), "lamp_distance_radii": (40.0, 0.5), "camera_distance_radii": (12402.7, 130000.0),
             "lamp_distance_mm": (np.inf, np.inf),
         },
+        "least_distances": {"lamp_distance_radii": 39.02, "camera_distance_radii": 564.8, "lamp_distance_mm": 812.3},
     })  # fmt: skip
     object.__setattr__(made, "__class__", kind)
     assert made.summary().splitlines() == [
@@ -213,7 +214,7 @@ def test_reconstructions(results):
         "    outline_radius_px:     80.00 ± 0.10 (0.12 %)",
         "    lamp_distance_radii:   40.00 ± 0.50 (1.2 %)",
         "    camera_distance_radii: at least 565",
-        "    lamp_distance_mm:      not determined",
+        "    lamp_distance_mm:      at least 812",
         "[[Remarks]]",
         "    - Few pictures.",
     ]

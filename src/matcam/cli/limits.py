@@ -38,12 +38,13 @@ def command(
     from matcam.camera.sensor import PixelNoise
     from matcam.inverse.recoverability import ROUGHNESSES, limits
 
-    with show.working("computing the bounds"):
+    with show.stepping() as progress:
         found = limits(
             rig.build(),
             roughness=roughness or ROUGHNESSES,
             noise=PixelNoise(relative, floor, 0.01),
             workspace=workspace,
+            progress=progress,
         )
     if json:
         show.as_json({**found.attrs, **{str(name): found[name].values for name in [*found.data_vars, *found.coords]}})

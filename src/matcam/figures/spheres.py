@@ -202,8 +202,9 @@ def spheres_figure(pictures: Mapping[str, np.ndarray], light: str, exposure: flo
 def picture_figure(data: xr.DataArray, title: str) -> Figure:
     """Draw the image of a rig beside the profile through the optical axis.
 
-    The left panel shows the image encoded for display, with the 99.5th percentile of lit pixels as white. The right panel
-    shows the row through the optical axis on a logarithmic scale, so that small values are visible.
+    The left panel shows the image encoded for display, with the 99.5th percentile of lit pixels as white and the 0.5th
+    percentile of all pixels as black. The right panel shows the row through the optical axis on a logarithmic scale, so that
+    small values are visible.
 
     Args:
         data: image (row, column[, channel]), from `picture`.
@@ -212,7 +213,8 @@ def picture_figure(data: xr.DataArray, title: str) -> Figure:
     values = np.nan_to_num(data.values)
     lit = values[values > 0]
     white = np.percentile(lit, 99.5) if lit.size else 1.0
-    display = np.clip(values / white, 0, 1) ** (1 / 2.2)
+    black = np.percentile(values, 0.5)  # the black level of a raw image
+    display = np.clip((values - black) / max(white - black, 1e-300), 0, 1) ** (1 / 2.2)
     x, y = data["x"].values, data["y"].values
     with drawing(8.6, 4.0) as figure:
         left, right = figure.subplots(1, 2, width_ratios=(1, 1.15))

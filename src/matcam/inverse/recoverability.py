@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import equinox as eqx
@@ -72,6 +72,7 @@ def limits(
     noise: PixelNoise | None = None,
     slice_step: int = 10,
     workspace: Workspace | None = None,
+    progress: Callable[[str, int, int], None] | None = None,
 ) -> xr.Dataset:
     """Compute Cramer-Rao bounds of roughness and Fresnel term for a rig.
 
@@ -88,6 +89,8 @@ def limits(
         slice_step: spacing of the slices of theta_d (no unit), from 1 to 30. Default: 10, unlike `fit`, because few slices
             suffice to compare rigs. Bounds decrease with more slices.
         workspace: store of results that depend only on the rig. Default: None, the store of the process.
+        progress: function that is called with the name of the step, the number of rigs that are finished, and the number of
+            all rigs, which include those with another blur and the changed ones. Default: None.
 
     Returns:
         Dataset over roughness, theta_d (rad), blur and change:
@@ -135,10 +138,24 @@ def limits(
     if values.ndim != 1 or not values.size:
         raise ArgumentError(f"roughness must be a list of at least one number, got shape {values.shape}")
     noise = PixelNoise(picture_gain=0.01) if noise is None else checks.instance("noise", noise, PixelNoise)
-    view = _View(rig, ndf, noise.check(), slice_step, workspace)
+    blurs = {
+        name: (field, most if field == "jitter" else min(most, _LARGEST_BLUR / size))
+        for name, (field, most) in BLURS.items()
+        if field in widths_of(rig)
+    }
+    changes = changed_rigs(rig)
+    steps = iter(range(1 + len(blurs) + len(changes)))
+    tell = progress or (lambda *_: None)
+    view = _View(
+        ndf,
+        noise.check(),
+        slice_step,
+        workspace,
+        lambda: tell("computing the bounds", next(steps), 1 + len(blurs) + len(changes)),
+    )
     stated_std = rig.camera.uncertainty.std().get(LENS, np.nan) if rig.camera.uncertainty else np.nan
     relative = stated_std / sigma
-    own = [_Information(view, a) for a in values]
+    own = _informations(view, rig, values)
     variables: dict[str, tuple[tuple[str, ...], np.ndarray]] = {}
     stated = [i.std(relative) if np.isfinite(relative) else np.array([np.nan, np.nan]) for i in own]
     variables["width_std"] = ("roughness",), np.array([i.std(0.0)[0] for i in own])
@@ -147,20 +164,16 @@ def limits(
     variables["lens_std_free"] = ("roughness",), np.array([i.std(np.inf)[1] for i in own])
     prior = relative if np.isfinite(relative) else 0.0
     variables["fresnel_std"] = ("roughness", "theta_d"), np.array([i.fresnel_std(prior) for i in own])
-    blurs = {
-        name: (field, most if field == "jitter" else min(most, _LARGEST_BLUR / size))
-        for name, (field, most) in BLURS.items()
-        if field in widths_of(rig)
-    }
-    signatures = [[_signature(i, *one) for one in blurs.values()] for i in own]
-    for name, column in zip(
-        ("correlation", "smallest", "width_bias"), np.array(signatures).transpose(2, 0, 1), strict=True
-    ):
+    signatures = np.array(
+        [_signatures(view, rig_with(rig, {field: most}), own, values, field, most) for field, most in blurs.values()]
+    )
+    for name, column in zip(("correlation", "smallest", "width_bias"), signatures.transpose(2, 1, 0), strict=True):
         variables[name] = ("roughness", "blur"), column
-    changes = changed_rigs(rig)
     variables["width_std_changed"] = (
         ("roughness", "change", "lens"),
-        np.array([[_exact_and_free(_Information(view._replace(rig=r), a)) for r in changes.values()] for a in values]),
+        np.array([[_exact_and_free(i) for i in _informations(view, r, values)] for r in changes.values()]).swapaxes(
+            0, 1
+        ),
     )
     cells = own[0].cells
     found = xr.Dataset(
@@ -204,36 +217,40 @@ def changed_rigs(rig: Rig) -> dict[str, Rig]:
 
 
 class _View(NamedTuple):
-    """Conditions, other than the roughness, for which bounds are computed."""
+    """Conditions, other than rig and roughness, for which bounds are computed. `begin` is called before each rig."""
 
-    rig: Rig
     ndf: str
     noise: PixelNoise
     slice_step: int
     workspace: Workspace | None
+    begin: Callable[[], None]
 
 
 def _records(
-    view: _View, rig: Rig, roughness: float, axes: tuple[Axis, ...]
-) -> tuple[ChosenCells, np.ndarray, np.ndarray]:
-    """Choose cells, and compute their records and the derivatives of the records.
+    view: _View, rig: Rig, roughness: np.ndarray, axes: tuple[Axis, ...]
+) -> tuple[ChosenCells, list[tuple[np.ndarray, np.ndarray]]]:
+    """Choose cells, and compute their records and the derivatives of the records for each roughness.
 
     The derivatives are with respect to ln roughness and the coordinates of the axes.
     """
+    view.begin()
     sampling: Sampling = "edge" if rig.cell_value == "edge" else "centre"
     cells, operator = lobe_operator(rig, sampling, view.slice_step, axes, view.workspace)
-    at = np.array([np.log(roughness), *np.zeros(len(axes))])
-    return cells, *record_and_slopes(operator, LobeKind(view.ndf, "smith"), at)
+    lobe, at = LobeKind(view.ndf, "smith"), np.zeros(len(axes))
+    return cells, [record_and_slopes(operator, lobe, np.array([np.log(a), *at])) for a in roughness]
+
+
+def _informations(view: _View, rig: Rig, roughness: np.ndarray) -> list[_Information]:
+    """Compute the information in the record of a rig for each roughness."""
+    axis = Axis(LENS, float(rig.camera.parameters()[LENS]), 0.0, -_STEP, _STEP, (-_STEP, 0.0, _STEP))
+    cells, records = _records(view, rig, roughness, (axis,))
+    return [_Information(view.noise, cells, *one) for one in records]
 
 
 class _Information:
     """Fisher information of the logarithms of roughness and lens width in the chosen cells, with F free in every slice."""
 
-    def __init__(self, view: _View, roughness: float):
-        self.view, self.roughness = view, roughness
-        rig, noise = view.rig, view.noise
-        axis = Axis(LENS, float(rig.camera.parameters()[LENS]), 0.0, -_STEP, _STEP, (-_STEP, 0.0, _STEP))
-        cells, record, slopes = _records(view, rig, roughness, (axis,))
+    def __init__(self, noise: PixelNoise, cells: ChosenCells, record: np.ndarray, slopes: np.ndarray):
         peak = record.max(-1, keepdims=True, where=cells.valid, initial=0)
         share = cells.noise_share
         used = cells.valid & (peak > 0)
@@ -286,15 +303,25 @@ def _exact_and_free(information: _Information) -> tuple[float, float]:
     return information.std(0.0)[0], information.std(np.inf)[0]
 
 
-def _signature(own: _Information, field: str, size: float) -> tuple[float, float, float]:
-    """Compute correlation, smallest size and bias of one blur, as in `limits`.
+def _signatures(
+    view: _View, rig: Rig, own: list[_Information], roughness: np.ndarray, field: str, size: float
+) -> list[tuple[float, float, float]]:
+    """Compute correlation, smallest size and bias of one blur for each roughness, as in `limits`.
 
-    `field` is the field of `Rig` that causes the blur, and `size` is the value of this field in its unit. The smallest size of
+    `field` is the field of `rig` that causes the blur, and `size` is the value of this field in its unit. The smallest size of
     a lamp is in degrees.
     """
-    blurred = rig_with(own.view.rig, {field: size})
-    record = _records(own.view, blurred, own.roughness, ())[1]
-    change = own.free(record - own.record).ravel()
+    _, blurred = _records(view, rig, roughness, ())
+    found = []
+    for one, (record, _) in zip(own, blurred, strict=True):
+        correlation, smallest, bias = _signature(one, record, size)
+        found.append((correlation, float(np.degrees(smallest)) if field == LAMP else smallest, bias))
+    return found
+
+
+def _signature(own: _Information, blurred: np.ndarray, size: float) -> tuple[float, float, float]:
+    """Compute correlation, smallest size and bias of a blur of a size, whose record is `blurred`."""
+    change = own.free(blurred - own.record).ravel()
     width, lens = own.columns.reshape(2, -1)
     exact = float(change @ width / (width @ width))
 
@@ -307,4 +334,4 @@ def _signature(own: _Information, field: str, size: float) -> tuple[float, float
     left = by_blur - by_lens * (by_blur @ by_lens) / max(by_lens @ by_lens, 1e-300)
     deviations = float(np.sqrt(left @ left))  # at `size`; a blur adds variance, so they scale with size^2
     smallest = size * np.sqrt(_SEEN / deviations) if deviations > 1e-6 else np.inf
-    return correlation, float(np.degrees(smallest)) if field == LAMP else smallest, exact
+    return correlation, smallest, exact

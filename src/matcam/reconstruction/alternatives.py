@@ -28,7 +28,7 @@ from matcam.reconstruction.joint.evidence import ACCURACY, ComparedPixels, Judge
 from matcam.reconstruction.joint.likelihood import unexplained_share
 from matcam.reconstruction.picture_model import lamp_coordinates
 from matcam.reconstruction.sphere_fit import SphereFit, fit_sphere, with_correlated_residuals
-from matcam.reconstruction.sphere_scene import SphereScene, joint_problem, part_of, prior_of
+from matcam.reconstruction.sphere_scene import SphereScene, joint_problem, part_of, prior_of, with_light_error
 
 _SPLINE = 1.0
 """Prior standard deviation of the second differences of ln D of a spline modification, no unit."""
@@ -247,7 +247,9 @@ class _Search:
             found = []
             for factor in factors:
                 change = one.widened(source, float(factor))
-                rows, values, _ = prior_of(fit.layout, change.scene(self.scene), problem.frames, spline, own)
+                rows, values, _ = prior_of(
+                    fit.layout, change.scene(self.scene), problem.frames, spline, own, fit.nearness
+                )
                 gain = judged.log_evidence_with(rows, values) - now + change.log_prior - one.log_prior
                 found.append((gain, change))
             changes.append(max(found, key=lambda pair: pair[0]))
@@ -275,6 +277,7 @@ class _Search:
             slope=problem.slope,
             diffuse=self.diffuse,
             spline=_SPLINE if spline_size else 0.0,
+            nearness=fit.nearness,
         )
         q = np.concatenate([layout.shared_of(p, problem.layout), p[problem.layout.shared :]])
         return compared.judged(other, kind, q).log_evidence_with(other.prior_rows, other.prior_values)
@@ -390,11 +393,9 @@ def _with_odd_pictures(search: _Search, best: Alternative) -> tuple[SphereFit, l
     odd = np.flatnonzero(solution.chi2 > _ODD * max(float(np.median(solution.chi2)), 1.0)).tolist()
     if not odd:
         return fit, []
-    gains = np.array(np.broadcast_to(search.scene.gain_std, len(search.pictures)), dtype=float)
     shares = {k: unexplained_share(solution.problem, solution.p, [k]) for k in odd}
-    for k, share in shares.items():
-        gains[k] = np.hypot(gains[k], share)
-    fit = replace(search, scene=replace(search.scene, gain_std=gains)).fitted(best, start=fit, rounds=1)
+    wider = np.array([shares.get(k, 0.0) for k in range(len(search.pictures))])
+    fit = replace(search, scene=with_light_error(search.scene, wider)).fitted(best, start=fit, rounds=1)
     chi2, remarks = fit.solution.chi2, []
     for k, share in shares.items():
         text = (

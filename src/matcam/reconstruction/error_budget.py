@@ -251,8 +251,9 @@ def parameter_readings(
             found[f"{name}_{channel}"] = _of_curve(fit, curve, index, value, row)
         position = layout.diffuse.start + index
         if not fit.solution.problem.fixed[position]:
-            unit = units[index].value
-            found[f"diffuse_{channel}"] = FitReading(float(p[position]) / unit, unity[position] / unit)
+            value, unit = float(p[position]) / units[index].value, units[index].value
+            row = unity[position] / unit - value * fit.unit_by_nearness * unity[layout.of("lamp")]
+            found[f"diffuse_{channel}"] = FitReading(value, row)
     return found
 
 

@@ -201,15 +201,30 @@ class Reconstruction(Summarised):
         return found
 
     @property
+    def least_distances(self) -> dict[str, float]:
+        """Lower limits of the distances, which correspond to two standard deviations of the inverse distance.
+
+        The names are those of `lengths`.
+        """
+        solution, radius, found = self.fit.solution, self.geometry["sample_radius_mm"], {}
+        for name in ("camera", "lamp"):
+            at = self.fit.layout.of(name)
+            nearest = max(float(solution.p[at]), 0.0) + 2 * float(np.sqrt(solution.covariance[at, at]))
+            found[f"{name}_distance_radii"] = least = 1 / nearest if nearest > 0 else np.inf
+            if radius is not None:
+                found[f"{name}_distance_mm"] = least * radius
+        return found
+
+    @property
     def length_quantities(self) -> list[Quantity]:
         """Outline and distances for a summary.
 
-        If the standard deviation of a distance is at least half the distance, a lower limit of the distance is given.
-        This limit corresponds to two standard deviations of the inverse distance.
+        If the standard deviation of a distance is at least half the distance, its lower limit is given.
         """
+        least = self.least_distances
         return [
-            Quantity(name, _least_distance(value, std))
-            if "distance" in name and not std < value / 2
+            Quantity(name, f"at least {least[name]:.3g}")
+            if name in least and not std < value / 2
             else Quantity(name, value, std, relative=name not in ("outline_column_px", "outline_row_px"))
             for name, (value, std) in self.lengths.items()
         ]
@@ -377,7 +392,7 @@ def reconstructed(
         progress=progress,
         fit_pictures=fit_pictures,
     )
-    fit, units = chosen.fit, captured.units
+    fit, units = chosen.fit, chosen.fit.units
     theta, channels = fit.solution.theta_d, fit.layout.channels
     covariance = fit.strengths_covariance(fit.solution.fitted)
     curves = tuple(
@@ -427,7 +442,3 @@ def reconstructed(
         captured=captured,
         sample=sample,
     )
-
-
-def _least_distance(value: float, std: float) -> str:
-    return "not determined" if np.isinf(value) else f"at least {value / (1 + 2 * std / value):.3g}"

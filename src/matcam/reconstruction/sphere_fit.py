@@ -16,6 +16,7 @@ from matcam.acquisition.merged_picture import MergedPicture
 from matcam.core.arrays import evenly
 from matcam.core.errors import ArgumentError
 from matcam.core.registry import WITH_POWER
+from matcam.files.capture_settings import Stated
 from matcam.forward.integral.blur import blur_of
 from matcam.inverse.fit.fit_parameters import LobeKind
 from matcam.material.diffuse_shape import TERMS
@@ -83,6 +84,11 @@ class SphereFit:
         return np.array([np.asarray(turned_lamp(f, *p[problem.layout.turn(k)])) for k, f in enumerate(problem.frames)])
 
     @property
+    def nearness(self) -> float:
+        """Inverse distance of the lamp, 1/radii."""
+        return float(self.solution.p[self.layout.of("lamp")])
+
+    @property
     def strengths(self) -> np.ndarray:
         """Strength of the lobe in each image and channel, (pictures, channels)."""
         return np.array([self.solution.p[self.layout.strengths(k)] for k in range(self.layout.pictures)])
@@ -98,11 +104,22 @@ class SphereFit:
         """Standard deviation of `strengths`, (pictures, channels)."""
         return np.sqrt(np.maximum(np.diag(self.strengths_covariance()), 0)).reshape(self.strengths.shape)
 
+    @property
+    def units(self) -> tuple[Stated, ...] | None:
+        """Unit of each channel, merged value per radiance under unit irradiance; None if unknown."""
+        return self.scene.light_at(self.lamps, self.nearness).units
+
+    @property
+    def unit_by_nearness(self) -> float:
+        """Derivative of ln(`units`) with respect to the inverse distance of the lamp, radii; 0 if the unit is unknown."""
+        light = self.scene.light_at(self.lamps, self.nearness)
+        return 0.0 if light.units is None else light.unit_by_nearness
+
     def strengths_covariance(self, covariance: np.ndarray | None = None) -> np.ndarray:
         """Compute the covariance of the strengths at fixed angles theta_d, (pictures x channels, pictures x channels).
 
         The uncertainty of the angle of each image is included. It contributes the slope of F times the error of the angle,
-        with all correlations.
+        with all correlations. The same applies to the change of the unit of the values with the distance of the lamp.
 
         Args:
             covariance: covariance of all parameters. Default: None, that of the fit.
@@ -111,11 +128,12 @@ class SphereFit:
         return rows @ (self.solution.covariance if covariance is None else covariance) @ rows.T
 
     def strengths_rows(self) -> np.ndarray:
-        """Compute the derivatives of the strengths at fixed angles theta_d with respect to all parameters.
+        """Compute the derivatives of the strengths at fixed angles theta_d and a fixed unit with respect to all parameters.
 
         The result has the shape (pictures x channels, size).
         """
         layout, solution, strengths = self.layout, self.solution, self.strengths
+        by_nearness = self.unit_by_nearness
         rows = np.zeros((layout.pictures * layout.channels, layout.size))
         for k in range(layout.pictures):
             for c in range(layout.channels):
@@ -123,6 +141,7 @@ class SphereFit:
                 row[layout.strengths(k).start + c] = 1.0
                 # F at the fixed angle = F at the fitted angle less slope times the error of the angle
                 row -= strengths[k, c] * solution.problem.slope[k, c] * solution.theta_d_slope[k]
+                row[layout.of("lamp")] -= strengths[k, c] * by_nearness
         return rows
 
 
@@ -213,7 +232,17 @@ def fit_sphere(
         last = None if solution is None else solution.problem.pixels
         frames = [lamp_frame(one) for one in known.lamps]
         chosen = observe(pictures, scene, frames, layout, kind, p, keep=last)
-        problem = joint_problem(layout, kind, scene, frames, *chosen, slope=slope, diffuse=diffuse, spline=spline)
+        problem = joint_problem(
+            layout,
+            kind,
+            scene,
+            frames,
+            *chosen,
+            slope=slope,
+            diffuse=diffuse,
+            spline=spline,
+            nearness=float(p[layout.of("lamp")]),
+        )
         p = p.copy()  # the previous round may be returned
         for k in range(layout.pictures):
             p[layout.turn(k)] = 0.0
@@ -261,10 +290,11 @@ def with_correlated_residuals(fit: SphereFit) -> SphereFit:
 
 
 def _write_scene(p: np.ndarray, layout: JointLayout, scene: SphereScene) -> None:
+    light = scene.light_at(scene.lamps, scene.lamp_nearness.value)
     p[layout.scene] = [0.0, scene.radius, scene.camera_nearness.value, scene.lamp_nearness.value]
     for k in range(layout.pictures):
         p[layout.own(k)] = [*scene.centres[k], 0.0, 0.0]
-        p[layout.gain(k)] = 0.0 if scene.gain is None else np.log(scene.gain[k])
+        p[layout.gain(k)] = np.log(light.gain[k])
 
 
 def _searched(

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
+from matcam.acquisition.light.picture_light import LightAt, PictureLight, constant_light
 from matcam.acquisition.mirror_ball import MirrorBall, unit
 from matcam.camera.camera import Camera
 from matcam.camera.lens_field import Coefficient, LensField
@@ -27,6 +29,8 @@ _UNSTATED_DISTORTION = 5e-4
 
 _LARGEST_CHANGE = 1.0
 """Largest change of ln of the radius of the sample. Larger errors indicate a wrong unit of the radius."""
+_GAIN_STD = 0.005
+"""Assumed relative standard deviation of the light of an image, no unit."""
 _DEPARTURE = 0.5
 """Standard deviation of the coefficients of a non-Lambertian diffuse part, no unit."""
 
@@ -48,11 +52,8 @@ class SphereScene:
         lamp_std: standard deviation of each direction along each tangent, rad, () or (pictures,). The smallest one is also that
             of a rotation that is common to all directions.
         lamp_radius: angular radius of the source disc, seen from the centre of the sphere, rad. Default: 0, a point.
-        gain_std: standard deviation of ln of the gain of each image, no unit, () or (pictures,). Default: 0.005.
-        gain: irradiance of each image relative to the mean of all images, from a reference, (pictures,). Default: None, 1
-            for each image.
-        gain_correlation: correlation of the errors of ln gain between images, (pictures, pictures). An error of the position
-            of a reference is common to all images. Default: None, independent errors.
+        light: light of each image relative to the mean, as a function of the directions and the inverse distance of the lamp,
+            1/radii. Default: None, equal with a standard deviation of 0.5 %.
         rig: rig of an earlier reconstruction, which replaces the specified lens, distances, lamps and distortion.
             Default: None.
         unstated_field: prior of an unspecified distortion, which is not fitted, but increases the errors. Default: None,
@@ -72,9 +73,7 @@ class SphereScene:
     lamps: np.ndarray
     lamp_std: float | np.ndarray
     lamp_radius: float = 0.0
-    gain_std: float | np.ndarray = 0.005
-    gain: np.ndarray | None = None
-    gain_correlation: np.ndarray | None = None
+    light: LightAt | None = None
     rig: KnownRig | None = None
     unstated_field: LensField | None = None
     sample_radius: Stated | None = None
@@ -83,6 +82,10 @@ class SphereScene:
     def sigma(self) -> float:
         """Standard deviation of the lens according to its profile, px; NaN if the lens is not Gaussian."""
         return float(self.camera.parameters().get("optics.sigma_px", np.nan))
+
+    def light_at(self, lamps: np.ndarray, nearness: float) -> PictureLight:
+        """Determine the light of the images for directions, (pictures, 3), and an inverse distance of the lamp, 1/radii."""
+        return constant_light(len(self.lamps), _GAIN_STD) if self.light is None else self.light(lamps, nearness)
 
     @property
     def field(self) -> LensField | None:
@@ -105,11 +108,35 @@ def part_of(scene: SphereScene, pictures: Sequence[int]) -> SphereScene:
         centres=scene.centres[keep],
         lamps=scene.lamps[keep],
         lamp_std=np.broadcast_to(scene.lamp_std, count)[keep],
-        gain_std=np.broadcast_to(scene.gain_std, count)[keep],
-        gain=None if scene.gain is None else scene.gain[keep],
-        gain_correlation=None if scene.gain_correlation is None else scene.gain_correlation[np.ix_(keep, keep)],
+        light=partial(_light_of, scene, keep),
         rig=None if scene.rig is None else scene.rig._replace(lamps=scene.rig.lamps[keep]),
     )
+
+
+def with_light_error(scene: SphereScene, std: np.ndarray) -> SphereScene:
+    """Add independent errors of the light of each image, relative, (pictures,)."""
+    return replace(scene, light=_changed(scene, partial(PictureLight.with_error, std=std)))
+
+
+def with_wider_light(scene: SphereScene, factor: float) -> SphereScene:
+    """Multiply the standard deviations of the light of the images by a factor."""
+    return replace(scene, light=_changed(scene, partial(PictureLight.wider, factor=factor)))
+
+
+def _changed(scene: SphereScene, change: Callable[[PictureLight], PictureLight]) -> LightAt:
+    return partial(_changed_light, scene, change)
+
+
+def _changed_light(
+    scene: SphereScene, change: Callable[[PictureLight], PictureLight], lamps: np.ndarray, nearness: float
+) -> PictureLight:
+    return change(scene.light_at(lamps, nearness))
+
+
+def _light_of(scene: SphereScene, pictures: list[int], lamps: np.ndarray, nearness: float) -> PictureLight:
+    every = scene.lamps.copy()
+    every[pictures] = lamps
+    return scene.light_at(every, nearness).part(pictures)
 
 
 def unstated_distortion(ball: MirrorBall) -> LensField:
@@ -117,7 +144,12 @@ def unstated_distortion(ball: MirrorBall) -> LensField:
 
 
 def prior_of(
-    layout: JointLayout, scene: SphereScene, frames: Sequence[LampFrame], spline: float, own: int
+    layout: JointLayout,
+    scene: SphereScene,
+    frames: Sequence[LampFrame],
+    spline: float,
+    own: int,
+    nearness: float | None = None,
 ) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
     """Build the prior as linear combinations of the parameters with independent errors and unit variance.
 
@@ -127,6 +159,8 @@ def prior_of(
         frames: base direction of the lamp of each image.
         spline: prior standard deviation of the departure of ln D from its family; 0: no departure.
         own: index of the first coefficient of the spline.
+        nearness: inverse distance of the lamp about which the light of the images is linear, 1/radii. Default: None, the
+            prior mean.
 
     Returns:
         Combinations, (rows, size), means of the combinations, (rows,), and name of the source of each.
@@ -181,18 +215,16 @@ def prior_of(
         row[layout.field.start] = line @ moved
         add("outline", row, float(line @ expected))
     stds = np.broadcast_to(np.asarray(scene.lamp_std, dtype=float), k)
-    gain_stds = np.maximum(np.broadcast_to(np.asarray(scene.gain_std, dtype=float), k), 1e-5)
-    gains = np.zeros(k) if scene.gain is None else np.log(scene.gain)
     own_lamps = [i for i in range(k) if scene.rig is None or scene.rig.lamps[i] < 0]
     for row, value in zip(*_lamp_prior(layout, scene, frames, own_lamps, stds), strict=True):
         add("lamp", row, float(value))
-    root = np.eye(k)
-    if scene.gain_correlation is not None:
-        root = whitening(scene.gain_correlation + 1e-9 * np.eye(k))
-    for line in root / gain_stds:
+    about = scene.lamp_nearness.value if nearness is None else nearness
+    light = scene.light_at(np.array([frame.base for frame in frames]), about)
+    for line in whitening(light.covariance):
         row = np.zeros(layout.size)
         row[[layout.gain(i) for i in range(k)]] = line
-        add("gain", row, float(line @ gains))
+        row[layout.of("lamp")] = -line @ light.gain_by_nearness
+        add("gain", row, float(line @ np.log(light.gain) + row[layout.of("lamp")] * about))
     for index in range(layout.diffuse_shape.start, layout.diffuse_shape.stop):
         single("diffuse shape", index, _DEPARTURE, 0.0)
     if spline:
@@ -250,6 +282,7 @@ def joint_problem(
     slope: np.ndarray | None = None,
     diffuse: bool = True,
     spline: float = 0.0,
+    nearness: float | None = None,
 ) -> JointProblem:
     """Build the problem of the joint fit: pixels, model, bounds, prior and constant parameters.
 
@@ -265,6 +298,7 @@ def joint_problem(
         slope: d ln F / d theta_d of each image and channel, 1/rad. Default: None, 0.
         diffuse: True to include a Lambertian part. Default: True.
         spline: prior standard deviation of the departure of ln D from its family, no unit. Default: 0, no departure.
+        nearness: as for `prior_of`. Default: None, the prior mean.
     """
     low, high = _bounds(layout, kind, scene)
     fixed = low == high
@@ -276,7 +310,7 @@ def joint_problem(
     known_field = scene.camera.field
     for index in range(len(FIELD)):
         fixed[layout.field.start + index] = known_field is None or (known_field.k1, known_field.growth)[index].std == 0
-    rows, values, sources = prior_of(layout, scene, frames, spline, len(kind.family_names))
+    rows, values, sources = prior_of(layout, scene, frames, spline, len(kind.family_names), nearness)
     # an exact lens, or a radius without distances relative to it
     for position in (layout.of("lens"), layout.sample_radius):
         fixed[position] |= not rows[:, position].any()

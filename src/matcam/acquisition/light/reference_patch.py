@@ -7,7 +7,8 @@ the sphere is Q (radii), and its irradiance there is E. The radiance of the patc
 w = l - p/Q (docs/model.md 10). The recorded value is U G R/pi g. U is the value per radiance under unit irradiance, and G is
 the light of the image relative to the mean. The prior mean of ln G is 0, and its prior standard deviation is the specified
 scatter of the lamp's light. The errors of position and tilt of the patch are common to all images. The errors of the lamp
-directions are independent.
+directions are independent. The distance Q is not an unknown here, because the images of the sphere determine it better:
+the result is for one value of Q, and includes its derivatives with respect to 1/Q.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from matcam.acquisition.light.picture_light import PictureLight
 from matcam.acquisition.mirror_ball import MirrorBall
 from matcam.files.capture import Region, Stated
 
@@ -55,23 +57,6 @@ class ReferencePatch(NamedTuple):
         return np.append(across * (1 - q * depth) / np.sqrt(1 - q**2), depth)
 
 
-class PatchLight(NamedTuple):
-    """Light of images from a white patch.
-
-    Attributes:
-        gain: light of each image relative to the mean, (pictures,).
-        covariance: covariance of ln(`gain`), (pictures, pictures).
-        units: units of each channel, merged value per radiance under unit irradiance at the sphere's centre, with
-            relative standard deviation; None if the reflectance of the patch is unknown.
-        used: mask of the images in which the patch is usable, (pictures,).
-    """
-
-    gain: np.ndarray
-    covariance: np.ndarray
-    units: tuple[Stated, ...] | None
-    used: np.ndarray
-
-
 def patch_geometry(
     lamps: np.ndarray, nearness: float, position: np.ndarray, tilt: tuple[float, float] = (0.0, 0.0)
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -99,23 +84,23 @@ def patch_geometry(
 def patch_light(
     patch: ReferencePatch,
     light: Sequence[Sequence[Stated]],
-    lamps: np.ndarray,
     ball: MirrorBall,
-    lamp_nearness: Stated,
+    lamps: np.ndarray,
+    lamp_nearness: float,
     *,
     lamp_std: np.ndarray,
     gain_std: float,
     exposure_std: float = 0.0,
     between: float = 0.0,
-) -> PatchLight | None:
+) -> PictureLight | None:
     """Estimate the light of images and the unit of their values from a patch.
 
     Args:
         patch: the patch.
         light: merged value of the patch in each image and channel with standard deviation; NaN if it is not usable.
-        lamps: directions to the lamps, unit vectors, (pictures, 3).
         ball: the sphere, the origin of the position of the patch.
-        lamp_nearness: inverse distance of the lamp, 1/radii.
+        lamps: directions to the lamps, unit vectors, (pictures, 3).
+        lamp_nearness: inverse distance of the lamp, 1/radii, as exact.
         lamp_std: standard deviation of each lamp's direction along each of two tangents, rad, (pictures,).
         gain_std: specified relative scatter of the light of an image.
         exposure_std: relative standard deviation that exposure ratios add to the unit. Default: 0.
@@ -127,14 +112,14 @@ def patch_light(
     """
     value = np.array([[one.value for one in channels] for channels in light])
     std = np.array([[one.std for one in channels] for channels in light])
-    count, errors = len(lamps), np.array([patch.depth.std, patch.tilt_std, patch.tilt_std, lamp_nearness.std])
+    count, errors = len(lamps), np.array([patch.depth.std, patch.tilt_std, patch.tilt_std])
 
     def log_of(lamps: np.ndarray, depth: float, right: float, up: float, nearness: float) -> np.ndarray:
         geometry, cosine = patch_geometry(lamps, nearness, patch.position(ball, depth), (right, up))
         with np.errstate(invalid="ignore", divide="ignore"):
             return np.where(cosine > GRAZING / 2, np.log(geometry), np.nan)
 
-    start = np.array([patch.depth.value, 0.0, 0.0, lamp_nearness.value])
+    start = np.array([patch.depth.value, 0.0, 0.0, lamp_nearness])
     _, cosine = patch_geometry(lamps, start[3], patch.position(ball, start[0]))
     used = np.isfinite(value).all(1) & (value > 3 * std).all(1) & (cosine > GRAZING)
     if not used.any():
@@ -147,16 +132,17 @@ def patch_light(
     own = noise**2 + between**2
     for tangent in _tangents(at):
         own = own + (lamp_std[used] * (log_of(_turned(at, tangent), *start) - usual) / _STEP) ** 2
-    # unknowns: ln G of every image, the patch's and the lamp's common errors, ln U
+    # unknowns: ln G of every image, the errors of the patch, ln U
     size = count + len(errors) + 1
     rows = np.zeros((used.sum(), size))
     rows[np.arange(len(rows)), np.flatnonzero(used)] = 1.0
-    rows[:, count:-1] = np.column_stack(slopes)
+    rows[:, count:-1] = np.column_stack(slopes[:3])
     rows[:, -1] = 1.0
     weight = 1 / np.maximum(own, 1e-12)
     prior = np.append(np.full(count, 1 / max(gain_std, 1e-5) ** 2), 1 / np.maximum(errors, 1e-9) ** 2)
     covariance = np.linalg.inv((rows.T * weight) @ rows + np.diag(np.append(prior, 0.0)))
     found = covariance @ (rows.T @ (weight * (np.log(mean) - usual)))
+    by_nearness = -covariance @ (rows.T @ (weight * slopes[3]))
     units = None
     if patch.reflectance is not None and patch.reflectance.value > 0:
         share = value[used].sum(0) / value[used].mean(1).sum()
@@ -166,7 +152,8 @@ def patch_light(
         units = tuple(
             Stated(float(level * s), float(np.sqrt(spread + n**2))) for s, n in zip(share, own_noise, strict=True)
         )
-    return PatchLight(np.exp(found[:count]), covariance[:count, :count], units, used)
+    gain, among = np.exp(found[:count]), covariance[:count, :count]
+    return PictureLight(gain, among, used, by_nearness[:count], float(by_nearness[-1]), units)
 
 
 def _tangents(lamps: np.ndarray) -> list[np.ndarray]:

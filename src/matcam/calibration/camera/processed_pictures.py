@@ -27,6 +27,14 @@ _LARGEST = 1500
 """Largest side of the central area that is tested, px. It limits the computing time."""
 _SMOOTH, _WINDOW, _EVEN = 2.0, 9, 0.06
 """Uniform areas: smoothing, px; size of a window, px; largest variation in it, relative to the range of the image."""
+_LEVEL = 0.25
+"""Largest difference of a uniform area from the dark or the bright level, relative to the range of the image. Patterns that
+the lens does not resolve, such as the centre of a star, are grey.
+"""
+_MEDIAN = 1.5
+"""Largest variation in a window relative to the median over the windows of this level. Most windows contain only noise, and
+the others the blurred rim of a shape.
+"""
 _PIXEL = 1 / 12
 """Variance of a fully sensitive pixel, px^2."""
 
@@ -89,9 +97,13 @@ def picture_noise(values: np.ndarray) -> FlatNoise:
     smooth = ndimage.gaussian_filter(np.where(known, middle, 0.0), _SMOOTH)
     low, high = np.quantile(smooth, (0.05, 0.95))
     varies = ndimage.maximum_filter(smooth, _WINDOW) - ndimage.minimum_filter(smooth, _WINDOW)
-    even = known & (varies < _EVEN * (high - low))
-    dark = smooth < (low + high) / 2
-    return flat_noise(middle, even & dark, even & ~dark, least=LEAST_NOISE * (high - low))
+    far, limit = _LEVEL * (high - low), _EVEN * (high - low)
+
+    def even(side: np.ndarray) -> np.ndarray:
+        found = side & known & (varies < limit)
+        return found & (varies <= _MEDIAN * np.median(varies[found])) if found.any() else found
+
+    return flat_noise(middle, even(smooth < low + far), even(smooth > high - far), least=LEAST_NOISE * (high - low))
 
 
 def processing_std(pictures: Iterable[Processed], sigma: float) -> float:

@@ -22,6 +22,8 @@ from matcam.material.reflectance import Conductor, Dielectric, Reflectance, Samp
 
 DETERMINED = 0.05
 """Relative standard deviation below which a roughness is considered determined."""
+_LARGEST_NOISE, _FLOOR_SHARE = 0.05, 20.0
+"""Largest noise of a camera, as a share of the value of a pixel, and weight of the noise as a share of the peak."""
 LINEAR = 0.15
 """Largest relative standard deviation of a power at which the linearised errors are valid. For larger ones the relation of
 width and power is not linear, and the computed standard deviation of the width is too small.
@@ -231,24 +233,27 @@ class LobeVerdict(NamedTuple):
             tested, with a limit of 5 %.
         resolved: True if the first lobe is wider than the smallest width that a fit allows. Every camera records a lobe of
             that width as a point.
+        explained: True if the noise that was estimated from the residuals can be that of a camera, or if it was given.
     """
 
     determined: bool
     resolved: bool
+    explained: bool
 
 
-def lobe_verdict(solution: Solution) -> LobeVerdict:
+def lobe_verdict(solution: Solution, *, noise_given: bool) -> LobeVerdict:
     layout, std = solution.problem.layout, np.sqrt(np.diag(solution.covariance))
     narrowest = layout.kind.bounds(solution.problem.radius)[0][0]
     resolved = bool(float(solution.p[0]) - narrowest > _BOUND)
+    explained = noise_given or max(solution.noise.relative, _FLOOR_SHARE * solution.noise.floor) <= _LARGEST_NOISE
     if not layout.kind.of_family:  # the half width is tested, because the lobe has no parameters of a family
         lobes = [layout.lobe(n) for n in range(layout.lobes)]
         angles = [half_maximum_angle(layout.kind, solution.p[at], solution.covariance[at, at]) for at in lobes]
-        return LobeVerdict(resolved and all(error < DETERMINED * angle for angle, error in angles), resolved)
+        return LobeVerdict(resolved and all(error < DETERMINED * angle for angle, error in angles), resolved, explained)
     first = [layout.lobe(n).start for n in range(layout.lobes)]
     own = len(layout.kind.family_names)
     linear = own == 1 or bool(np.all(std[[start + own - 1 for start in first]] < LINEAR))
-    return LobeVerdict(linear and bool(np.all(std[first] < DETERMINED)) and resolved, resolved)
+    return LobeVerdict(linear and bool(np.all(std[first] < DETERMINED)) and resolved, resolved, explained)
 
 
 def fit_remarks(
@@ -296,8 +301,9 @@ def fit_remarks(
     if noise_given and solution.misfit > 1 + 5 * np.sqrt(2 / max(solution.freedom, 1)):
         text = f"the residuals are {np.sqrt(solution.misfit):.1f} times the given noise: the model does not explain the data"
         remarks.append(Remark("misfit", text))
-    if not noise_given and max(noise.relative, 20 * noise.floor) > 0.05:
+    if not verdict.explained:
         text = (
+            "the model does not explain the data, so do not use the parameters and their errors: "
             f"the residuals are {noise.relative:.0%} of the value of a pixel and {noise.floor:.1%} of the peak of the image, "
             "which exceeds the noise of any camera; check the camera, the radius of the sample and the family of the lobe"
         )

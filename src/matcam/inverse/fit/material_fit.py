@@ -59,7 +59,10 @@ class MaterialFit(Summarised):
             correlated.
         hwhm_std: standard deviation of `hwhm`, rad.
         determined: True if the first lobe is resolved, the first parameter of every lobe is known to 5 %, and the last of
-            several parameters to 15 %. Without parameters of a family, the half width must be known to 5 %.
+            several parameters to 15 %. Without parameters of a family, the half width must be known to 5 %. Always False if
+            `explained` is False.
+        explained: True if the noise that was estimated from the residuals can be that of a camera, or if it was given. If it
+            is False, the model does not explain the data.
         resolved: True if the first lobe is wider than the smallest width of a fit, which every camera records as a point.
         materials: fitted material of each table.
         camera: fitted camera, with its uncertainty after the fit; None without a rig.
@@ -92,6 +95,7 @@ class MaterialFit(Summarised):
     hwhm: float
     hwhm_std: float
     determined: bool
+    explained: bool
     resolved: bool
     materials: tuple[Microfacet, ...]
     camera: Camera | None
@@ -328,13 +332,19 @@ class MaterialFit(Summarised):
         """
         return linearised_fit(self._solution)
 
+    @property
+    def _verdict(self) -> str:
+        if not self.explained:
+            return "The model does not explain the data: do not use the parameters and their errors."
+        return f"The data {'determine' if self.determined else 'do not determine'} the roughness to 5 %."
+
     def _summary(self) -> Summary:
         width = [] if HALF_WIDTH in self.params else [half_width(self.hwhm, self.hwhm_std)]
         source = "given" if self.noise_given else "estimated from the residuals"
         noise = f"{self.noise.relative:.2g} of the value, {self.noise.floor:.2g} of the peak ({source})"
         return Summary(
             f"{self.lobe_name} lobe, fitted {'without a' if self.camera is None else 'through the'} camera",
-            f"The data {'determine' if self.determined else 'do not determine'} the roughness to 5 %.",
+            self._verdict,
             {
                 "Parameters": [*parameters(self.params, self.std), *width],
                 "Correlations": correlations(self.params, self.covariance),
@@ -413,7 +423,7 @@ def material_fit(solution: Solution, camera: Camera | None, *, noise_given: bool
     named(residual, {"residual": "residual over the standard deviation of the noise"})
     variance = cell_variance(data, value, noise)
     likelihood = -0.5 * (np.log(variance[data.used]).sum() + (scaled[data.used] ** 2).sum())
-    verdict = lobe_verdict(solution)
+    verdict = lobe_verdict(solution, noise_given=noise_given)
     return MaterialFit(
         family=lobe.kind.family,
         params=dict(zip(readings.names, readings.values.tolist(), strict=True)),
@@ -421,7 +431,8 @@ def material_fit(solution: Solution, camera: Camera | None, *, noise_given: bool
         covariance=readings.covariance,
         hwhm=hwhm,
         hwhm_std=hwhm_std,
-        determined=verdict.determined,
+        determined=verdict.determined and verdict.explained,
+        explained=verdict.explained,
         resolved=verdict.resolved,
         materials=fitted_materials(solution, strength),
         camera=fitted_camera(solution, camera) if camera else None,

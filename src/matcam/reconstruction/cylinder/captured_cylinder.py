@@ -21,7 +21,7 @@ from matcam.files.capture import Capture, Stated
 from matcam.reconstruction.cylinder.strips import Strip
 from matcam.reconstruction.sphere_scene import SphereScene
 from matcam.reconstruction.stated.captured_scene import CapturedScene
-from matcam.reconstruction.stated.lamp_light import gains_of, under_one_light, with_light
+from matcam.reconstruction.stated.lamp_light import gains_of, under_one_light
 from matcam.reconstruction.stated.outline_frames import mean_outline_frame
 from matcam.reconstruction.stated.stated_rig import (
     FEWEST,
@@ -30,7 +30,6 @@ from matcam.reconstruction.stated.stated_rig import (
     known_nearness,
     known_radius,
     lamp_radius_of,
-    with_radius,
     without_field,
 )
 
@@ -106,7 +105,7 @@ def captured_cylinder(
     lamps = np.array([directions[one.name] for one in pictures])
     ball = MirrorBall(row.value, outline.column, outline.radius)
     names = [one.name for one in pictures]
-    light = gains_of(capture, radiometry, names, lamps, ball, with_radius(lamp_nearness, sample_radius), remarks)
+    light = gains_of(capture, radiometry, names, lamps, ball, lamp_nearness.value, remarks)
     covariance = np.zeros((3, 3))
     covariance[np.ix_([0, 2], [0, 2])] = outline.covariance
     covariance[1, 1] = max(row.std, 1e-3) ** 2
@@ -123,10 +122,9 @@ def captured_cylinder(
         lamp_std=max(capture.direction_std, 1e-5),
         lamp_radius=lamp_radius_of(capture),
         sample_radius=sample_radius,
+        light=light,
     )
-    found = CapturedScene(
-        pictures, with_light(scene, light), lamps, radiometry, None, lost, tuple(dict.fromkeys(remarks)), light.units
-    )
+    found = CapturedScene(pictures, scene, lamps, radiometry, None, lost, tuple(dict.fromkeys(remarks)))
     return CapturedCylinder(found, strips, outline)
 
 

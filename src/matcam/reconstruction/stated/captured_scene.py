@@ -20,7 +20,7 @@ from matcam.files.capture import Capture, Stated
 from matcam.reconstruction.rig.earlier_rig import known_rig
 from matcam.reconstruction.rig.rig_document import EarlierRig
 from matcam.reconstruction.sphere_scene import SphereScene, unstated_distortion
-from matcam.reconstruction.stated.lamp_light import gains_of, under_one_light, with_light
+from matcam.reconstruction.stated.lamp_light import gains_of, under_one_light
 from matcam.reconstruction.stated.outline_frames import found_outline
 from matcam.reconstruction.stated.stated_lamps import first_lamps, stated_lamps
 from matcam.reconstruction.stated.stated_rig import (
@@ -30,7 +30,6 @@ from matcam.reconstruction.stated.stated_rig import (
     known_nearness,
     known_radius,
     lamp_radius_of,
-    with_radius,
 )
 from matcam.reconstruction.stated.undistorted import undistorted_sphere
 
@@ -66,8 +65,6 @@ class CapturedScene(NamedTuple):
         outline: outline of the sphere; None: the sample is not a sphere.
         left_out: names of the lamp positions that cannot be used.
         remarks: remarks on the capture.
-        units: unit of each channel, which is the image value per radiance under unit irradiance, with its relative
-            standard deviation. Default: None, the capture has no reference of known reflectance.
         frame: width and height of the frames, px. Default: None, unknown.
         sample_radius: radius of the sphere with its standard deviation, mm. Default: None, unknown.
     """
@@ -79,7 +76,6 @@ class CapturedScene(NamedTuple):
     outline: Outline | None
     left_out: tuple[str, ...]
     remarks: tuple[Remark, ...]
-    units: tuple[Stated, ...] | None = None
     frame: tuple[int, int] | None = None
     sample_radius: Stated | None = None
 
@@ -174,7 +170,7 @@ def captured_scene(
         stated[known], stds[known] = rig.directions[rig.lamps[known]], rig.lamp_std[rig.lamps[known]]
     order = [1, 0, 2]  # (row, column, radius) to (column, row, radius)
     lamps = first_lamps(lamps, covariances, stated, stds)
-    light = gains_of(capture, radiometry, names, lamps, ball, with_radius(lamp_nearness, sample_radius), remarks)
+    light = gains_of(capture, radiometry, names, lamps, ball, lamp_nearness.value, remarks)
     scene = SphereScene(
         camera=camera,
         lens_std=spread,
@@ -190,9 +186,8 @@ def captured_scene(
         rig=rig,
         unstated_field=None if camera.field is not None else unstated_distortion(ball),
         sample_radius=sample_radius,
+        light=light,
     )
     said_once = tuple(dict.fromkeys(remarks))
     radius = capture.radius_mm
-    return CapturedScene(
-        pictures, with_light(scene, light), lamps, radiometry, outline, left_out, said_once, light.units, frame, radius
-    )
+    return CapturedScene(pictures, scene, lamps, radiometry, outline, left_out, said_once, frame, radius)

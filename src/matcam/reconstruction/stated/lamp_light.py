@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
-from matcam.acquisition.light.reference_patch import PatchLight, ReferencePatch, patch_light
+from matcam.acquisition.light.picture_light import LightAt, PictureLight, constant_light, stated_light
+from matcam.acquisition.light.reference_patch import ReferencePatch, patch_light
 from matcam.acquisition.merged_picture import MergedPicture
 from matcam.acquisition.mirror_ball import MirrorBall
 from matcam.acquisition.radiometry import Radiometry
 from matcam.core.errors import FitError
 from matcam.core.remark import Remark
 from matcam.files.capture import Capture, Region, Stated
-from matcam.reconstruction.sphere_scene import SphereScene
 
 _SEEN = float(np.radians(0.5))
 """Largest assumed standard deviation of the direction of a lamp, rad, because the highlights determine the direction better."""
@@ -48,28 +49,29 @@ def gains_of(
     names: Sequence[str],
     lamps: np.ndarray,
     ball: MirrorBall,
-    nearness: Stated,
+    nearness: float,
     remarks: list[Remark],
-) -> PatchLight:
+) -> LightAt:
     """Determine the relative irradiance of each image, and the unit of the image values, from the reference.
 
-    Without a usable reference, the irradiance is assumed to be equal, with the specified standard deviation of the lamp.
+    Without a usable reference, the irradiance is assumed to be equal, with the specified standard deviation of the lamp. The
+    remarks are for the directions `lamps` and the inverse distance `nearness`, 1/radii, of the lamp.
     """
     count, drift = len(names), max(float(capture.settings["lamp"]["gain_std"]), 1e-5)
-    stated = PatchLight(np.ones(count), drift**2 * np.eye(count), None, np.zeros(count, bool))
+    unknown = constant_light(count, drift)
     reference, region = capture.settings["reference"], capture.reference_position
     if reference is not None and reference["kind"] == "diffuse" and region is not None:
-        found = patch_light(
+        read = partial(
+            patch_light,
             _patch(capture, region),
             [radiometry.reference_light[name] for name in names],
-            lamps,
             ball,
-            nearness,
             lamp_std=np.full(count, min(capture.direction_std, _SEEN)),
             gain_std=drift,
             exposure_std=max(one.std / one.value for one in radiometry.exposures.values()),
             between=radiometry.reference_between,
         )
+        found = read(lamps, nearness)
         if found is None:
             text = (
                 "the diffuse reference is dark, clipped or lit at grazing incidence in every image, so F is relative: "
@@ -79,30 +81,29 @@ def gains_of(
         elif found.units is None:
             text = "F is relative, because the reflectance of the reference is unknown: specify reference.reflectance"
             remarks.append(Remark("no-reflectance", text))
-        return found or stated
+        return partial(_read_or, read, unknown)
     output = [radiometry.lamp_output.get(name) for name in names]
     known = np.array([one is not None and np.isfinite(one.value) and one.value > 0 for one in output])
     if not known.any():
-        return stated
+        return partial(_read_or, None, unknown)
     if radiometry.reference_between >= drift:
         text = (
             f"the light changes by {radiometry.reference_between:.1%} between images of reference and sample, so the "
         )
         text += "reference is not used, and lamp.gain_std applies: include the reference in the frames of the sample"
         remarks.append(Remark("reference-unsteady", text))
-        return stated
+        return partial(_read_or, None, unknown)
     gain = np.array([one.value if good and one is not None else 1.0 for one, good in zip(output, known, strict=True)])
     std = np.array(
         [one.std / one.value if good and one is not None else drift for one, good in zip(output, known, strict=True)]
     )
-    return PatchLight(gain / gain.mean(), np.diag(np.maximum(std, 1e-5) ** 2), None, known)
+    return partial(_read_or, None, stated_light(gain, std, known))
 
 
-def with_light(scene: SphereScene, light: PatchLight) -> SphereScene:
-    std = np.sqrt(np.diag(light.covariance))
-    return replace(
-        scene, gain_std=std, gain=light.gain, gain_correlation=np.asarray(light.covariance / np.outer(std, std))
-    )
+def _read_or(
+    read: Callable[..., PictureLight | None] | None, otherwise: PictureLight, lamps: np.ndarray, nearness: float
+) -> PictureLight:
+    return (None if read is None else read(lamps, nearness)) or otherwise
 
 
 def _patch(capture: Capture, region: Region) -> ReferencePatch:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from matcam.acquisition.check.unmeasured_lens import GUESSED_LENS, GUESSED_NEARNESS, unmeasured_lens
 from matcam.acquisition.radiometry import capture_camera
 from matcam.camera.camera import Camera
@@ -66,11 +64,6 @@ def known_radius(capture: Capture) -> Stated | None:
     """Return the specified radius of the sample with its standard deviation, mm; None: unknown."""
     radius = capture.radius_mm
     return None if radius is None else Stated(radius.value, max(radius.std, _EXACT * radius.value))
-
-
-def with_radius(nearness: Stated, radius: Stated | None) -> Stated:
-    share = 0.0 if radius is None else radius.std / radius.value
-    return Stated(nearness.value, float(np.hypot(nearness.std, share * nearness.value)))
 
 
 def known_nearness(capture: Capture, of: str, remarks: list[Remark]) -> Stated:
