@@ -202,9 +202,9 @@ class Reconstruction(Summarised):
 
     @property
     def least_distances(self) -> dict[str, float]:
-        """Lower limits of the distances, which correspond to two standard deviations of the inverse distance.
+        """Lower limits of the distances, by the names of `lengths`.
 
-        The names are those of `lengths`.
+        They correspond to two standard deviations of the inverse distance, and are infinite if it is exactly 0.
         """
         solution, radius, found = self.fit.solution, self.geometry["sample_radius_mm"], {}
         for name in ("camera", "lamp"):
