@@ -31,6 +31,8 @@ _LARGEST_CHANGE = 1.0
 """Largest change of ln of the radius of the sample. Larger errors indicate a wrong unit of the radius."""
 _GAIN_STD = 0.005
 """Assumed relative standard deviation of the light of an image, no unit."""
+_LEAST_INDEPENDENT = 1e-9
+"""Smallest independent part of the errors of the light of the images. Common errors alone have a singular covariance."""
 _DEPARTURE = 0.5
 """Standard deviation of the coefficients of a non-Lambertian diffuse part, no unit."""
 
@@ -220,7 +222,9 @@ def prior_of(
         add("lamp", row, float(value))
     about = scene.lamp_nearness.value if nearness is None else nearness
     light = scene.light_at(np.array([frame.base for frame in frames]), about)
-    for line in whitening(light.covariance):
+    gain_std = np.sqrt(np.diag(light.covariance))
+    correlation = light.covariance / np.outer(gain_std, gain_std)
+    for line in whitening(correlation + _LEAST_INDEPENDENT * np.eye(k)) / gain_std:
         row = np.zeros(layout.size)
         row[[layout.gain(i) for i in range(k)]] = line
         row[layout.of("lamp")] = -line @ light.gain_by_nearness
