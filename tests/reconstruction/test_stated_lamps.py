@@ -23,7 +23,9 @@ def stated(angle, azimuth):
     seen /= np.linalg.norm(seen, axis=1, keepdims=True)
     table = {name: LampGuess(*pair) for name, *pair in zip(NAMES, angle, azimuth, strict=True)}
     remarks = []
-    directions, stds = stated_lamps(SimpleNamespace(lamps=table, direction_std=STD), NAMES, seen, remarks)
+    settings = {"distances": {"lamp_mm": [1000.0, 5.0]}}
+    given = SimpleNamespace(lamps=table, direction_std=STD, settings=settings)
+    directions, stds = stated_lamps(given, NAMES, seen, remarks)
     return directions, stds, seen, [remark.code for remark in remarks]
 
 

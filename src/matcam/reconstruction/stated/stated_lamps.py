@@ -40,11 +40,12 @@ def stated_lamps(
     known = stds < _UNKNOWN
     if known.any():
         apart = np.degrees(lamp_angles_apart(lamps[known], stated[known]))
+        assumed = "" if capture.settings["distances"]["lamp_mm"] else ", for the assumed distance of the lamp"
         remarks.append(
             Remark(
                 "lamp-table",
                 f"the highlights and the specified lamp directions differ by {np.sqrt(np.mean(apart**2)):.2g}° rms before the "
-                "fit: if this exceeds their accuracy, check the specified directions",
+                f"fit{assumed}: if this exceeds their accuracy, check the specified directions",
             )
         )
     if known.sum() >= FEWEST:
