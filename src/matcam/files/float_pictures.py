@@ -33,6 +33,7 @@ from matcam.core import checks
 from matcam.core.errors import ArgumentError, FileFormatError, OutputError
 from matcam.core.io import reading, replacing
 from matcam.core.readers.apart import read_apart
+from matcam.core.remark import some_of
 from matcam.files.picture_header import LARGEST, check_memory, check_promised, picture_memory
 
 _DECODERS = "matcam.files.picture_decoders"
@@ -312,7 +313,7 @@ def _described(path: Path, attributes: dict[str, bytes], size: int) -> tuple[tup
     expected = _names(None if names == ["Y"] else len(names))
     if sorted(names) != sorted(expected):
         raise FileFormatError(
-            f"{path}: the channels are {', '.join(names)[:60]}, but must be Y, or R, G, B, or C0000, C0001 and so on"
+            f"{path}: the channels are {some_of(one[:40] for one in names)}, but must be Y, or R, G, B, or C0000, C0001 and so on"
         )
     check_promised(path, bottom - top + 1, right - left + 1, len(names), size)
     return expected, bottom - top + 1, right - left + 1
