@@ -313,7 +313,8 @@ def _described(path: Path, attributes: dict[str, bytes], size: int) -> tuple[tup
     expected = _names(None if names == ["Y"] else len(names))
     if sorted(names) != sorted(expected):
         raise FileFormatError(
-            f"{path}: the channels are {some_of(one[:40] for one in names)}, but must be Y, or R, G, B, or C0000, C0001 and so on"
+            f"{path}: the channels are {some_of(one[:40] for one in names)}, but must be Y, or R, G, B, or C0000, C0001 and "
+            "so on"
         )
     check_promised(path, bottom - top + 1, right - left + 1, len(names), size)
     return expected, bottom - top + 1, right - left + 1
