@@ -14,6 +14,8 @@ from matcam.files.formats import MEASUREMENTS, suffixes_for
 
 _OF_MERL = 3
 """Number of channels of a MERL file."""
+_NARROWEST = 2.5e-4
+"""Smallest roughness that `limits` accepts for every rig."""
 
 
 def after(name: str, values: dict[str, Any]) -> str | None:
@@ -77,7 +79,8 @@ def _after_predict(values: dict[str, Any]) -> list[Any] | None:
 
         if not isinstance(Camera.load(values["camera"]).optics, GaussianOptics):
             return None
-    return ["matcam", "limits", *(values["roughness"] or [])[:5], *_camera(values)]
+    wide = [value for value in values["roughness"] or [] if value >= _NARROWEST]
+    return ["matcam", "limits", *wide[:5], *_camera(values)]
 
 
 def _after_edge(values: dict[str, Any]) -> list[Any] | None:
