@@ -190,7 +190,10 @@ def test_the_next_command_is_about_the_same_rig_and_images(tmp_path, monkeypatch
         Path(name).touch()
     predicted = {"roughness": [0.01], "lamp": 0.5, "radius": 60.0}
     assert suggestions.after("predict", predicted) == "matcam limits 0.01 --radius 60 --lamp 0.5"
-    assert suggestions.after("predict", {**predicted, "roughness": [1e-4, 0.01]}) == "matcam limits 0.01 --radius 60 --lamp 0.5"
+    assert (
+        suggestions.after("predict", {**predicted, "roughness": [1e-4, 0.01]})
+        == "matcam limits 0.01 --radius 60 --lamp 0.5"
+    )
     assert suggestions.after("predict", {**predicted, "sample": "flat"}) is None
     Camera(DiffractionOptics(16.0, 550e-9, 3.45e-6), BoxPixel(0.5)).save("f16.json")
     assert (
