@@ -144,15 +144,10 @@ def limits(
         if field in widths_of(rig)
     }
     changes = changed_rigs(rig)
-    steps = iter(range(1 + len(blurs) + len(changes)))
-    tell = progress or (lambda *_: None)
-    view = _View(
-        ndf,
-        noise.check(),
-        slice_step,
-        workspace,
-        lambda: tell("computing the bounds", next(steps), 1 + len(blurs) + len(changes)),
-    )
+    tell, count = progress or (lambda *_: None), 1 + len(blurs) + len(changes)
+    steps = iter(range(count))
+    begin = lambda: tell("computing the bounds", next(steps), count)  # noqa: E731
+    view = _View(ndf, noise.check(), slice_step, workspace, begin)
     stated_std = rig.camera.uncertainty.std().get(LENS, np.nan) if rig.camera.uncertainty else np.nan
     relative = stated_std / sigma
     own = _informations(view, rig, values)

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from matcam.acquisition.check.unmeasured_lens import BY_SHAPE
+from matcam.acquisition.light.picture_light import PictureLight
 from matcam.acquisition.merged_picture import MergedPicture
 from matcam.core.arrays import evenly
 from matcam.core.remark import Remark
@@ -28,7 +29,7 @@ from matcam.reconstruction.joint.evidence import ACCURACY, ComparedPixels, Judge
 from matcam.reconstruction.joint.likelihood import unexplained_share
 from matcam.reconstruction.picture_model import lamp_coordinates
 from matcam.reconstruction.sphere_fit import SphereFit, fit_sphere, with_correlated_residuals
-from matcam.reconstruction.sphere_scene import SphereScene, joint_problem, part_of, prior_of, with_light_error
+from matcam.reconstruction.sphere_scene import SphereScene, joint_problem, part_of, prior_of, with_light
 
 _SPLINE = 1.0
 """Prior standard deviation of the second differences of ln D of a spline modification, no unit."""
@@ -395,7 +396,8 @@ def _with_odd_pictures(search: _Search, best: Alternative) -> tuple[SphereFit, l
         return fit, []
     shares = {k: unexplained_share(solution.problem, solution.p, [k]) for k in odd}
     wider = np.array([shares.get(k, 0.0) for k in range(len(search.pictures))])
-    fit = replace(search, scene=with_light_error(search.scene, wider)).fitted(best, start=fit, rounds=1)
+    scene = with_light(search.scene, partial(PictureLight.with_error, std=wider))
+    fit = replace(search, scene=scene).fitted(best, start=fit, rounds=1)
     chi2, remarks = fit.solution.chi2, []
     for k, share in shares.items():
         text = (

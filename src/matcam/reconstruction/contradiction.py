@@ -8,13 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
+from matcam.acquisition.light.picture_light import PictureLight
 from matcam.core.remark import Remark
 from matcam.reconstruction.sphere_fit import SphereFit
-from matcam.reconstruction.sphere_scene import SphereScene, prior_of, with_wider_light
+from matcam.reconstruction.sphere_scene import SphereScene, prior_of, with_light
 
 _FAR = 10.0
 """Number of standard deviations beyond which a distance is printed as a lower limit."""
@@ -68,7 +70,7 @@ def contradiction_remark(source: str, fit: SphereFit, scene: SphereScene, probab
         probability: probability that the source is wrong, no unit.
     """
     p, layout = fit.solution.p, fit.layout
-    rows, values, sources = prior_of(layout, scene, fit.solution.problem.frames, 0.0, 0, float(p[layout.of("lamp")]))
+    rows, values, sources = prior_of(layout, scene, fit.solution.problem.frames, 0.0, 0, fit.nearness)
     own = _rows_of(source, sources)
     pull = float(np.sqrt(np.mean((rows @ p - values)[own] ** 2)))
     text = f"probability {probability:.0%}: " if probability < _CERTAIN else ""
@@ -122,7 +124,7 @@ def with_wider(scene: SphereScene, source: str, factor: float) -> SphereScene:
         assert field is not None
         change = {"camera": scene.camera.with_field(field.wider(factor))}
     elif source == "gain":
-        return with_wider_light(scene, factor)
+        return with_light(scene, partial(PictureLight.wider, factor=factor))
     else:  # lens, lamp or shift
         change = {f"{source}_std": np.asarray(getattr(scene, f"{source}_std")) * factor}
     return replace(scene, **change)

@@ -252,7 +252,7 @@ def parameter_readings(
         position = layout.diffuse.start + index
         if not fit.solution.problem.fixed[position]:
             value, unit = float(p[position]) / units[index].value, units[index].value
-            row = unity[position] / unit - value * fit.unit_by_nearness * unity[layout.of("lamp")]
+            row = unity[position] / unit - value * fit.light.unit_by_nearness * unity[layout.of("lamp")]
             found[f"diffuse_{channel}"] = FitReading(value, row)
     return found
 

@@ -115,7 +115,7 @@ def table_entries(
         variance += 2 * lobe * f * np.einsum("q...dp,dq->...dp", by_q, by_c @ joint[n:, :n])
         variance += lobe**2 * np.einsum("dc,ce,de->d", by_c, joint[n:, n:], by_c)[:, None]
         of_diffuse = np.r_[layout.diffuse.start + channel, layout.diffuse_shape, layout.of("lamp")]
-        by_nearness = -albedo * fit.unit_by_nearness * white
+        by_nearness = -albedo * fit.light.unit_by_nearness * white
         row = np.stack([white / unit.value, *(albedo * term for term in by_shape), by_nearness])
         joint = solution.covariance[np.ix_(of_diffuse, of_diffuse)]
         variance = np.maximum(variance, 0.0) + np.maximum(np.einsum("q...,qr,r...->...", row, joint, row), 0.0)

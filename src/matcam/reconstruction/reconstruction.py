@@ -136,6 +136,12 @@ class Reconstruction(Summarised):
         }
 
     @property
+    def _sample_radius(self) -> float | None:
+        """Fitted radius of the sample, mm; None if it was not specified."""
+        stated, at = self.captured.sample_radius, self.fit.layout.sample_radius
+        return None if stated is None else stated.value * float(np.exp(self.fit.solution.p[at]))
+
+    @property
     def geometry(self) -> dict[str, Any]:
         """Outline, lamps and distances with their standard deviations."""
         fit, solution, layout = self.fit, self.fit.solution, self.fit.layout
@@ -152,12 +158,10 @@ class Reconstruction(Summarised):
         sigma, field = fit.scene.sigma, fit.scene.camera.field
         rig = rig_covariance(covariance, layout, solution.problem.frames, fit.lamps)
         turns = [f"{name} {turn}" for name in fit.names for turn in "ab"]
-        captured, radius = self.captured, None
-        if captured.sample_radius is not None:
-            radius = captured.sample_radius.value * float(np.exp(p[layout.sample_radius]))
+        captured = self.captured
         return {
             "frame_px": None if captured.frame is None else list(captured.frame),
-            "sample_radius_mm": radius,
+            "sample_radius_mm": self._sample_radius,
             "centre_px": [centres.mean(axis=0).tolist(), spread.mean(axis=0).tolist()],
             "radius_px": [float(x) for x in scene["radius"]],
             "lamps": [
@@ -206,7 +210,7 @@ class Reconstruction(Summarised):
 
         They correspond to two standard deviations of the inverse distance, and are infinite if it is exactly 0.
         """
-        solution, radius, found = self.fit.solution, self.geometry["sample_radius_mm"], {}
+        solution, radius, found = self.fit.solution, self._sample_radius, {}
         for name in ("camera", "lamp"):
             at = self.fit.layout.of(name)
             nearest = max(float(solution.p[at]), 0.0) + 2 * float(np.sqrt(solution.covariance[at, at]))
@@ -392,7 +396,7 @@ def reconstructed(
         progress=progress,
         fit_pictures=fit_pictures,
     )
-    fit, units = chosen.fit, chosen.fit.units
+    fit, units = chosen.fit, chosen.fit.light.units
     theta, channels = fit.solution.theta_d, fit.layout.channels
     covariance = fit.strengths_covariance(fit.solution.fitted)
     curves = tuple(

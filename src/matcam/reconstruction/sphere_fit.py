@@ -12,11 +12,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from matcam.acquisition.light.picture_light import PictureLight
 from matcam.acquisition.merged_picture import MergedPicture
 from matcam.core.arrays import evenly
 from matcam.core.errors import ArgumentError
 from matcam.core.registry import WITH_POWER
-from matcam.files.capture_settings import Stated
 from matcam.forward.integral.blur import blur_of
 from matcam.inverse.fit.fit_parameters import LobeKind
 from matcam.material.diffuse_shape import TERMS
@@ -105,15 +105,9 @@ class SphereFit:
         return np.sqrt(np.maximum(np.diag(self.strengths_covariance()), 0)).reshape(self.strengths.shape)
 
     @property
-    def units(self) -> tuple[Stated, ...] | None:
-        """Unit of each channel, merged value per radiance under unit irradiance; None if unknown."""
-        return self.scene.light_at(self.lamps, self.nearness).units
-
-    @property
-    def unit_by_nearness(self) -> float:
-        """Derivative of ln(`units`) with respect to the inverse distance of the lamp, radii; 0 if the unit is unknown."""
-        light = self.scene.light_at(self.lamps, self.nearness)
-        return 0.0 if light.units is None else light.unit_by_nearness
+    def light(self) -> PictureLight:
+        """Light of the images, and the unit of their values, at the fitted positions of the lamps."""
+        return self.scene.light_at(self.lamps, self.nearness)
 
     def strengths_covariance(self, covariance: np.ndarray | None = None) -> np.ndarray:
         """Compute the covariance of the strengths at fixed angles theta_d, (pictures x channels, pictures x channels).
@@ -133,7 +127,7 @@ class SphereFit:
         The result has the shape (pictures x channels, size).
         """
         layout, solution, strengths = self.layout, self.solution, self.strengths
-        by_nearness = self.unit_by_nearness
+        by_nearness = self.light.unit_by_nearness
         rows = np.zeros((layout.pictures * layout.channels, layout.size))
         for k in range(layout.pictures):
             for c in range(layout.channels):

@@ -115,18 +115,9 @@ def part_of(scene: SphereScene, pictures: Sequence[int]) -> SphereScene:
     )
 
 
-def with_light_error(scene: SphereScene, std: np.ndarray) -> SphereScene:
-    """Add independent errors of the light of each image, relative, (pictures,)."""
-    return replace(scene, light=_changed(scene, partial(PictureLight.with_error, std=std)))
-
-
-def with_wider_light(scene: SphereScene, factor: float) -> SphereScene:
-    """Multiply the standard deviations of the light of the images by a factor."""
-    return replace(scene, light=_changed(scene, partial(PictureLight.wider, factor=factor)))
-
-
-def _changed(scene: SphereScene, change: Callable[[PictureLight], PictureLight]) -> LightAt:
-    return partial(_changed_light, scene, change)
+def with_light(scene: SphereScene, change: Callable[[PictureLight], PictureLight]) -> SphereScene:
+    """Change the light of the images, for every position of the lamps."""
+    return replace(scene, light=partial(_changed_light, scene, change))
 
 
 def _changed_light(

@@ -21,7 +21,8 @@ class PictureLight(NamedTuple):
         covariance: covariance of ln(`gain`), (pictures, pictures).
         used: mask of the images whose light was measured, (pictures,).
         gain_by_nearness: derivative of ln(`gain`) with respect to the inverse distance of the lamp, radii, (pictures,).
-        unit_by_nearness: derivative of ln(`units`) with respect to the inverse distance of the lamp, radii. Default: 0.
+        unit_by_nearness: derivative of ln(`units`) with respect to the inverse distance of the lamp, radii. Default: 0,
+            as for an unknown unit.
         units: units of each channel, merged value per radiance under unit irradiance at the sphere's centre, with
             relative standard deviation. Default: None, unknown.
     """

@@ -153,7 +153,8 @@ def patch_light(
             Stated(float(level * s), float(np.sqrt(spread + n**2))) for s, n in zip(share, own_noise, strict=True)
         )
     gain, among = np.exp(found[:count]), covariance[:count, :count]
-    return PictureLight(gain, among, used, by_nearness[:count], float(by_nearness[-1]), units)
+    unit_by_nearness = 0.0 if units is None else float(by_nearness[-1])
+    return PictureLight(gain, among, used, by_nearness[:count], unit_by_nearness, units)
 
 
 def _tangents(lamps: np.ndarray) -> list[np.ndarray]:

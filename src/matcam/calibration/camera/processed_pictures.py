@@ -33,7 +33,8 @@ the lens does not resolve, such as the centre of a star, are grey.
 """
 _MEDIAN = 1.5
 """Largest variation in a window relative to the median over the windows of this level. Most windows contain only noise, and
-the others the blurred rim of a shape.
+the others the blurred rim of a shape. With this limit the ratio of noise variances of charts with a star and squares is 0.997
+to 1.005 instead of 1, for lenses of 0.4 to 1.5 px and 1000 and 20000 electrons.
 """
 _PIXEL = 1 / 12
 """Variance of a fully sensitive pixel, px^2."""

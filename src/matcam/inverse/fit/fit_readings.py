@@ -23,7 +23,9 @@ from matcam.material.reflectance import Conductor, Dielectric, Reflectance, Samp
 DETERMINED = 0.05
 """Relative standard deviation below which a roughness is considered determined."""
 _LARGEST_NOISE, _FLOOR_SHARE = 0.05, 20.0
-"""Largest noise of a camera, as a share of the value of a pixel, and weight of the noise as a share of the peak."""
+"""Largest noise of a camera, as a share of the value of a pixel: that of a pixel with 400 electrons. A noise of the dark
+pixels of 0.25 % of the peak counts as much.
+"""
 LINEAR = 0.15
 """Largest relative standard deviation of a power at which the linearised errors are valid. For larger ones the relation of
 width and power is not linear, and the computed standard deviation of the width is too small.

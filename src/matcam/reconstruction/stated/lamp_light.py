@@ -54,8 +54,9 @@ def gains_of(
 ) -> LightAt:
     """Determine the relative irradiance of each image, and the unit of the image values, from the reference.
 
-    Without a usable reference, the irradiance is assumed to be equal, with the specified standard deviation of the lamp. The
-    remarks are for the directions `lamps` and the inverse distance `nearness`, 1/radii, of the lamp.
+    The result is a function of the directions and the inverse distance of the lamps, which the joint fit determines. Without
+    a usable reference, the irradiance is assumed to be equal, with the specified standard deviation of the lamp. The remarks
+    are for the directions `lamps` and the inverse distance `nearness`, 1/radii.
     """
     count, drift = len(names), max(float(capture.settings["lamp"]["gain_std"]), 1e-5)
     unknown = constant_light(count, drift)
@@ -81,29 +82,33 @@ def gains_of(
         elif found.units is None:
             text = "F is relative, because the reflectance of the reference is unknown: specify reference.reflectance"
             remarks.append(Remark("no-reflectance", text))
-        return partial(_read_or, read, unknown)
+        return partial(_patch_light_or, unknown, read)
     output = [radiometry.lamp_output.get(name) for name in names]
     known = np.array([one is not None and np.isfinite(one.value) and one.value > 0 for one in output])
     if not known.any():
-        return partial(_read_or, None, unknown)
+        return partial(_anywhere, unknown)
     if radiometry.reference_between >= drift:
         text = (
             f"the light changes by {radiometry.reference_between:.1%} between images of reference and sample, so the "
         )
         text += "reference is not used, and lamp.gain_std applies: include the reference in the frames of the sample"
         remarks.append(Remark("reference-unsteady", text))
-        return partial(_read_or, None, unknown)
+        return partial(_anywhere, unknown)
     gain = np.array([one.value if good and one is not None else 1.0 for one, good in zip(output, known, strict=True)])
     std = np.array(
         [one.std / one.value if good and one is not None else drift for one, good in zip(output, known, strict=True)]
     )
-    return partial(_read_or, None, stated_light(gain, std, known))
+    return partial(_anywhere, stated_light(gain, std, known))
 
 
-def _read_or(
-    read: Callable[..., PictureLight | None] | None, otherwise: PictureLight, lamps: np.ndarray, nearness: float
+def _anywhere(light: PictureLight, lamps: np.ndarray, nearness: float) -> PictureLight:
+    return light
+
+
+def _patch_light_or(
+    otherwise: PictureLight, read: Callable[..., PictureLight | None], lamps: np.ndarray, nearness: float
 ) -> PictureLight:
-    return (None if read is None else read(lamps, nearness)) or otherwise
+    return read(lamps, nearness) or otherwise
 
 
 def _patch(capture: Capture, region: Region) -> ReferencePatch:
