@@ -151,7 +151,7 @@ METAL = Microfacet(GGX(0.1), 0.9)
             "does not depend on direction, colour or position",
         ),
         (
-            lambda: matcam.measure(METAL, Rig(Camera(SeidelOptics(*PARTS, unit=9.0)), Sphere(60.0))),
+            lambda: matcam.measure(METAL, Rig(Camera(SeidelOptics(*PARTS, unit=9.0)), Sphere(60.0, distance=9.0))),
             "SeidelOptics consists of several",
         ),
         (

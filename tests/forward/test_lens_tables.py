@@ -10,15 +10,19 @@ from matcam import (
     Camera,
     ColourOptics,
     DiffractionOptics,
+    GaussianNDF,
     GaussianOptics,
     Microfacet,
     Rig,
+    SeidelOptics,
     Sphere,
     ZernikeOptics,
     measure,
     picture,
 )
 from matcam.core.grid import merl_grid
+from tests.forward.test_aberrated_pictures import pupil_of
+from tests.oracle import aberrated
 
 RADIUS = 30.0
 PARTS = (8.0, 550e-9, 5e-6)
@@ -73,3 +77,31 @@ def test_each_colour_has_its_lens_and_its_shift():
 def test_cells_through_lenses_that_end_at_a_frequency(lens, alpha):
     error = largest_error(lens, [(lens, np.zeros(2))], Microfacet(GGX(alpha), 0.9), 40, least=1e-6)
     assert error < 1e-4
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("lamp_azimuth", [0.0, 0.7])
+def test_a_highlight_is_spread_by_the_lens_at_its_position(lamp_azimuth):
+    """Cells about highlights of 0.003 px, where the lens over the field, by another's pupil, says how they are spread."""
+    lens = SeidelOptics(*PARTS, unit=RADIUS, coma=0.03, astigmatism=0.02, curvature=0.02)
+    rig = Rig(Camera(lens, BoxPixel(0.5)), Sphere(RADIUS))
+    table = measure(Microfacet(GaussianNDF(1e-4), 1.0, masking=None), rig, azimuth=lamp_azimuth)
+    assert table.attrs["route"] == "frequencies"
+    assert table.attrs["kernel_error"] < 3e-4
+    grid, turn = merl_grid("centre"), np.array([np.cos(lamp_azimuth), np.sin(lamp_azimuth)])
+    rotated = np.array([[turn[0], -turn[1]], [turn[1], turn[0]]])
+    for j in (10, 45, 70):
+        highlight = rotated @ np.array([RADIUS * np.sin(grid.theta_d[j]), 0.0])
+        kernel = aberrated.seen_by_pixel(pupil_of(lens.at(*highlight)), 20.0)
+        found, truth = [], []
+        for i in range(0, 20, 2):
+            for k in range(5, 180, 29):
+                at, cosines = positions(grid.theta_h[i], grid.theta_d[j], grid.phi_d[k])
+                if cosines.min() > 0.1 and np.isfinite(table.values[i, j, k, 0]):
+                    away = at @ rotated.T - highlight
+                    truth.append(np.mean(kernel(away[:, 0], away[:, 1]) / cosines))
+                    found.append(table.values[i, j, k, 0])
+        found, truth = np.array(found), np.array(truth)
+        scale = (found @ truth) / (truth @ truth)
+        assert len(truth) > 30
+        assert np.abs(found / scale - truth).max() < 2e-4 * truth.max()

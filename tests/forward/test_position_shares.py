@@ -4,6 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from matcam.forward.frequencies.band_limited import fine_line, transformed
 from matcam.forward.frequencies.position_shares import PositionShares
 
 SIDE, SIGMA = 40.0, 0.6
@@ -30,22 +31,23 @@ def test_few_kernels_serve_for_all(shares):
 
 @pytest.mark.parametrize("position", [(0.0, 0.0), (11.3, -20.7), (-26.0, 30.0)])
 def test_a_share_of_a_point_is_its_weight_times_the_point(shares, position):
-    """What the Gaussian has spread still belongs to the place that it comes from."""
-    x, y = (one + np.arange(-24, 25) / 8 for one in position)
-    u, v = np.meshgrid(x - position[0], y - position[1])
-    point = np.exp(-(u**2 + v**2) / (2 * SIGMA**2))
-    hermite = [lambda t: 1 + 0 * t, lambda t: -t, lambda t: t**2 - 1, lambda t: 3 * t - t**3]
-
-    def record(along, across):
-        scale = SIGMA ** -(along + across)
-        return jnp.asarray(scale * point * hermite[along](u / SIGMA) * hermite[across](v / SIGMA))[..., None]
-
-    divided = np.stack([np.asarray(one)[..., 0] for one in shares.divided(record, x, y, SIGMA)], axis=-1)
-    wanted = point[..., None] * shares.at(np.array([position]))[0]
-    naive = point[..., None] * shares.at(np.stack([u.ravel() + position[0], v.ravel() + position[1]], -1)).reshape(
-        *u.shape, -1
-    )
+    """What the Gaussian has spread belongs to the place that it comes from, at every frequency below the limit."""
+    per_px, highest = 3, 0.6
+    line = fine_line(np.zeros(1), -SIDE - 10, SIDE + 10, per_px)
+    x, y = np.meshgrid(line.at - position[0], line.at - position[1])
+    gaussian = np.exp(-(x**2 + y**2) / (2 * SIGMA**2)) / (2 * np.pi * SIGMA**2)
+    blurred = transformed(jnp.asarray(gaussian)[..., None], line, line, per_px, False)
+    point, weights = blurred.undone(SIGMA, highest), shares.on_grid(line.at, line.at)
+    low = np.hypot(point.fx, point.fy[:, None]) < highest
     through = kernels(shares.positions)
-    off, uncorrected = (np.abs((one - wanted) @ through).max() for one in (divided, naive))
-    assert off < max(1e-5, shares.left_over(SIGMA, through))
+
+    def error(of, wanted):
+        divided = np.stack(
+            [np.asarray(of.of(weights.of(k) * of.values()).spectrum)[low, 0] for k in range(len(through))], -1
+        )
+        return np.abs((divided - np.asarray(of.spectrum)[low] * wanted) @ through).max() / per_px**2
+
+    wanted = shares.at(np.array([position]))[0]
+    off, uncorrected = error(point, wanted), error(blurred, wanted)
+    assert off < 2e-6
     assert off < 0.01 * uncorrected

@@ -183,6 +183,17 @@ def test_wrong_assumptions(shot, wrong, alpha):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("stated", [0.53, 0.55])
+def test_a_lens_that_would_leave_no_width_for_the_lobe_is_a_contradiction(stated):
+    """The stated lens explains the whole highlight; a lens of its true width and a lobe explain it better."""
+    table, _ = Shot(oracle.Setup(sigma=0.5)).table(oracle.GGX(0.002), 3)
+    known = Uncertainty(("optics.sigma_px",), np.array([[(0.0005 * stated) ** 2]]))
+    done = Correction.of(table, rigs.replace(recorded.rig(), camera=Camera(GaussianOptics(stated), uncertainty=known)))
+    assert done.withheld
+    assert {"lens-contradicts-data", "correction-withheld"} <= {remark.code for remark in done.remarks}
+
+
+@pytest.mark.slow
 def test_a_rig_that_is_contradicted_corrects_nothing():
     """True lens 5 % wider than one that is stated as exact: the table stays as it is, unless it is asked for."""
     here = Shot(oracle.Setup(sigma=0.525))

@@ -41,8 +41,7 @@ from matcam.forward.cells_in_pictures import (
     cell_sampling,
 )
 from matcam.forward.cylinder_cells import check_cylinder, cylinder_table
-from matcam.forward.frequencies.band_limited import EXACT
-from matcam.forward.frequencies.table_records import record_by_frequencies, served_by_frequencies
+from matcam.forward.frequencies.table_records import frequency_error, record_by_frequencies, served_by_frequencies
 from matcam.forward.integral.blur import Imaging, imaging_of, kernel_error
 from matcam.forward.pixel_grid import phase_of_slices, pixel_numbers, slice_pixels
 from matcam.forward.sampler.plan import RecordPlan, graded_for, record_plan
@@ -123,7 +122,9 @@ def measure(
         "cell_value": written,
         "sample": rig.sample.kind,
         "rig": repr(rig),
-        "kernel_error": max(EXACT if by else kernel_error(one) for one, by in zip(lenses, by_frequencies, strict=True)),
+        "kernel_error": max(
+            (frequency_error if by else kernel_error)(one) for one, by in zip(lenses, by_frequencies, strict=True)
+        ),
         "route": "frequencies" if all(by_frequencies) else "space",
     }
     attrs["lamp_azimuth"] = _azimuth(rig, azimuth)

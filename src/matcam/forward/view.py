@@ -6,6 +6,7 @@ band-limited lens, the radiance of all pixels is computed at several positions p
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import equinox as eqx
@@ -155,31 +156,32 @@ def _filtered_record(material: Material, view: View, lens: PictureLens) -> jax.A
         per_px, across, along, record = _light_record(material, view, lens)
     else:
         per_px, across, along, record = _fine_record(material, view, lens)
-    shares = [record]
-    if lens.shares is not None:
-        divided = lens.shares.divided(record.derivative, across.at, along.at, lens.limit.sigma)
-        shares = [record.of(share) for share in divided]
     rows, columns = (
         first + per_px * np.arange(one.size) for first, one in ((along.first, view.y), (across.first, view.x))
     )
     rows = np.zeros_like(rows) if endless else rows
-    seen = []
-    for c, colour in enumerate(lens.colours):
-        # one colour applies to all channels
-        own = slice(None) if len(lens.colours) == 1 else [min(c, record.spectrum.shape[-1] - 1)]
-        passed = (
-            filtered(share.only(own), one, lens.pixel, lens.limit, colour.shift)
-            for share, one in zip(shares, colour.lenses, strict=True)
-        )
-        seen.append(record._replace(spectrum=sum(passed, jnp.zeros(()))).values()[rows[:, None], columns])
+    channels = record.spectrum.shape[-1]
+    own = [
+        list(range(channels)) if len(lens.colours) == 1 else [min(c, channels - 1)] for c in range(len(lens.colours))
+    ]
+    shares: Iterable[FineRecord] = [record]
+    if lens.shares is not None:
+        weights, values = lens.shares.on_grid(across.at, along.at), record.values()
+        shares = (record.of(weights.of(k) * values) for k in range(len(lens.shares.positions)))
+    passed = [jnp.zeros(())] * len(lens.colours)
+    for k, share in enumerate(shares):
+        for c, colour in enumerate(lens.colours):
+            passed[c] = passed[c] + filtered(share.only(own[c]), colour.lenses[k], lens.pixel, colour.shift)
+    seen = [record._replace(spectrum=one).values()[rows[:, None], columns] for one in passed]
     return jnp.concatenate(seen, axis=-1)
 
 
 def _light_record(material: Material, view: View, lens: PictureLens) -> tuple[int, FineLine, FineLine, FineRecord]:
-    """Compute the fine record of a sphere from its radiance on a grid.
+    """Compute the radiance of a sphere on a grid.
 
     Returns:
-        Number of positions along the side of a pixel; positions of columns and of rows; and the record.
+        Number of positions along the side of a pixel; positions of columns and of rows; and the transform of the radiance,
+        exact up to the cutoff frequency of the lens.
     """
     sample = view.imaging.sample
     radius = float(jax.lax.stop_gradient(sample.radius))
@@ -194,11 +196,12 @@ def _light_record(material: Material, view: View, lens: PictureLens) -> tuple[in
         nearness = nearer(view.imaging, point.distance).lamp_nearness
         light += point.weight * grid.laid(Scene(material, sample, angle, nearness, turn))
     record = transformed(jnp.asarray(light), across, along, per_px, False)
-    return per_px, across, along, record.through(view.imaging.blur.stds[0])
+    jitter = view.imaging.blur.stds[0] ** 2 - lens.limit.sigma**2
+    return per_px, across, along, record.blurred(jitter)
 
 
 def _fine_record(material: Material, view: View, lens: PictureLens) -> tuple[int, FineLine, FineLine, FineRecord]:
-    """Compute the results of `_light_record` by quadrature, separately for each position."""
+    """Compute the results of `_light_record` from records by quadrature, separately for each position."""
     per_px, endless = lens.limit.per_px, isinstance(view.imaging.sample, Cylinder)
     reach = max(group.scale.reach for group in groups_of(view.imaging.blur, view.imaging.sample))
     side = float(jax.lax.stop_gradient(view.imaging.sample.radius)) + reach
@@ -212,7 +215,8 @@ def _fine_record(material: Material, view: View, lens: PictureLens) -> tuple[int
     ]
     values = jnp.concatenate(parts)
     whole = jnp.zeros((x.size, values.shape[-1])).at[lit].set(values).reshape(*x.shape, -1)
-    return per_px, across, along, transformed(whole, across, along, per_px, endless)
+    record = transformed(whole, across, along, per_px, endless)
+    return per_px, across, along, record.undone(lens.limit.sigma, lens.highest)
 
 
 def record_pixels(material: Material, view: View, x: np.ndarray, y: np.ndarray) -> jax.Array:

@@ -26,8 +26,8 @@ class SeidelOptics(VaryingOptics):
     astigmatism h^2 `astigmatism`, defocus `defocus` + h^2 `curvature`, and spherical aberration `spherical`. Coma and
     astigmatism are oriented along the line to the axis.
 
-    `at` evaluates the lens at one position. `picture` supports this lens: the image of each surface element is blurred
-    by the lens at the position of that image.
+    `at` evaluates the lens at one position. `picture` and `measure` support this lens: the image of each surface element is
+    blurred by the lens at the position of that image.
 
     Args:
         f_number: working f-number, no unit, positive.

@@ -22,6 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.fft import next_fast_len
+from scipy.special import erfc
 
 from matcam.camera.camera import Camera
 from matcam.camera.optics.gaussian import gaussian_sum
@@ -41,6 +42,10 @@ _SIGMAS = np.arange(0.1, 2.0, 0.025)
 _FREQUENCIES = 120
 _ANGLES = np.linspace(0, np.pi / 4, 5)
 _REPLICAS = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j]
+_ROLL_OFF = 3.4
+"""Argument at which erfc(x) / 2 is 1e-6."""
+_LEAST_BLURRED = 1e-4
+"""Transfer function of the fine record below which it is not undone, because rounding errors would dominate."""
 APART = 160
 """Distance between the scene and its periodic copy, px. There, an Airy pattern of f/8 has decreased to 1e-7 of its peak."""
 
@@ -179,17 +184,21 @@ class FineRecord(NamedTuple):
         """Compute the values of the record, (rows, columns, channels)."""
         return jnp.fft.irfft2(self.spectrum, self.padded, axes=(0, 1))[: self.size[0], : self.size[1]]
 
-    def through(self, sigma: float | jax.Array) -> FineRecord:
-        """Filter radiance by a Gaussian lens and a pixel of half width `POINT`.
+    def blurred(self, variance: float | jax.Array) -> FineRecord:
+        """Filter by a Gaussian. `variance` is its variance along each axis, px^2."""
+        gaussian = jnp.exp(-2 * jnp.pi**2 * variance * (self.fx**2 + self.fy[:, None] ** 2))
+        return self._replace(spectrum=self.spectrum * gaussian[..., None])
 
+    def undone(self, sigma: float | jax.Array, highest: float) -> FineRecord:
+        """Undo the blur by a Gaussian lens and a pixel of half width `POINT`, up to a frequency.
+
+        The result has the spectrum of the radiance up to the frequency `highest`, cycles/px. Above, the spectrum decreases
+        smoothly to 0 at the aliases of this frequency, so that a point of light has a compact image.
         `sigma` is the standard deviation of the lens, px.
         """
-        return self._replace(spectrum=self.spectrum * recorded(sigma, self.fx, self.fy[:, None])[..., None])
-
-    def derivative(self, along: int, across: int) -> jax.Array:
-        """Compute a derivative of the values with respect to position in px, of order `along` in x and `across` in y."""
-        factor = (2j * np.pi * self.fx) ** along * (2j * np.pi * self.fy[:, None]) ** across
-        return self._replace(spectrum=self.spectrum * factor[..., None]).values()
+        blur, middle = recorded(sigma, self.fx, self.fy[:, None]), float(np.abs(self.fx).max())
+        rolled = erfc(_ROLL_OFF * (np.hypot(self.fx, self.fy[:, None]) - middle) / (middle - highest)) / 2
+        return self._replace(spectrum=self.spectrum * (rolled * blur / (blur**2 + _LEAST_BLURRED**2))[..., None])
 
     def only(self, channels: slice | list[int]) -> FineRecord:
         return self._replace(spectrum=self.spectrum[..., channels])
@@ -216,30 +225,29 @@ def transformed(values: jax.Array, across: FineLine, along: FineLine, per_px: in
     return FineRecord(spectrum, fx, fy, (rows, columns), (height, width))
 
 
-def filtered(record: FineRecord, optics: Optics, pixel: PixelResponse, limit: BandLimit, shift: jax.Array) -> jax.Array:
-    """Filter a fine record by lens and pixel.
+def filtered(light: FineRecord, optics: Optics, pixel: PixelResponse, shift: jax.Array) -> jax.Array:
+    """Filter radiance by lens and pixel.
 
     Args:
-        record: transform of the record.
+        light: transform of the radiance, exact up to the cutoff frequency of the lens.
         optics: the lens.
         pixel: the pixel.
-        limit: sampling of the record.
         shift: shift of the image, (right, up), px.
 
     Returns:
-        Transform of the filtered record.
+        Transform of the image.
     """
-    fx, fy = np.broadcast_arrays(record.fx, record.fy[:, None])
+    fx, fy = np.broadcast_arrays(light.fx, light.fy[:, None])
     rows, columns = np.nonzero(np.hypot(fx, fy) <= optics_band(optics))
     fx, fy = fx[rows, columns], fy[rows, columns]
-    lens = optics.otf(fx, fy) * pixel.mtf(fx) * pixel.mtf(fy) / recorded(limit.sigma, fx, fy)
+    lens = optics.otf(fx, fy) * pixel.mtf(fx) * pixel.mtf(fy)
     if np.any(np.asarray(jax.lax.stop_gradient(shift))):
         lens = lens * jnp.exp(-2j * jnp.pi * (fx * shift[0] + fy * shift[1]))
-    passed = record.spectrum[rows, columns] * lens[:, None]
-    return jnp.zeros_like(record.spectrum).at[rows, columns].set(passed)
+    passed = light.spectrum[rows, columns] * lens[:, None]
+    return jnp.zeros_like(light.spectrum).at[rows, columns].set(passed)
 
 
-def recorded(sigma: float | jax.Array, fx: np.ndarray, fy: np.ndarray) -> jax.Array:
+def recorded(sigma: float | jax.Array, fx: np.ndarray | float, fy: np.ndarray | float) -> jax.Array:
     """Compute the transfer function of a Gaussian lens with a pixel of half width `POINT`.
 
     `sigma` is the standard deviation of the lens, px. `fx` and `fy` are frequencies, cycles/px.

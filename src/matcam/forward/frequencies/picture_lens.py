@@ -21,6 +21,7 @@ from matcam.camera.optics.zernike import check_phase
 from matcam.camera.pixel import PixelResponse
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import jax, jnp
+from matcam.core.workspace import default_workspace
 from matcam.forward.frequencies.band_limited import EXACT, BandLimit, band_limit, concrete, optics_band, sampling_of
 from matcam.forward.frequencies.position_shares import PositionShares
 
@@ -105,7 +106,9 @@ def picture_lens(camera: Camera, radius: float, error: float | None = None) -> P
     optics = camera.optics
     if optics.isotropic:
         limit = band_limit(camera, error or EXACT)
-        return None if limit is None else PictureLens(camera.pixel, limit, (_colour(optics, None),), None, limit.error)
+        return (
+            None if limit is None else PictureLens(camera.pixel, limit, (colour_lens(optics, None),), None, limit.error)
+        )
     if not concrete(camera):
         raise ArgumentError(
             f"{type(optics).__name__} must have concrete parameters: call this function outside jax.jit and jax.vmap"
@@ -115,22 +118,14 @@ def picture_lens(camera: Camera, radius: float, error: float | None = None) -> P
         shifts: tuple[jax.Array, ...] = optics.shifts
     else:
         parts, shifts = (optics,), (jnp.zeros(2),)
-    shares, between = _shares_for(parts, radius)
-    colours = tuple(_colour(one, shares, shift) for one, shift in zip(parts, shifts, strict=True))
+    shares, between = shares_for(parts, radius)
+    colours = tuple(colour_lens(one, shares, shift) for one, shift in zip(parts, shifts, strict=True))
     limit = sampling_of([lens for colour in colours for lens in colour.lenses], camera.pixel, error or EXACT)
     if limit.error > _TOLERABLE:
         raise ArgumentError(
             f"the {type(optics).__name__} passes frequencies up to {optics.band():.2g} cycles/px, which are too high for the "
             f"filter of an image (error {limit.error:.1g}): give a larger f-number, or wider Gaussians"
         )
-    if shares is not None:
-        varying = [one for one in parts if isinstance(one, SeidelOptics)]
-        between += shares.left_over(limit.sigma, _sampled(varying, shares.positions, _CHECKED))
-        if between > _TOLERABLE:
-            raise ArgumentError(
-                f"the lens varies too much within a few pixels of a sample of {radius:g} px radius: increase the "
-                "parameter `unit` of SeidelOptics, or decrease its coefficients"
-            )
     return PictureLens(camera.pixel, limit, colours, shares, limit.error + between)
 
 
@@ -139,7 +134,8 @@ def varies_over_field(optics: Optics) -> bool:
     return any(isinstance(one, SeidelOptics) for one in parts)
 
 
-def _colour(optics: Optics, shares: PositionShares | None, shift: jax.Array | None = None) -> ColourLens:
+def colour_lens(optics: Optics, shares: PositionShares | None, shift: jax.Array | None = None) -> ColourLens:
+    """Build the filter of one colour: one lens, or one lens for each share."""
     shift = jnp.zeros(2) if shift is None else shift
     if shares is None:
         return ColourLens((optics,), shift)
@@ -148,7 +144,7 @@ def _colour(optics: Optics, shares: PositionShares | None, shift: jax.Array | No
     return ColourLens((optics,) * len(shares.positions), shift)
 
 
-def _shares_for(optics: tuple[Optics, ...], radius: float) -> tuple[PositionShares | None, float]:
+def shares_for(optics: tuple[Optics, ...], radius: float) -> tuple[PositionShares | None, float]:
     """Choose the smallest number of shares that interpolates the lenses accurately.
 
     The results are the shares (None if no lens varies over the field) and the largest error of a transfer function, no unit.
@@ -156,6 +152,11 @@ def _shares_for(optics: tuple[Optics, ...], radius: float) -> tuple[PositionShar
     varying = [jax.lax.stop_gradient(one) for one in optics if isinstance(one, SeidelOptics)]
     if not varying:
         return None, 0.0
+    key = radius, *(np.asarray(leaf).tobytes() for leaf in jax.tree.leaves(varying))
+    return default_workspace().remember("shares of a lens", key, lambda: _shares_of(varying, radius))
+
+
+def _shares_of(varying: list[SeidelOptics], radius: float) -> tuple[PositionShares, float]:
     turn = 2 * np.pi * (np.arange(_ROUND) + 0.2) / _ROUND
     positions = radius * np.concatenate([ring * np.stack([np.cos(turn), np.sin(turn)], -1) for ring in _RINGS])
     true = _sampled(varying, positions, _CHECKED)

@@ -5,29 +5,23 @@ positions. The weights are polynomials in x and y. Pivoted QR selects the positi
 sample are approximated by polynomials of the position. The coefficients of these polynomials are linear combinations of
 the selected kernels, found by least squares.
 
-The radiance is given by its record R through a Gaussian of standard deviation s. Multiplication by x before the blur
-corresponds to the operator x + s^2 d/dx after the blur. The record of the radiance multiplied by a weight w therefore
-follows from R, as a sum over the orders a and b of derivatives in x and y (Laplace is the Laplace operator):
-
-    sum over a, b of  s^(2a + 2b) / (a! b!)  d^(a+b)/dx^a dy^b [exp(s^2 Laplace / 2) w]  d^(a+b) R / dx^a dy^b.
+The radiance is given on a grid, with a transform that is exact within the band of the lens. Multiplication by a smooth
+weight mixes neighbouring frequencies only, so it may be applied to the values on the grid.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from math import factorial
 from typing import NamedTuple
 
 import numpy as np
-from numpy.polynomial.chebyshev import chebder, chebvander2d
+from numpy.polynomial.chebyshev import chebvander, chebvander2d
 from scipy.linalg import qr
 
 from matcam.core.jax import jax, jnp
 
-ORDER = 3
-"""Highest order of the derivatives of a weight that are used."""
-_STEEPEST = 3.0
-"""Largest fourth derivative of a Gaussian with peak 1 and standard deviation 1."""
+_BEYOND = 4.0
+"""Distance beyond the disc from which weights are constant, px. The radiance of the grid has decreased there."""
 
 
 class PositionShares(NamedTuple):
@@ -77,65 +71,29 @@ class PositionShares(NamedTuple):
         """
         return _evaluated(self.coefficients, positions / self.side)
 
-    def left_over(self, sigma: float, values: np.ndarray) -> float:
-        """Compute an upper bound of the error due to neglected derivatives, as a share of the peak of a record.
+    def on_grid(self, x: np.ndarray, y: np.ndarray) -> GridWeights:
+        """Prepare the weights on a grid. `x` and `y` are the positions of the columns and of the rows, px."""
+        degree, end = self.coefficients.shape[0] - 1, 1 + _BEYOND / self.side
+        along, across = (chebvander(np.clip(a / self.side, -end, end), degree) for a in (x, y))
+        return GridWeights(across, along, np.moveaxis(self.coefficients, -1, 0))
 
-        Args:
-            sigma: standard deviation of the Gaussian of the record, px.
-            values: values of the kernels at the selected positions, (shares, values).
-        """
-        positions = _in_disc(self.coefficients.shape[0])
-        more = [
-            np.abs(_evaluated(self._derived(a, ORDER + 1 - a), positions) @ values).max()
-            / (factorial(a) * factorial(ORDER + 1 - a))
-            for a in range(ORDER + 2)
-        ]
-        return float(_STEEPEST * sigma ** (ORDER + 1) * max(more))
 
-    def divided(
-        self, record: Callable[[int, int], jax.Array], x: np.ndarray, y: np.ndarray, sigma: float
-    ) -> list[jax.Array]:
-        """Compute the record of each share of the radiance.
+class GridWeights(NamedTuple):
+    """Weights of shares at the points of a grid, as products of factors of rows and of columns.
 
-        Args:
-            record: function that returns a derivative of the total record, (rows, columns, channels). Its arguments are
-                the orders in x and in y.
-            x: positions of the columns, px.
-            y: positions of the rows, px.
-            sigma: standard deviation of the Gaussian of the record, px.
-        """
-        degree = self.coefficients.shape[0] - 1
-        along, across = (np.polynomial.chebyshev.chebvander(a / self.side, degree) for a in (x, y))
-        shares: list[jax.Array] = [jnp.zeros(())] * len(self.positions)
-        for a in range(ORDER + 1):
-            for b in range(ORDER + 1 - a):
-                one = record(a, b) * (sigma ** (2 * a + 2 * b) / (factorial(a) * factorial(b)))
-                weight = self._spread(sigma)._derived(a, b)
-                for k in range(len(shares)):
-                    shares[k] = shares[k] + jnp.asarray(across @ weight[..., k].T @ along.T)[..., None] * one
-        return shares
+    Attributes:
+        rows: Chebyshev polynomials of the rows, (rows, b).
+        columns: Chebyshev polynomials of the columns, (columns, a).
+        coefficients: coefficients of their products, (shares, a, b).
+    """
 
-    def _spread(self, sigma: float) -> PositionShares:
-        """Blur the weights w by a Gaussian: exp(sigma^2 Laplace / 2) w, up to the order sigma^4.
+    rows: np.ndarray
+    columns: np.ndarray
+    coefficients: np.ndarray
 
-        `sigma` is the standard deviation of the Gaussian, px, and Laplace the Laplace operator.
-        """
-        one = self._replace(coefficients=self._derived(2, 0) + self._derived(0, 2))
-        two = one._derived(2, 0) + one._derived(0, 2)
-        return self._replace(coefficients=self.coefficients + sigma**2 / 2 * one.coefficients + sigma**4 / 8 * two)
-
-    def _derived(self, along: int, across: int) -> np.ndarray:
-        """Compute the coefficients of a derivative of the weights with respect to position in px.
-
-        `along` is the order of the derivative in x, and `across` the order in y. The result has the shape of
-        `coefficients`.
-        """
-        found = self.coefficients
-        for axis, times in ((0, along), (1, across)):
-            if times:
-                found = chebder(found, times, scl=1 / self.side, axis=axis)
-        padding = [(0, n - m) for n, m in zip(self.coefficients.shape, found.shape, strict=True)]
-        return np.pad(found, padding)
+    def of(self, share: int | jax.Array) -> jax.Array:
+        """Compute the weights of a share, (rows, columns, 1)."""
+        return (self.rows @ jnp.asarray(self.coefficients)[share].T @ self.columns.T)[..., None]
 
 
 def _evaluated(coefficients: np.ndarray, unit: np.ndarray) -> np.ndarray:

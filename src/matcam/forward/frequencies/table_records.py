@@ -17,12 +17,13 @@ import numpy as np
 from scipy.fft import next_fast_len
 
 from matcam.camera.optics.gaussian import gaussian_sum
-from matcam.camera.optics.seidel import SeidelOptics
 from matcam.core.jax import is_concrete, jax, jnp, placed, without_derivatives
 from matcam.core.programs import kept_program
-from matcam.forward.frequencies.band_limited import APART, optics_band
+from matcam.forward.frequencies.band_limited import APART, EXACT, optics_band
 from matcam.forward.frequencies.light_grid import Laying, LightGrid, margin_of, per_px_for, serves
 from matcam.forward.frequencies.mirrored import MirroredTransfer
+from matcam.forward.frequencies.picture_lens import colour_lens, shares_for
+from matcam.forward.frequencies.position_shares import GridWeights, PositionShares
 from matcam.forward.frequencies.reading import Reading
 from matcam.forward.integral.scene import Scene, Turn
 from matcam.forward.sampler.plan import RecordPositions
@@ -36,12 +37,13 @@ class _Frame(NamedTuple):
 
     Attributes:
         grid: grid of the radiance; if the radiance is symmetric about the x axis, the grid covers the upper half only.
-        transfer: transfer function of lens and pixel divided by the transform of the window of `reading`, (rows, columns),
-            no unit. The columns are the frequencies along x that are not negative. It is a `MirroredTransfer` if radiance
-            and lens are symmetric about the x axis.
+        transfer: transfer function of lens and pixel divided by the transform of the window of `reading`, (shares, rows,
+            columns), no unit. The columns are the frequencies along x that are not negative. It is a `MirroredTransfer` if
+            radiance and lens are symmetric about the x axis.
         sides: rows and columns of the periodic image.
         per_px: number of points of the grid along the side of a pixel.
         reading: interpolation of the filtered image.
+        weights: weights of the shares of the radiance, for a lens that varies over the field; None: there is one share.
     """
 
     grid: LightGrid
@@ -49,18 +51,19 @@ class _Frame(NamedTuple):
     sides: tuple[int, int]
     per_px: int
     reading: Reading
+    weights: GridWeights | None = None
 
 
 def served_by_frequencies(rig: Rig, material: Material) -> bool:
     """Check whether a table is computed by filtering images.
 
     This requires a distant camera in focus, a distant lamp, an isotropic lobe, and a sphere that is not too small. The lens
-    must be the same all over the field, and must not be a sum of Gaussians. The lamp must be a point, because under a disc
-    each slice would require as many images as the disc has points. Parameters must be concrete, apart from derivatives.
+    must not be a sum of Gaussians. The lamp must be a point, because under a disc each slice would require as many images as
+    the disc has points. Parameters must be concrete, apart from derivatives.
     """
     optics = rig.camera.optics
     known = without_derivatives((rig, material))
-    if isinstance(optics, SeidelOptics) or not all(map(is_concrete, jax.tree.leaves(known))):
+    if not all(map(is_concrete, jax.tree.leaves(known))):
         return False
     distant = rig.lamp.nearness is None and float(known[0].lamp_radius) == 0
     if not isinstance(rig.sample, Sphere) or not distant or float(known[0].aperture) > 0:
@@ -68,6 +71,11 @@ def served_by_frequencies(rig: Rig, material: Material) -> bool:
     if not serves(rig.sample, material.elongation, optics_band(optics)):
         return False
     return not optics.isotropic or float(gaussian_sum(known[0].camera.optics).total_error) > 0
+
+
+def frequency_error(rig: Rig) -> float:
+    """Compute the largest error of a transfer function in `record_by_frequencies`, no unit."""
+    return EXACT + shares_for((rig.camera.optics,), float(without_derivatives(rig.sample).radius))[1]  # type: ignore[attr-defined]
 
 
 def record_by_frequencies(
@@ -94,11 +102,12 @@ def record_by_frequencies(
     ends, most = np.cumsum(counts), int(counts.max(initial=0))
     records = dict[int, jax.Array]()
     dark_left = (lamps >= np.pi / 2) & (turn is None)
+    shares, _ = shares_for((rig.camera.optics,), float(jax.lax.stop_gradient(sample.radius)))
     for right_half in (True, False):
         pictures = np.flatnonzero((dark_left == right_half) & (counts > 0))
         if not pictures.size:
             continue
-        frame = _frame(rig, sample, right_half=right_half, symmetric=turn is None)
+        frame = _frame(rig, sample, shares, right_half=right_half, symmetric=turn is None)
         known = all(map(is_concrete, jax.tree.leaves((material, sample, frame.transfer))))
         for k in pictures.tolist():
             # all images share a program, because they have equal numbers of positions
@@ -120,8 +129,8 @@ def _recorded(
     return _read(grid.laid(scene, laying), frame, at)
 
 
-def _frame(rig: Rig, sample: Sphere, *, right_half: bool, symmetric: bool) -> _Frame:
-    """Build the common grid of all images of a whole sphere or of its right half, and the transfer function."""
+def _frame(rig: Rig, sample: Sphere, shares: PositionShares | None, *, right_half: bool, symmetric: bool) -> _Frame:
+    """Build the common grid of all images of a whole sphere or of its right half, and the transfer functions of the shares."""
     optics, pixel = rig.camera.optics, rig.camera.pixel
     highest, radius = optics_band(optics), float(jax.lax.stop_gradient(sample.radius))
     per_px = per_px_for(highest, radius)
@@ -141,14 +150,27 @@ def _frame(rig: Rig, sample: Sphere, *, right_half: bool, symmetric: bool) -> _F
     ]
     known = fy[: high // 2 + 1] if optics.isotropic else fy
     rows, columns = np.nonzero(np.hypot(fx, known[:, None]) <= highest)
-    passed = optics.otf(fx[columns], known[rows])
-    whole = jnp.zeros((known.size, fx.size), passed.dtype).at[rows, columns].set(passed) * lines[0]
+    passed = jnp.stack([lens.otf(fx[columns], known[rows]) for lens in colour_lens(optics, shares).lenses])
+    whole = jnp.zeros((len(passed), known.size, fx.size), passed.dtype).at[:, rows, columns].set(passed) * lines[0]
     grid, transfer = LightGrid.of(x, y, highest, symmetric=symmetric), lines[1][: known.size, None] * whole
     if symmetric and optics.isotropic:
-        return _Frame(grid, MirroredTransfer.of(transfer[:-1]), (high, wide), per_px, reading)
+        return _Frame(grid, MirroredTransfer.of(transfer[0, :-1]), (high, wide), per_px, reading)
     if optics.isotropic:  # symmetric above and below
-        transfer = transfer[np.minimum(np.arange(high), high - np.arange(high))]
-    return _Frame(grid, transfer, (high, wide), per_px, reading)
+        transfer = transfer[:, np.minimum(np.arange(high), high - np.arange(high))]
+    weights = None if shares is None else shares.on_grid(_periodic(x, wide, False), _periodic(y, high, symmetric))
+    return _Frame(grid, transfer, (high, wide), per_px, reading, weights)
+
+
+def _periodic(line: np.ndarray, count: int, symmetric: bool) -> np.ndarray:
+    """Positions of the points of a periodic image, px, (count,). They are 0 between the image and its periodic copy.
+
+    symmetric: True if points below the axis follow after the last row.
+    """
+    whole = np.zeros(count)
+    whole[: line.size] = line
+    if symmetric:
+        whole[-line.size :] = -line[::-1]
+    return whole
 
 
 @kept_program
@@ -157,12 +179,20 @@ def _read(light: jax.Array, frame: _Frame, at: tuple[jax.Array, jax.Array]) -> j
     column, row = (
         (position - line[0]) * frame.per_px for position, line in zip(at, (frame.grid.x, frame.grid.y), strict=True)
     )
-    if isinstance(frame.transfer, MirroredTransfer):
-        return frame.reading.values(frame.transfer.seen(light, frame.sides[1]), row, column, mirrored=True)
+    transfer = frame.transfer
+    if isinstance(transfer, MirroredTransfer):
+        return frame.reading.values(transfer.seen(light, frame.sides[1]), row, column, mirrored=True)
     height, width, channels = light.shape
     # the image is periodic: positions below the axis follow after its last row
     whole = jnp.zeros((*frame.sides, channels)).at[:height, :width].set(light)
     if frame.grid.symmetric:
         whole = whole.at[-height:, :width].set(light[::-1])
-    spectrum = jnp.fft.rfft2(whole, axes=(0, 1)) * frame.transfer[..., None]
+
+    def filtered(share: int | jax.Array) -> jax.Array:
+        part = whole if frame.weights is None else whole * frame.weights.of(share)
+        return jnp.fft.rfft2(part, axes=(0, 1)) * transfer[share, ..., None]
+
+    spectrum = filtered(0)
+    if frame.weights is not None:
+        spectrum = jax.lax.fori_loop(1, len(transfer), lambda k, sum_: sum_ + filtered(k), spectrum)
     return frame.reading.values(jnp.fft.irfft2(spectrum, frame.sides, axes=(0, 1)), row, column)

@@ -104,8 +104,24 @@ def rig_refits(setup: FitSetup, rig: Rig, found: MaterialFit, names: Sequence[st
         elif name in widths_of(rig) or name in rig.camera.parameters():
             refits.append(_followed_refit(setup.with_(also=(name,)), found, name))
     if not found.resolved:  # a lobe at its lower bound biases the width of the lens
-        return tuple(refit._replace(contradicts=refit.contradicts and refit.axis.name != LENS) for refit in refits)
+        return tuple(_with_any_lens(refit, setup, rig) if refit.axis.name == LENS else refit for refit in refits)
     return tuple(refits)
+
+
+def _with_any_lens(refit: RigRefit, setup: FitSetup, rig: Rig) -> RigRefit:
+    """Test the width of the lens for a lobe that is too narrow to be resolved.
+
+    A lens that is specified as too wide explains the whole highlight, so that no width remains for the lobe. Lens and rig
+    contradict each other only if a fit of any lens and any lobe resolves the lobe.
+    """
+    known = known_lens(rig.camera).uncertainty
+    relative = (known.std()[LENS] if known and LENS in known.names else 0.0) / refit.axis.base
+    if is_guess(LENS, relative):
+        return refit
+    free = _free_refit(setup.with_(camera_parameters="free", free=(LENS,), also=()).solve(), LENS)
+    limit = max(_SIGNIFICANT * np.hypot(free.std / free.axis.base, relative), _LEAST)
+    wrong = free.fit.resolved and abs(free.value / free.axis.base - 1) > limit
+    return (free if wrong else refit)._replace(weight=refit.weight, contradicts=bool(wrong))
 
 
 def _followed_refit(free: FitSetup, found: MaterialFit, name: str) -> RigRefit:
