@@ -106,8 +106,8 @@ def _print_trace(trace: dict[str, Any]) -> None:
     elif trace["visible"]:
         show.say(
             f"camera: visible. In the plane of light and view, lobes widen {trace['widening']:.2f} times as much as across it. "
-            f"This agrees with a kernel of {trace['kernel_rad']:.2g} rad / cos theta_d and a lobe width of "
-            f"{trace['lobe_rad']:.2g} rad"
+            f"Roughly (10 %), the standard deviation of the blur is {trace['kernel_rad']:.2g} rad / cos theta_d, and that of the "
+            f"lobe {trace['lobe_rad']:.2g} rad, for Gaussians; `fresnel` and `correct` fit both accurately"
         )
     else:
         show.say(
@@ -246,7 +246,7 @@ def _print_table(report: dict[str, Any]) -> None:
         f"sampled at each cell's {report['sampling']}"
     )
     if report["rig"]:
-        show.say(f"recorded by {report['rig']}")
+        show.say(f"recorded by {report['rig']}", verbatim=True)
     show.say(
         f"missing: {report['missing_share']:.1%} of all values, "
         f"{report['missing_above_horizon_share']:.2%} of those above the horizon"

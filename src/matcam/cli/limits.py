@@ -75,7 +75,7 @@ def _print(found: Any) -> None:
     show.table(
         ["roughness", "camera exact", "camera as specified", "lens free", "F known to 5 % up to"],
         rows,
-        "Smallest standard deviations of ln roughness",
+        f"Smallest standard deviations of ln roughness, from {found.sizes['theta_d']} slices of theta_d",
     )
     rows = []
     for r in found["roughness"].values:

@@ -135,10 +135,13 @@ def _width() -> int | None:
     return _LEAST_WIDTH if stated.isdigit() and int(stated) < _LEAST_WIDTH else None
 
 
-def say(text: str, *, quiet: bool = False) -> None:
-    """Print a line of the result, unless `quiet` is set or the command prints only JSON."""
+def say(text: str, *, quiet: bool = False, verbatim: bool = False) -> None:
+    """Print a line of the result, unless `quiet` is set or the command prints only JSON.
+
+    Names of arguments become names of options, unless `verbatim` is set.
+    """
     if not quiet:
-        _say(worded(text))
+        _say(text if verbatim else worded(text))
 
 
 def notes(texts: Iterable[object]) -> None:

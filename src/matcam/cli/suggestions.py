@@ -71,7 +71,7 @@ def _correct(file: Path, values: dict[str, Any]) -> list[Any]:
 
 
 def _after_predict(values: dict[str, Any]) -> list[Any] | None:
-    if values.get("sample") == "flat":
+    if values.get("sample") == "flat" or values.get("ndf", "ggx") != "ggx":  # `limits` is for GGX lobes
         return None
     if values.get("camera"):
         from matcam.camera.camera import Camera

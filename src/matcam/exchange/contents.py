@@ -271,6 +271,8 @@ def material_of(contents: Contents) -> Material:
         return Tabulated(contents.data)
     if contents.content == "fields":
         return Adaptive(contents.data)
+    if contents.content == "result" and "brdf" in contents.data and contents.data["brdf"].dims == DIMS:
+        return Tabulated(contents.data["brdf"])
     raise ArgumentError(
         f"{contents.kind} cannot be evaluated at arbitrary angles: give a BRDF table on the MERL grid, or an RGL file"
     )

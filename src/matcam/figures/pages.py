@@ -279,6 +279,11 @@ def _peak_loss(degrees: str) -> Callable[[dict[str, Any]], _Cell]:
     return lambda record: _number((record.get("peak_lost") or {}).get(degrees), lambda x: f"{x:.0%}")
 
 
+def _relative_std_75(record: dict[str, Any]) -> _Cell:
+    std, gain = record.get("correction_std_75"), record.get("peak_gain_75")
+    return _number(None if std is None or not gain else std / gain, lambda x: f"{x:.1%}")
+
+
 _COLUMNS: tuple[tuple[tuple[str, ...], str, Callable[[dict[str, Any]], _Cell]], ...] = (
     (("material",), "text", _material),
     (("verdict",), "text", _verdict),
@@ -292,7 +297,7 @@ _COLUMNS: tuple[tuple[tuple[str, ...], str, Callable[[dict[str, Any]], _Cell]], 
     (("peak lost", "at 5°"), "number", _peak_loss("5")),
     (("at 45°",), "number", _peak_loss("45")),
     (("at 75°",), "number", _peak_loss("75")),
-    (("std of correction", "at 75°"), "number", lambda r: _number(r.get("correction_std_75"), lambda x: f"{x:.0%}")),
+    (("std of the correction", "at 75°, relative"), "number", _relative_std_75),
     (
         ("supported, of entries", "with known uncertainty"),
         "number",

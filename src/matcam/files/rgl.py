@@ -217,7 +217,10 @@ def _check_numbers(data: xr.Dataset, colour: str) -> None:
         )
     for name in ("vndf", "luminance"):
         if not np.all(np.max(data[name].values, axis=(2, 3)) > 0):
-            raise ArgumentError(f"field {name} must have a positive value for every direction of the light")
+            raise ArgumentError(
+                f"field {name} must have a positive value for every direction of the light: give a table without missing "
+                "directions"
+            )
     if data.sizes["row"] != data.sizes["column"]:
         raise ArgumentError(f"field luminance must be square, got {data.sizes['row']} x {data.sizes['column']}")
     if colour == "rgb" and data.sizes["channel"] != 3:

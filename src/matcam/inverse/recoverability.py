@@ -132,7 +132,7 @@ def limits(
     sigma, half_width = float(rig.camera.parameters()[LENS]), float(rig.camera.pixel.half_width)
     size = float(rig.sample.radius)  # type: ignore[attr-defined]
     least = NARROWEST * Scale.of(size, float(kernel_reach(half_width, np.asarray(sigma)))).largest
-    why = "(the quadrature nodes do not resolve narrower lobes)"
+    why = "(the quadrature nodes resolve lobes in this range)"
     given = np.asarray(roughness, dtype=object)
     values = np.asarray(checks.within("roughness", given, least, ONE_WIDTH[ndf].largest, why))
     if values.ndim != 1 or not values.size:

@@ -341,8 +341,15 @@ class Correction(Summarised):
     def _peak_response(self, theta_d: ArrayLike) -> np.ndarray:
         """Compute recorded / corrected peak at phi_d = 90 degrees, averaged over the channels.
 
-        For a missing or black peak, the response of the lobe is used instead.
+        It is interpolated between the slices of the table. For a missing or black peak, the response of the lobe is used
+        instead.
         """
+        angles = np.asarray(theta_d, dtype=float)
+        slices = self._grid.theta_d
+        return np.interp(angles, slices, self._slice_responses(slices))
+
+    def _slice_responses(self, theta_d: np.ndarray) -> np.ndarray:
+        """Compute the result of `_peak_response` in given slices, (slices,)."""
         at = self._peak(theta_d)
         recorded, corrected = self.recorded.values[at], self.table["brdf"].values[at]
         lobe = np.broadcast_to(self.table["response"].values[at][..., None], corrected.shape)

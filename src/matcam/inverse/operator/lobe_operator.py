@@ -291,7 +291,10 @@ def check_rig(rig: Rig) -> None:
     if not isinstance(rig, Rig):
         raise ArgumentError(f"rig must be a Rig such as rigs.merl(), got {type(rig).__name__}")
     if not isinstance(rig.sample, Sphere | Cylinder):
-        raise ArgumentError(f"the sample of the rig must be a Sphere or a Cylinder, got a {type(rig.sample).__name__}")
+        raise ArgumentError(
+            f"the sample of the rig must be a Sphere or a Cylinder, got a {type(rig.sample).__name__}: blur does not change "
+            "the table of a flat sample, so there is nothing to correct"
+        )
     if isinstance(rig.sample, Cylinder):
         check_cylinder(rig)
         checked_isotropic(rig.camera.optics, "a fit of a cylinder")
