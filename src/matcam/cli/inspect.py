@@ -106,8 +106,8 @@ def _print_trace(trace: dict[str, Any]) -> None:
     elif trace["visible"]:
         show.say(
             f"camera: visible. In the plane of light and view, lobes widen {trace['widening']:.2f} times as much as across it. "
-            f"Roughly (10 %), the standard deviation of the blur is {trace['kernel_rad']:.2g} rad / cos theta_d, and that of the "
-            f"lobe {trace['lobe_rad']:.2g} rad, for Gaussians; `fresnel` and `correct` fit both accurately"
+            f"Roughly, the standard deviation of the blur is {trace['kernel_rad']:.1g} rad / cos theta_d, and that of the lobe "
+            f"{trace['lobe_rad']:.1g} rad, for Gaussians; `fresnel` and `correct` fit both accurately"
         )
     else:
         show.say(

@@ -285,13 +285,14 @@ def reflectance_readings(
 def length_readings(fit: SphereFit) -> dict[str, FitReading]:
     """Derive the outline radius (px) and the distances of camera and lamp (radii of the sample) from a fit.
 
-    A distance is omitted if the fitted inverse distance is not positive.
+    A distance is omitted if its standard deviation is at least half the distance, because only a lower limit is known.
     """
     layout, p, unity = fit.layout, fit.solution.p, np.eye(fit.layout.size)
     found = {"outline_radius_px": FitReading(float(p[layout.of("radius")]), unity[layout.of("radius")])}
     for name in ("camera", "lamp"):
-        nearness = float(p[layout.of(name)])
-        if nearness > 0:
+        at = layout.of(name)
+        nearness = float(p[at])
+        if nearness > 2 * np.sqrt(fit.solution.covariance[at, at]):
             found[f"{name}_distance_radii"] = FitReading(1 / nearness, -unity[layout.of(name)] / nearness**2)
     return found
 

@@ -113,8 +113,9 @@ def fresnel_of(table: OpenedTable, channel: int) -> dict[str, np.ndarray]:
     The mean of each curve over theta_d from 10 to 45 degrees is 1.
 
     Returns:
-        Columns by name. `theta_d` is in degrees; all others have no unit. `low` and `high` are the values of `corrected`
-        minus and plus their standard deviations. Both are NaN unless the table is a result of `matcam fresnel`.
+        Columns by name. `theta_d` is in degrees; all others have no unit. `corrected` is NaN for unsupported peaks.
+        `low` and `high` are the values of `corrected` minus and plus their standard deviations. Both are NaN unless the
+        table is a result of `matcam fresnel`.
     """
     from matcam.inverse.peak_curve import peak_curve
 
@@ -132,9 +133,12 @@ def fresnel_of(table: OpenedTable, channel: int) -> dict[str, np.ndarray]:
     def curve(data: xr.DataArray | None) -> np.ndarray:
         return missing if data is None else peak_curve(data).values[:, channel]
 
+    corrected = curve(table.corrected)
+    if table.supported is not None:  # at least half of the cells nearest to the highlight
+        corrected = np.where(table.supported.values[0, ..., channel].mean(axis=-1) >= 0.5, corrected, np.nan)
     return {
-        "theta_d": np.degrees(table.best["theta_d"].values), "recorded": curve(table.recorded),
-        "corrected": curve(table.corrected), "low": missing, "high": missing,
+        "theta_d": np.degrees(table.best["theta_d"].values), "recorded": curve(table.recorded), "corrected": corrected,
+        "low": missing, "high": missing,
     }  # fmt: skip
 
 

@@ -62,6 +62,8 @@ _UNLIKELY = 0.05
 """Largest probability of the explanations without a camera at which a guessed lens is used."""
 _NEGLIGIBLE = 1e-3
 """Probability below which another lobe is neglected."""
+_MISFIT = 0.75
+"""Share of misfit in the variance of the residuals above which no lobe explains the data."""
 UNEXPLAINED = "unexplained"
 """Code of the remark that no explanation describes the data."""
 
@@ -167,11 +169,14 @@ class Explanation(NamedTuple):
         remarks = [*self.fit.remarks, *self.located.remarks]
         if self.fit.has_spline:
             remarks.append(self.shape.remark(self.fit.family))
-        if self.weighing.known and self.weighing.unexplained:
+        # few cells with large residuals hardly change the robust chi squared, but the estimated noise
+        pixel, fitted = self.weighing.noise.relative, self.fit.noise.relative
+        share = 1 - min(self.weighing.kappa, 1.0 if self.fit.noise_given else (pixel / max(pixel, fitted)) ** 2)
+        if self.weighing.known and (self.weighing.unexplained or share > _MISFIT):
             remarks.append(
                 Remark(
                     UNEXPLAINED,
-                    f"pixel noise ({self.weighing.noise.relative:.1%}) does not explain {1 - self.weighing.kappa:.0%} of the "
+                    f"pixel noise ({self.weighing.noise.relative:.1%}) does not explain {share:.0%} of the "
                     "variance of the residuals: no lobe that was tried explains the data fully; check the rig",
                 )
             )
