@@ -99,7 +99,7 @@ def command(
     force_correction: ForceCorrection = False,
     force: Force = False,
     json: AsJson = False,
-) -> int:
+) -> int | dict[str, Any]:
     """Correct a table for the camera that recorded it, with uncertainty; write MERL, NetCDF, JSON and a page.
 
     Several files, or a folder, form a run, which writes its results to the folder of `-o`. A run that was killed
@@ -165,7 +165,7 @@ def command(
                 _write_layers(paths[0], target, layers, rig.sampling, force)
         files = [*job.files, *([layers] if layers else [])]
         _print_table({**document, "files": files}, paths[0].name, json)
-        return 0
+        return {"withheld": document["withheld"]}
     from matcam.batch.run import correct_all
 
     with show.tallying("correcting") as watch:

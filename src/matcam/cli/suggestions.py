@@ -141,6 +141,8 @@ def _after_correct(values: dict[str, Any]) -> list[Any] | None:
     paths, output = values["paths"], values["output"]
     if len(paths) != 1 or is_folder(paths[0]) or (output and output.suffix.lower() != ".binary"):
         return None
+    if values.get("withheld"):  # both tables are equal
+        return None
     if find_spec("mitsuba") is None:  # Mitsuba is an optional dependency
         return None
     target = output or Path(f"{paths[0].stem}-corrected.binary")
