@@ -33,6 +33,6 @@ def test_the_blurs_are_small_in_the_image_of_a_large_sphere():
 
 def test_lobes_between_the_nodes_are_refused():
     with pytest.raises(
-        ArgumentError, match=r"roughness must lie in \[0\.00025, 1\] \(the quadrature nodes do not resolve"
+        ArgumentError, match=r"roughness must lie in \[0\.00025, 1\] \(the quadrature nodes resolve lobes"
     ):
         limits(_rig(100.0), roughness=[1e-4])

@@ -31,6 +31,10 @@ outside the range for larger coordinates.
 """
 _SIGNIFICANT = 4.0
 """Change of a free parameter above which rig and data contradict each other, in standard deviations."""
+_NARROWEST_BLUR = 0.02
+"""Change of the variance of a lens, px^2, that lobes at their lower bound may cause. The fit of a mirror narrows an exact lens by
+0.006 px^2, because the lobe has at least the smallest width.
+"""
 _LEAST = 0.002
 """Relative change of the width of the blur up to which rig and data do not contradict each other."""
 
@@ -112,7 +116,7 @@ def _with_any_lens(refit: RigRefit, setup: FitSetup, rig: Rig) -> RigRefit:
     """Test the width of the lens for a lobe that is too narrow to be resolved.
 
     A lens that is specified as too wide explains the whole highlight, so that no width remains for the lobe. Lens and rig
-    contradict each other only if a fit of any lens and any lobe resolves the lobe.
+    contradict each other only if a fit of any lens and any lobe resolves the lobe, with a clearly different lens.
     """
     known = known_lens(rig.camera).uncertainty
     relative = (known.std()[LENS] if known and LENS in known.names else 0.0) / refit.axis.base
@@ -120,7 +124,8 @@ def _with_any_lens(refit: RigRefit, setup: FitSetup, rig: Rig) -> RigRefit:
         return refit
     free = _free_refit(setup.with_(camera_parameters="free", free=(LENS,), also=()).solve(), LENS)
     limit = max(_SIGNIFICANT * np.hypot(free.std / free.axis.base, relative), _LEAST)
-    wrong = free.fit.resolved and abs(free.value / free.axis.base - 1) > limit
+    clear = abs(free.value**2 - free.axis.base**2) > _NARROWEST_BLUR
+    wrong = clear and free.fit.resolved and abs(free.value / free.axis.base - 1) > limit
     return (free if wrong else refit)._replace(weight=refit.weight, contradicts=bool(wrong))
 
 
