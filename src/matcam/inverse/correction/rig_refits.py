@@ -32,8 +32,8 @@ outside the range for larger coordinates.
 _SIGNIFICANT = 4.0
 """Change of a free parameter above which rig and data contradict each other, in standard deviations."""
 _NARROWEST_BLUR = 0.02
-"""Change of the variance of a lens, px^2, that lobes at their lower bound may cause. The fit of a mirror narrows an exact lens by
-0.006 px^2, because the lobe has at least the smallest width.
+"""Change of the variance of a lens, px^2, that lobes at their lower bound may cause. The fit of a mirror narrows an exact lens
+by 0.006 px^2, because the lobe has at least the smallest width.
 """
 _LEAST = 0.002
 """Relative change of the width of the blur up to which rig and data do not contradict each other."""
