@@ -29,7 +29,7 @@ def photographed(tmp_path_factory):
     return path, np.clip(np.rint(light / light.max() * 230), 0, 255).astype(np.uint8)
 
 
-@pytest.mark.parametrize("model", ["gaussian", "measured"])
+@pytest.mark.parametrize("model", [pytest.param("gaussian", marks=pytest.mark.slow), "measured"])
 def test_a_wrong_tone_curve_is_in_the_standard_deviation(photographed, model):
     """Edges, gratings and star disagree, because each has another contrast."""
     chart, codes = photographed

@@ -67,6 +67,7 @@ def coverage(count, seed):
     return np.mean(inside)
 
 
+@pytest.mark.slow
 def test_coverage():
     # 800 trials: a standard error of 1.6 %
     assert coverage(100, 1) == pytest.approx(0.683, abs=0.05)
@@ -94,6 +95,7 @@ def test_noise_is_estimated():
     assert np.max(np.abs(result.mtf50 / known.mtf50 - 1)) < 1e-3
 
 
+@pytest.mark.slow
 def test_curves_state_their_errors():
     images = oracle.photographs(oracle.gaussian(0.5), 100, 200, 6)
     result = edge_mtf_stack(images, gain=1.0, read_noise=0.0)
@@ -102,6 +104,7 @@ def test_curves_state_their_errors():
     assert np.std(result.angle) == pytest.approx(np.mean(result.angle_std), rel=0.2)
 
 
+@pytest.mark.slow
 def test_glare_under_noise_is_within_its_errors():
     response = 0.95 * oracle.gaussian(0.5) + 0.05 * oracle.gaussian(20)
     result = edge_mtf_stack(oracle.photographs(response, 100, 100, 7), gain=1.0, read_noise=0.0)

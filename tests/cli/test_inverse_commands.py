@@ -167,6 +167,7 @@ def test_limits_speaks(monkeypatch):
     assert sizes == pytest.approx(document["smallest"][0], rel=0.04)
 
 
+@pytest.mark.slow
 def test_limits_of_a_cylinder_speak_of_it():
     sphere = json.loads(run("limits", 0.01, "--json").stdout)  # its rules are those of the test before
     done = run("limits", 0.01, "--sample", "cylinder", "--json")

@@ -1,9 +1,12 @@
 """The draw of docstrings and messages: repeatable, without repetition, and from all sources."""
 
+import pytest
+
 import docs_draw
 from docs_messages import SOURCES
 
 
+@pytest.mark.slow
 def test_a_seed_repeats_its_draw():
     assert docs_draw.draw(1, 20) == docs_draw.draw(1, 20)
     assert docs_draw.draw(1, 20) != docs_draw.draw(2, 20)

@@ -187,6 +187,7 @@ def test_under_a_lamp_across_the_axis_a_row_of_the_picture_says_the_same(apertur
     np.testing.assert_allclose(found, row.values[0, shown, 0], rtol=2e-4, atol=1e-7 * found.max())
 
 
+@pytest.mark.slow
 def test_derivatives_are_those_of_differences():
     jax = pytest.importorskip("jax")
     positions = line_positions(rig_of(0.6, 0.5, 80.0), *drawn_cells(np.random.default_rng(4), 30))

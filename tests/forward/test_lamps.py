@@ -62,7 +62,7 @@ def check_picture(alpha, lamp_angle, azimuth, pixels, shape=SHAPE, rule=(1, 1), 
     assert max(missed) < 1
 
 
-@pytest.mark.parametrize(("by_rig", "pixels"), [(False, 8), (True, 3)])
+@pytest.mark.parametrize(("by_rig", "pixels"), [pytest.param(False, 8, marks=pytest.mark.slow), (True, 3)])
 def test_a_near_lamp_before_a_near_camera_at_an_azimuth(by_rig, pixels):
     """Around the highlight; the ends of the light are in the slow tests."""
     check_picture(0.1, 0.5, 2.3, pixels, (7, 7), camera=6.0, lamp=4.0, radius=12.0, by_rig=by_rig)

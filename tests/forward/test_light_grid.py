@@ -129,6 +129,7 @@ def cells_against(truth, table, slices, count, peak, seed):
     return np.abs(worst).max()
 
 
+@pytest.mark.slow
 def test_cells_of_a_gaussian():
     """Over the whole table: small lamp angles, half moons, and crescents up to their tips."""
     surface, setup = sphere_record.Surface(0.3, 0.3), sphere_record.Setup(8.0, np.inf, SIGMA)

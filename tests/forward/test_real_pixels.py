@@ -127,7 +127,7 @@ def test_a_picture_that_is_a_plane():
     assert np.isnan(table[:, 70][~seen]).all()
 
 
-@pytest.mark.parametrize("rule", ["centre", "mean", "nearest"])
+@pytest.mark.parametrize("rule", ["centre", pytest.param("mean", marks=pytest.mark.slow), "nearest"])
 def test_means_on_a_gpu(rule, monkeypatch):
     """A GPU averages the cells in a compiled program instead of NumPy."""
     cells = CellChoice(rule, pixel_phase=PHASE if rule == "nearest" else None, finest=0.5).cells(rigs.merl().sample)

@@ -74,6 +74,7 @@ def test_positions_at_the_limb_take_it(imaging):
     assert set(part.arcs.position) == {0, 1}
 
 
+@pytest.mark.slow
 def test_each_lamp_has_its_azimuth(imaging):
     """A quarter turn of lamp and position changes nothing: the pixels are square, and the lens is isotropic."""
     x, y, lamp = np.array([LIMB - 3.0, 60.0, LIMB - 2.0]), np.array([4.0, 5.0, 0.0]), np.array([1.7, 1.2, 0.9])

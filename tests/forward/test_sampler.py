@@ -110,6 +110,7 @@ def test_tiles_of_a_gpu(monkeypatch):
     np.testing.assert_allclose(in_large_tiles, in_small_tiles, rtol=limit("recorded-cells"), atol=1e-9)
 
 
+@pytest.mark.slow
 def test_lobes_without_a_closed_lambda(monkeypatch):
     """Lambda from a table, instead of a quadrature at every node, which takes fifty times as long."""
     rig, _, angle, _, x, y = drawn(0)

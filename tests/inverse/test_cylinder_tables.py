@@ -96,6 +96,7 @@ def simulated_cells(material, rig, cells):
     return at, np.mean(directions, axis=0)
 
 
+@pytest.mark.slow
 def test_a_sharp_highlight_just_outside_the_window():
     """The smallest theta_h in a window exceeds the width of the lobe, whose peak the nodes therefore need not resolve."""
     rig = Rig(Camera(GaussianOptics(1.5), BoxPixel(0.4)), Cylinder(60.0, 200.0), matcam.NearLamp(150.0, 0.0))
@@ -140,7 +141,7 @@ def drawn_table(alpha, rng, scatter, slice_step):
     return matcam.core.grid.brdf_table(table, "centre"), cells.theta_d, fresnel
 
 
-@pytest.mark.parametrize("alpha", [0.004, 0.03])
+@pytest.mark.parametrize("alpha", [pytest.param(0.004, marks=pytest.mark.slow), 0.03])
 def test_a_drawn_lobe_is_found_within_its_errors(alpha):
     slice_step = 12
     rng = np.random.default_rng(int(1e4 * alpha))

@@ -111,6 +111,7 @@ def test_small_discs_stay_gaussians():
     assert moved[0].max() < 0.01 < moved[1].max()
 
 
+@pytest.mark.slow
 def test_the_derivative_to_a_disc():
     """Of the kernel to the lamp's radius, against differences; they step over a chord's very end, where a bend is cut off."""
     rig, lamp_angle = under(128.0, 0.5), np.full(16, 1.2)

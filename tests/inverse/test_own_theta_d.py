@@ -90,6 +90,7 @@ def missed(kind, camera, alpha, slice_step, count):
     return found
 
 
+@pytest.mark.slow
 def test_f_is_each_nodes_own():
     found = missed(Sphere, 3.0, 0.02, 10, 1)
     assert found["schlick"][0] > 5e-4

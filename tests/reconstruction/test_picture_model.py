@@ -122,7 +122,7 @@ def test_a_change_of_the_field_is_seen_by_the_same_nodes(model):
     )
 
 
-@pytest.mark.parametrize("shape", [0, TERMS])
+@pytest.mark.parametrize("shape", [0, pytest.param(TERMS, marks=pytest.mark.slow)])
 def test_derivatives_are_those_of_the_values(model, shape):
     """Each parameter's derivative against central differences; at the terminator, where a node appears or goes, a pixel or two
     may differ. With a diffuse part of Lambert's law, and with one of another shape."""
