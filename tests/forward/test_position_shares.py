@@ -37,7 +37,7 @@ def test_a_share_of_a_point_is_its_weight_times_the_point(shares, position):
     x, y = np.meshgrid(line.at - position[0], line.at - position[1])
     gaussian = np.exp(-(x**2 + y**2) / (2 * SIGMA**2)) / (2 * np.pi * SIGMA**2)
     blurred = transformed(jnp.asarray(gaussian)[..., None], line, line, per_px, False)
-    point, weights = blurred.undone(SIGMA, highest), shares.on_grid(line.at, line.at)
+    point, weights = blurred.undone(SIGMA, highest, compact=True), shares.on_grid(line.at, line.at)
     low = np.hypot(point.fx, point.fy[:, None]) < highest
     through = kernels(shares.positions)
 

@@ -216,7 +216,7 @@ def _fine_record(material: Material, view: View, lens: PictureLens) -> tuple[int
     values = jnp.concatenate(parts)
     whole = jnp.zeros((x.size, values.shape[-1])).at[lit].set(values).reshape(*x.shape, -1)
     record = transformed(whole, across, along, per_px, endless)
-    return per_px, across, along, record.undone(lens.limit.sigma, lens.highest)
+    return per_px, across, along, record.undone(lens.limit.sigma, lens.highest, compact=lens.shares is not None)
 
 
 def record_pixels(material: Material, view: View, x: np.ndarray, y: np.ndarray) -> jax.Array:

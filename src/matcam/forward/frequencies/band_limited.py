@@ -44,7 +44,7 @@ _ANGLES = np.linspace(0, np.pi / 4, 5)
 _REPLICAS = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j]
 _ROLL_OFF = 3.4
 """Argument at which erfc(x) / 2 is 1e-6."""
-_LEAST_BLURRED = 1e-4
+_LEAST_BLURRED = 1e-5
 """Transfer function of the fine record below which it is not undone, because rounding errors would dominate."""
 APART = 160
 """Distance between the scene and its periodic copy, px. There, an Airy pattern of f/8 has decreased to 1e-7 of its peak."""
@@ -189,16 +189,24 @@ class FineRecord(NamedTuple):
         gaussian = jnp.exp(-2 * jnp.pi**2 * variance * (self.fx**2 + self.fy[:, None] ** 2))
         return self._replace(spectrum=self.spectrum * gaussian[..., None])
 
-    def undone(self, sigma: float | jax.Array, highest: float) -> FineRecord:
+    def undone(self, sigma: float | jax.Array, highest: float, *, compact: bool) -> FineRecord:
         """Undo the blur by a Gaussian lens and a pixel of half width `POINT`, up to a frequency.
 
-        The result has the spectrum of the radiance up to the frequency `highest`, cycles/px. Above, the spectrum decreases
-        smoothly to 0 at the aliases of this frequency, so that a point of light has a compact image.
-        `sigma` is the standard deviation of the lens, px.
+        Args:
+            sigma: standard deviation of the lens, px.
+            highest: frequency up to which the result has the spectrum of the radiance, cycles/px.
+            compact: True for a spectrum that decreases smoothly to 0 between this frequency and its aliases, so that a point
+                of light has a compact image. The frequency must be below half the sampling frequency. Otherwise the spectrum
+                is 0 above.
         """
-        blur, middle = recorded(sigma, self.fx, self.fy[:, None]), float(np.abs(self.fx).max())
-        rolled = erfc(_ROLL_OFF * (np.hypot(self.fx, self.fy[:, None]) - middle) / (middle - highest)) / 2
-        return self._replace(spectrum=self.spectrum * (rolled * blur / (blur**2 + _LEAST_BLURRED**2))[..., None])
+        blur, frequency = recorded(sigma, self.fx, self.fy[:, None]), np.hypot(self.fx, self.fy[:, None])
+        if compact:
+            middle = float(np.abs(self.fx).max())
+            rolled = erfc(_ROLL_OFF * (frequency - middle) / (middle - highest)) / 2
+            inverse = rolled * blur / (blur**2 + _LEAST_BLURRED**2)
+        else:
+            inverse = jnp.where(frequency <= highest, 1 / jnp.where(frequency <= highest, blur, 1.0), 0.0)
+        return self._replace(spectrum=self.spectrum * inverse[..., None])
 
     def only(self, channels: slice | list[int]) -> FineRecord:
         return self._replace(spectrum=self.spectrum[..., channels])

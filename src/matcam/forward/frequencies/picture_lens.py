@@ -25,6 +25,8 @@ from matcam.core.workspace import default_workspace
 from matcam.forward.frequencies.band_limited import EXACT, BandLimit, band_limit, concrete, optics_band, sampling_of
 from matcam.forward.frequencies.position_shares import PositionShares
 
+_FINE_ENOUGH = 2.4
+"""Smallest number of positions per pixel for a lens that varies over the field, divided by its cutoff in cycles/px."""
 _DEGREES = (3, 6, 9, 12, 16)
 """Available degrees of the weights as polynomials of the position. The lowest sufficient degree is used."""
 _ENOUGH = 1e-4
@@ -126,7 +128,12 @@ def picture_lens(camera: Camera, radius: float, error: float | None = None) -> P
             f"the {type(optics).__name__} passes frequencies up to {optics.band():.2g} cycles/px, which are too high for the "
             f"filter of an image (error {limit.error:.1g}): give a larger f-number, or wider Gaussians"
         )
-    return PictureLens(camera.pixel, limit, colours, shares, limit.error + between)
+    lens = PictureLens(camera.pixel, limit, colours, shares, limit.error + between)
+    if shares is None:
+        return lens
+    # weights mix neighbouring frequencies, so the sampling must resolve all frequencies of the lens
+    finer = max(limit.per_px, int(np.ceil(_FINE_ENOUGH * lens.highest)))
+    return lens._replace(limit=limit._replace(per_px=finer))
 
 
 def varies_over_field(optics: Optics) -> bool:
