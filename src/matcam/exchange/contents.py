@@ -45,10 +45,14 @@ class Contents:
         return self.data if self.content == "table" else None
 
     @property
+    def brdf(self) -> xr.DataArray | None:
+        """BRDF of a table, or in a result; None: there is none."""
+        return self.data.get("brdf") if self.content == "result" else self.table
+
+    @property
     def kind(self) -> str:
-        of_result = self.content == "result"
-        brdf = self.data.get("brdf") if of_result else self.table
-        if brdf is not None and (of_result or brdf.attrs.get(CORRECTED)):
+        brdf = self.brdf
+        if brdf is not None and (self.content == "result" or brdf.attrs.get(CORRECTED)):
             return f"a {brdf.attrs.get('long_name', 'BRDF')}"
         return CONTENTS[self.content]
 
@@ -267,12 +271,10 @@ def material_of(contents: Contents) -> Material:
 
     An ArgumentError is raised if the contents do not define a material.
     """
-    if contents.content == "table":
-        return Tabulated(contents.data)
+    if contents.brdf is not None and contents.brdf.dims == DIMS:
+        return Tabulated(contents.brdf)
     if contents.content == "fields":
         return Adaptive(contents.data)
-    if contents.content == "result" and "brdf" in contents.data and contents.data["brdf"].dims == DIMS:
-        return Tabulated(contents.data["brdf"])
     raise ArgumentError(
         f"{contents.kind} cannot be evaluated at arbitrary angles: give a BRDF table on the MERL grid, or an RGL file"
     )

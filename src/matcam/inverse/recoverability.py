@@ -146,7 +146,10 @@ def limits(
     changes = changed_rigs(rig)
     tell, count = progress or (lambda *_: None), 1 + len(blurs) + len(changes)
     steps = iter(range(count))
-    begin = lambda: tell("computing the bounds", next(steps), count)  # noqa: E731
+
+    def begin() -> None:
+        tell("computing the bounds", next(steps), count)
+
     view = _View(ndf, noise.check(), slice_step, workspace, begin)
     stated_std = rig.camera.uncertainty.std().get(LENS, np.nan) if rig.camera.uncertainty else np.nan
     relative = stated_std / sigma

@@ -255,7 +255,7 @@ def filtered(light: FineRecord, optics: Optics, pixel: PixelResponse, shift: jax
     return jnp.zeros_like(light.spectrum).at[rows, columns].set(passed)
 
 
-def recorded(sigma: float | jax.Array, fx: np.ndarray | float, fy: np.ndarray | float) -> jax.Array:
+def recorded(sigma: float | jax.Array, fx: np.ndarray, fy: np.ndarray) -> jax.Array:
     """Compute the transfer function of a Gaussian lens with a pixel of half width `POINT`.
 
     `sigma` is the standard deviation of the lens, px. `fx` and `fy` are frequencies, cycles/px.

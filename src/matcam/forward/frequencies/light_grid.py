@@ -29,7 +29,7 @@ from matcam.forward.integral.scene import Scene, highlight_x
 from matcam.sample.curved import Sphere
 from matcam.sample.shape import Curved
 
-_FINE_ENOUGH = 2.4
+FINE_ENOUGH = 2.4
 """Smallest number of grid points per pixel, divided by the cutoff of the lens in cycles/px."""
 _TILE = 32, 64
 """Rows and columns of a tile of the grid."""
@@ -113,7 +113,7 @@ def per_px_for(highest: float, radius: float) -> int:
         highest: frequency up to which the radiance is used, cycles/px.
         radius: radius of the sphere, px.
     """
-    return max(2, int(np.ceil(_FINE_ENOUGH * highest)), int(np.ceil(highest + _ACROSS / radius)))
+    return max(2, int(np.ceil(FINE_ENOUGH * highest)), int(np.ceil(highest + _ACROSS / radius)))
 
 
 def margin_of(per_px: int, highest: float) -> float:

@@ -23,10 +23,9 @@ from matcam.core.errors import ArgumentError
 from matcam.core.jax import jax, jnp
 from matcam.core.workspace import default_workspace
 from matcam.forward.frequencies.band_limited import EXACT, BandLimit, band_limit, concrete, optics_band, sampling_of
+from matcam.forward.frequencies.light_grid import FINE_ENOUGH
 from matcam.forward.frequencies.position_shares import PositionShares
 
-_FINE_ENOUGH = 2.4
-"""Smallest number of positions per pixel for a lens that varies over the field, divided by its cutoff in cycles/px."""
 _DEGREES = (3, 6, 9, 12, 16)
 """Available degrees of the weights as polynomials of the position. The lowest sufficient degree is used."""
 _ENOUGH = 1e-4
@@ -132,7 +131,7 @@ def picture_lens(camera: Camera, radius: float, error: float | None = None) -> P
     if shares is None:
         return lens
     # weights mix neighbouring frequencies, so the sampling must resolve all frequencies of the lens
-    finer = max(limit.per_px, int(np.ceil(_FINE_ENOUGH * lens.highest)))
+    finer = max(limit.per_px, int(np.ceil(FINE_ENOUGH * lens.highest)))
     return lens._replace(limit=limit._replace(per_px=finer))
 
 

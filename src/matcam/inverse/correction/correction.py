@@ -344,18 +344,13 @@ class Correction(Summarised):
         It is interpolated between the slices of the table. For a missing or black peak, the response of the lobe is used
         instead.
         """
-        angles = np.asarray(theta_d, dtype=float)
         slices = self._grid.theta_d
-        return np.interp(angles, slices, self._slice_responses(slices))
-
-    def _slice_responses(self, theta_d: np.ndarray) -> np.ndarray:
-        """Compute the result of `_peak_response` in given slices, (slices,)."""
-        at = self._peak(theta_d)
+        at = self._peak(slices)
         recorded, corrected = self.recorded.values[at], self.table["brdf"].values[at]
         lobe = np.broadcast_to(self.table["response"].values[at][..., None], corrected.shape)
         with np.errstate(invalid="ignore", divide="ignore"):
             response = np.where(corrected > 0, recorded / corrected, lobe)
-        return np.mean(response, axis=-1)
+        return np.interp(np.asarray(theta_d, dtype=float), slices, np.mean(response, axis=-1))
 
     def _peak(self, theta_d: ArrayLike) -> tuple[Any, ...]:
         return self._grid.index(theta_h=0.0, theta_d=theta_d, phi_d=np.pi / 2)

@@ -63,7 +63,9 @@ _UNLIKELY = 0.05
 _NEGLIGIBLE = 1e-3
 """Probability below which another lobe is neglected."""
 _MISFIT = 0.75
-"""Share of misfit in the variance of the residuals above which no lobe explains the data."""
+"""Share of misfit in the variance of the residuals above which no lobe explains the data. The noise that the fit estimates is
+then more than twice the noise of a pixel.
+"""
 UNEXPLAINED = "unexplained"
 """Code of the remark that no explanation describes the data."""
 

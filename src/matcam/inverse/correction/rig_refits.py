@@ -32,8 +32,8 @@ outside the range for larger coordinates.
 _SIGNIFICANT = 4.0
 """Change of a free parameter above which rig and data contradict each other, in standard deviations."""
 _NARROWEST_BLUR = 0.02
-"""Change of the variance of a lens, px^2, that lobes at their lower bound may cause. The fit of a mirror narrows an exact lens
-by 0.006 px^2, because the lobe has at least the smallest width.
+"""Change of the variance of a lens, px^2, that lobes at their lower bound may cause: three times the largest value found. The
+fit of a mirror narrows an exact lens of 0.5 px by 0.006 px^2, because the lobe has at least the smallest width.
 """
 _LEAST = 0.002
 """Relative change of the width of the blur up to which rig and data do not contradict each other."""
@@ -115,7 +115,7 @@ def rig_refits(setup: FitSetup, rig: Rig, found: MaterialFit, names: Sequence[st
 def _with_any_lens(refit: RigRefit, setup: FitSetup, rig: Rig) -> RigRefit:
     """Test the width of the lens for a lobe that is too narrow to be resolved.
 
-    A lens that is specified as too wide explains the whole highlight, so that no width remains for the lobe. Lens and rig
+    A lens that is specified as too wide explains the whole highlight, so that no width remains for the lobe. Rig and data
     contradict each other only if a fit of any lens and any lobe resolves the lobe, with a clearly different lens.
     """
     known = known_lens(rig.camera).uncertainty
