@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 import numpy as np
 
 from matcam.camera.camera import Camera
+from matcam.camera.optics.colour import ColourOptics
 from matcam.camera.optics.gaussian import GaussianOptics
 from matcam.camera.parameters import Provenance, Uncertainty
 from matcam.camera.pixel import BoxPixel
 from matcam.core import checks
 from matcam.core.arrays import is_concrete, xp
-from matcam.core.arrays.module import Module, static_field
+from matcam.core.arrays.module import Module, replaced, static_field
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import GRID_SHAPE
 from matcam.lamp.lamps import DistantLamp, Lamp, NearLamp, checked_azimuth, checked_azimuths, closeness
@@ -138,6 +139,18 @@ class Rig(Module):
     def lamp_radius(self) -> jax.Array:
         """Angular radius of the lamp, seen from the sample, rad."""
         return self.lamp.angular_radius
+
+    @property
+    def colours(self) -> tuple[Rig, ...]:
+        """Rigs of the colour channels, each with its own lens.
+
+        If the lens is achromatic, the only rig is this one.
+        """
+        optics = self.camera.optics
+        if not isinstance(optics, ColourOptics):
+            return (self,)
+        exact = replaced(self, "camera.uncertainty", None)  # its parameters are those of all lenses
+        return tuple(replaced(exact, "camera.optics", lens) for lens in optics.lenses)
 
     def azimuths(self, azimuth: ArrayLike | None = None) -> jax.Array:
         """Check azimuths of the lamp, rad, and convert them to an array.

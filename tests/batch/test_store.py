@@ -89,3 +89,16 @@ def test_a_damaged_store(tmp_path, count):
         survives(read, path, contents, spare=512 << 20, clock=time.process_time, folder=store)
         path.write_bytes(whole)
     assert row_names(store) == ["a", "b"]
+
+
+@pytest.mark.filterwarnings("ignore:.*not have a Zarr V3 specification")
+def test_a_response_of_each_colour(tmp_path):
+    shape = (90, 90, 180, 3)
+    values = np.broadcast_to(np.array([0.5, 0.6, 0.7]), shape)
+    table = xr.Dataset(
+        {name: (("a", "b", "c", "d"), values > 0.65 if name == "supported" else values) for name in TABLE_ATTRIBUTES}
+    )
+    open_rows(tmp_path / "run.zarr", ["a"], "centre", colours=3)["a"].write(table)
+    found = read_row(tmp_path / "run.zarr", 0)
+    assert found["response"].dims == found["brdf"].dims
+    np.testing.assert_array_equal(found["response"].values, values)

@@ -96,6 +96,12 @@ def test_raw_pictures_of_a_folder(calibrate, tmp_path):
         camera = Camera.load(f"camera-{name}.json")
         assert abs(camera.optics.sigma - sigma) < 4 * camera.uncertainty.std()["optics.sigma_px"]
     assert Camera.load("camera.json").optics.sigma == Camera.load("camera-G.json").optics.sigma
+    whole = Camera.load("camera-RGB.json")
+    for name, colour in (("R", "red"), ("G", "green"), ("B", "blue")):
+        own = Camera.load(f"camera-{name}.json")
+        assert getattr(whole.optics, colour) == own.optics
+        std = own.uncertainty.std()["optics.sigma_px"]
+        assert whole.uncertainty.std()[f"optics.{colour}.sigma_px"] == pytest.approx(std, rel=1e-9)
 
 
 def promised(width, height):

@@ -179,7 +179,8 @@ class RunFolder:
         """
         if not jobs:
             return list(waiting)
-        rows = open_rows(self.zarr, [job.name for job in jobs], jobs[0].recipe.sampling)
+        recipe = jobs[0].recipe
+        rows = open_rows(self.zarr, [job.name for job in jobs], recipe.sampling, len(recipe.rig.colours))
         whole = whole_rows(self.zarr)
         later = {job.name for job in waiting}
         for job in jobs:

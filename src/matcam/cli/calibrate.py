@@ -212,7 +212,8 @@ def _write(
 
     profiles = {output: found.camera}
     if len(found.channels) > 1:
-        profiles |= {output.with_name(f"{output.stem}-{name}.json"): camera for name, camera in found.cameras.items()}
+        colours = {**found.cameras, "RGB": found.colour_camera}
+        profiles |= {output.with_name(f"{output.stem}-{name}.json"): one for name, one in colours.items() if one}
     check_outputs(profiles, force=force, inputs=files)
     used = next(file for file in files if str(file) not in found.failed)
     picture = open_photograph(used).values

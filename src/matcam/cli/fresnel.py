@@ -165,6 +165,9 @@ def _document(result: Any, tables: Any, files: list[Path]) -> dict[str, Any]:
 
     from matcam.core.remark import from_attribute
 
+    def by_channel(name: str) -> dict[str, Any]:
+        return {str(c): result[name].sel(channel=c).values for c in result["channel"].values}
+
     return {
         **result.attrs,
         "remarks": [remark.to_dict() for remark in from_attribute(result.attrs["remarks"])],
@@ -178,10 +181,10 @@ def _document(result: Any, tables: Any, files: list[Path]) -> dict[str, Any]:
         ),
         "theta_d_deg": np.degrees(result["theta_d"].values),
         **{
-            name: {str(c): result[name].sel(channel=c).values for c in result["channel"].values}
+            name: by_channel(name)
             for name in ("raw", "raw_std", "corrected_peak", "corrected", "corrected_std", "absolute", "absolute_std")
         },
-        "response": result["response"].values,
+        "response": by_channel("response") if "channel" in result["response"].dims else result["response"].values,
         "tables": {
             str(t): {
                 "rms_corrected": tables["rms_corrected"].sel(table=t).values,
@@ -202,7 +205,7 @@ def _print(result: Any, tables: Any, files: list[Path], channel: str) -> None:
     one = result.sel(channel=channel)
     # nearest existing slices: a table has slices at 74.5 and 75.5 degrees, and --slice-step omits some
     at = one.sel(theta_d=np.unique(one["theta_d"].sel(theta_d=np.radians(_ANGLES), method="nearest")))
-    relative = at["response"].values / float(result["response"][0])
+    relative = at["response"].values / float(one["response"][0])
 
     def shown(value: float, std: float | None = None) -> str:
         if np.isnan(value):

@@ -52,7 +52,7 @@ def fresnel_figure(result: xr.Dataset, tables: xr.Dataset | None = None, channel
         left.set_title(f"{result.attrs['source']}: Fresnel term, channel {name}", loc="left")
         # legend under the axes, because measured curves may cover any part of them
         figure.legend(handles, labels, loc="lower left", bbox_to_anchor=(0.05, 0.0), ncols=2, fontsize=8.2)
-        _draw_loss(right, result)
+        _draw_loss(right, result.isel(channel=channel))
     return figure
 
 

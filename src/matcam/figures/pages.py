@@ -40,6 +40,7 @@ from matcam.figures.style import (
     inline_png,
     write_page,
 )
+from matcam.inverse.correction.corrected_table import responses
 from matcam.inverse.correction.correction import Correction
 from matcam.inverse.fresnel_term import fresnel_of_peaks
 from matcam.inverse.peak_curve import NORMALISED_OVER
@@ -98,10 +99,10 @@ def reflectance_figure(raw: xr.DataArray, done: Correction) -> Figure:
     fitted, std = curves["fresnel"].values[:, channel], curves["fresnel_std"].values[:, channel]
     low, high = NORMALISED_OVER
     scale = np.nanmean(fitted[(theta > low) & (theta < high)])  # negative where a lobe is only noise
-    angle, response = raw["theta_d"].values, done.table["response"].values[0, :, raw.sizes["phi_d"] // 2]
+    angle, response = raw["theta_d"].values, responses(done.table)[0, :, raw.sizes["phi_d"] // 2].T
     masking = None if done.table.attrs["masking"] == "none" else done.table.attrs["masking"]
     used = (angle > low) & (angle < high)
-    of_peaks = fresnel_of_peaks(raw, angle, done.fit.ndf, masking, response / response[0], used)
+    of_peaks = fresnel_of_peaks(raw, angle, done.fit.ndf, masking, response / response[:, :1], used)
     with drawing(7.5, 4.2, layout=None) as figure:
         axes = figure.subplots(gridspec_kw={"left": 0.1, "right": 0.98, "bottom": 0.13, "top": 0.97})
         axes.plot(np.degrees(angle), of_peaks.raw[channel], color=VERMILION, label=RAW_LABEL)

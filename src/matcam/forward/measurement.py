@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import equinox as eqx
 import numpy as np
 import xarray as xr
 from jax.typing import ArrayLike
@@ -186,9 +185,8 @@ def _colours(rig: Rig) -> list[tuple[Rig, tuple[float, float]]]:
     optics = rig.camera.optics
     if not isinstance(optics, ColourOptics):
         return [(rig, (0.0, 0.0))]
-    rigs = (eqx.tree_at(lambda one: one.camera.optics, rig, lens) for lens in optics.lenses)
     shifts = ((float(right), float(up)) for right, up in optics.shifts)
-    return list(zip(rigs, shifts, strict=True))
+    return list(zip(rig.colours, shifts, strict=True))
 
 
 def _values_through(

@@ -117,7 +117,8 @@ def fresnel(
             (`corrected_std_camera`).
         - `absolute`, `absolute_std`: `corrected` without normalisation; NaN if the lobe is too narrow to
             determine its strength.
-        - `response`: recorded / true peak, over theta_d; 1 if the correction is withheld.
+        - `response`: recorded / true peak, over theta_d, and over channel if each colour has its own lens; 1 if the
+            correction is withheld.
         - `masking`: G in the mirror direction, over theta_d.
         - `supported_angle`: largest theta_d, rad, up to which corrected_std is below 5 % of corrected, over channel; 0 if there
             is none.
@@ -190,9 +191,10 @@ def fresnel(
     if explained.no_blur:
         remarks = (*remarks, explained.no_blur_remark)
     angles = np.append(theta_d, 0.0)
-    peaks = _peak_responses(explained.located.rig, found, masking, angles, workspace)
-    *response, centre = np.ones(theta_d.size + 1) if held_back else peaks
-    peak_terms = fresnel_of_peaks(brdf, theta_d, lobe, masking, np.array(response) / centre, term.used)
+    colours = explained.located.rig.colours
+    peaks = np.stack([_peak_responses(one, found, masking, angles, workspace) for one in colours])
+    response, centre = np.split(np.ones_like(peaks) if held_back else peaks, [theta_d.size], axis=1)
+    peak_terms = fresnel_of_peaks(brdf, theta_d, lobe, masking, response / centre, term.used)
     width = next(iter(found.params))
 
     def curve(values: np.ndarray) -> tuple[Any, ...]:
@@ -209,7 +211,7 @@ def fresnel(
             "corrected_std_camera": curve(term.std_camera),
             "absolute": curve(term.absolute),
             "absolute_std": curve(term.absolute_std),
-            "response": ("theta_d", np.array(response)),
+            "response": curve(response) if len(colours) > 1 else ("theta_d", response[0]),
             "masking": ("theta_d", peak_terms.masking),
             "supported_angle": ("channel", _supported_angle(term, theta_d)),
             "width": ((), found.params[width]),
@@ -275,7 +277,7 @@ def fresnel_of_peaks(
         theta_d: difference angles of the slices, rad, (slices,).
         lobe: fitted lobe, from which masking and the largest value of D are computed.
         masking: model of the masking G.
-        response: ratio of recorded to true peak, relative to that at theta_d = 0, (slices,).
+        response: ratio of recorded to true peak, relative to that at theta_d = 0, (slices,) or (channels, slices).
         used: True for slices that contribute to the mean; it broadcasts to (channels, slices).
     """
     hidden, highest = (np.asarray(a) for a in _mirror_masking(lobe, placed(theta_d), masking))

@@ -127,7 +127,8 @@ def limits(
     checks.choice("ndf", ndf, tuple(ONE_WIDTH))
     if LENS not in rig.camera.parameters():
         raise ArgumentError(
-            "limits requires a camera with a Gaussian lens, but this camera has no parameter 'optics.sigma_px'"
+            f"limits requires a camera with a Gaussian lens, got {type(rig.camera.optics).__name__}: give the lens of one "
+            "colour, or a GaussianOptics that is as wide as this lens"
         )
     sigma, half_width = float(rig.camera.parameters()[LENS]), float(rig.camera.pixel.half_width)
     size = float(rig.sample.radius)  # type: ignore[attr-defined]

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.linalg import block_diag
 
 from matcam.calibration.camera.camera_fit import CameraFit, CameraRequest, fit_camera
 from matcam.calibration.camera.evidence import EdgeTable, Evidence, Finding, measure_picture
@@ -23,7 +24,8 @@ from matcam.calibration.photograph.linear_image import CHANNELS, LinearImage, as
 from matcam.calibration.photograph.tone import Tone
 from matcam.calibration.targets.mtf_samples import MTFSamples
 from matcam.camera.camera import Camera
-from matcam.camera.parameters import Provenance
+from matcam.camera.optics.colour import ColourOptics
+from matcam.camera.parameters import Provenance, Uncertainty
 from matcam.core import checks
 from matcam.core.errors import ArgumentError, FitError, MatcamError
 from matcam.core.io import plain
@@ -86,6 +88,33 @@ class Calibration(Summarised):
     def cameras(self) -> dict[str, Camera]:
         """Cameras by channel."""
         return {name: found.camera for name, found in self.channels.items()}
+
+    @property
+    def colour_camera(self) -> Camera | None:
+        """Camera with a lens for each colour.
+
+        None if the channels are not R, G and B, or if their pixels differ. The errors of the colours are treated as independent.
+        """
+        if set(self.channels) != set("RGB"):
+            return None
+        red, green, blue = cameras = [self.cameras[name] for name in "RGB"]
+        if not red.pixel == green.pixel == blue.pixel:
+            return None
+        names: list[str] = []
+        covariances = []
+        for colour, one in zip(("red", "green", "blue"), cameras, strict=True):
+            known = one.uncertainty or Uncertainty.of({})
+            own = [n for n, name in enumerate(known.names) if name.startswith("optics.")]
+            names += [f"optics.{colour}.{known.names[n].removeprefix('optics.')}" for n in own]
+            covariances.append(np.asarray(known.covariance)[np.ix_(own, own)])
+        return Camera(
+            ColourOptics(red.optics, green.optics, blue.optics),
+            green.pixel,
+            green.sensor,
+            uncertainty=Uncertainty(names, block_diag(*covariances)) if names else None,
+            provenance=green.provenance,
+            field=green.field,
+        )
 
     def edges_dataset(self) -> xr.Dataset:
         """Convert the measured edges of all channels to one data set.

@@ -74,9 +74,9 @@ def corrected_table(
     parts: list[VariancePart] = []
     for rows in ROWS:
         body, body_std = found.body(angles[0][rows], *angles[1:])
-        above, factor = data[rows] - body, ratio[rows, ..., None]
+        above, factor = data[rows] - body, ratio[rows]
         corrected[rows] = body + above * factor
-        variance = (above * factor * ratio_of_lobes.std[rows, ..., None]) ** 2
+        variance = (above * factor * ratio_of_lobes.std[rows]) ** 2
         # the body is fitted to all slices together, whose images have independent gains
         body_variance = body_std**2 + (noise.picture_gain * body) ** 2 / found.theta_d.size
         added = (
@@ -87,16 +87,16 @@ def corrected_table(
             variance += part.variance
         if not parts:
             scale = ((above * factor)[PEAK]) ** 2
-            parts = [one._replace(variance=one.variance[:, None] * scale) for one in ratio_of_lobes.parts]
+            parts = [one._replace(variance=one.variance * scale) for one in ratio_of_lobes.parts]
             parts += [part._replace(variance=np.broadcast_to(part.variance, above.shape)[PEAK]) for part in added]
-        camera_std[rows] = np.where(seen[rows, ..., None], np.sqrt(variance), np.nan)
+        camera_std[rows] = np.where(seen[rows], np.sqrt(variance), np.nan)
     limit = energy_limit(data, corrected, camera_std, sampling)
 
     total, correction_std, noise_std = (np.empty_like(data) for _ in range(3))
     supported = np.empty(data.shape, dtype=bool)
     for rows in ROWS:
-        recorded, known = data[rows], seen[rows, ..., None] & np.isfinite(data[rows])
-        camera, factor = camera_std[rows], ratio[rows, ..., None]
+        recorded, known = data[rows], seen[rows] & np.isfinite(data[rows])
+        camera, factor = camera_std[rows], ratio[rows]
         if limit.acts:
             wanted = corrected[rows].copy()
             corrected[rows] = limit.of(rows, recorded, wanted, np.nan_to_num(camera))
@@ -121,7 +121,9 @@ def corrected_table(
     attrs = {"diffuse": list(found.diffuse_part.albedo), "coated_share": found.diffuse_part.coated}
     if found.base is not None:
         attrs |= {"base": list(found.base.reflectance), "base_alpha": found.base.roughness}
-    first = brdf.dims[:3]
+    response = np.exp(-ratio_of_lobes.log)
+    if response.shape[-1] == 1:  # all channels have one lens
+        response = response[..., 0]
     table = xr.Dataset(
         {
             "brdf": (brdf.dims, corrected, {**brdf.attrs, **TABLE_ATTRIBUTES["brdf"], CORRECTED: 1}),
@@ -134,7 +136,7 @@ def corrected_table(
                     ("supported", supported),
                 )
             },
-            "response": (first, np.exp(-ratio_of_lobes.log), TABLE_ATTRIBUTES["response"]),
+            "response": (brdf.dims[: response.ndim], response, TABLE_ATTRIBUTES["response"]),
         },
         coords=brdf.coords,
         attrs=attrs,
@@ -179,8 +181,17 @@ def recorded_table(table: xr.Dataset) -> xr.DataArray:
     if "base" in attrs:
         body = body + Base(attrs["base_alpha"], tuple(np.atleast_1d(attrs["base"]))).brdf(*angles)
     changed = np.isfinite(table["brdf_std"].values)
-    response = np.where(changed, table["response"].values[..., None], 1.0)
+    response = np.where(changed, responses(table), 1.0)
     return table["brdf"].copy(data=body + (table["brdf"].values - body) * response)
+
+
+def responses(table: xr.Dataset) -> np.ndarray:
+    """Select the ratio of recorded to true lobe of a corrected table, (90, 90, 180, colours).
+
+    There is one colour if the lens is achromatic.
+    """
+    values = table["response"].values
+    return values if values.ndim == table["brdf"].ndim else values[..., None]
 
 
 def supported_values(table: xr.Dataset, recorded: xr.DataArray) -> xr.DataArray:
@@ -203,6 +214,6 @@ def supported_values(table: xr.Dataset, recorded: xr.DataArray) -> xr.DataArray:
     Example:
         >>> matcam.write_merl("out.binary", supported_values(corrected, table))  # doctest: +SKIP
     """
-    lowered = (table["response"].values > 1)[..., None] & (table["correction_std"].values < SUPPORTED)
+    lowered = (responses(table) > 1) & (table["correction_std"].values < SUPPORTED)
     kept = table["supported"].values | lowered
     return table["brdf"].copy(data=np.maximum(np.where(kept, table["brdf"].values, recorded.values), 0))

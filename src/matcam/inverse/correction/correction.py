@@ -18,7 +18,7 @@ from matcam.core.remark import Remark, to_attribute
 from matcam.core.results.summary import Quantity, Summarised, Summary, parameters
 from matcam.core.threads import done_behind
 from matcam.core.workspace import Workspace, default_workspace
-from matcam.inverse.correction.corrected_table import corrected_table
+from matcam.inverse.correction.corrected_table import corrected_table, responses
 from matcam.inverse.correction.correction_limits import (
     LobeRatio,
     shrunk,
@@ -347,7 +347,7 @@ class Correction(Summarised):
         slices = self._grid.theta_d
         at = self._peak(slices)
         recorded, corrected = self.recorded.values[at], self.table["brdf"].values[at]
-        lobe = np.broadcast_to(self.table["response"].values[at][..., None], corrected.shape)
+        lobe = np.broadcast_to(responses(self.table)[at], corrected.shape)
         with np.errstate(invalid="ignore", divide="ignore"):
             response = np.where(corrected > 0, recorded / corrected, lobe)
         return np.interp(np.asarray(theta_d, dtype=float), slices, np.mean(response, axis=-1))
@@ -400,11 +400,12 @@ def correct(
         standard deviation of `brdf` due to pixel noise, 1/sr. `brdf_std`: standard deviation of `brdf` due to correction
         and noise, 1/sr. These three standard deviations are NaN for entries in the last pixels of the sphere, which are not
         corrected. `supported`: True if the standard deviation of the correction is below 5 % of `brdf`. `response`:
-        recorded / true lobe, over the first three dimensions. Attributes: `withheld`, 1 if the table is not corrected
-        because rig and data contradict each other, and a correction would change a peak by more than 1 %; the response is
-        then 1 and no entry is supported. `diffuse`, albedo of the diffuse part in each channel, and `coated_share`, the
-        share of the diffuse part that is under a coat (no unit). If the material has a rough base: `base`, reflectance of
-        the base in each channel, and `base_alpha`, roughness of the base.
+        recorded / true lobe, over the first three dimensions, or over all dimensions if each colour has its own lens.
+        Attributes: `withheld`, 1 if the table is not corrected because rig and data contradict each other, and a
+        correction would change a peak by more than 1 %; the response is then 1 and no entry is supported. `diffuse`,
+        albedo of the diffuse part in each channel, and `coated_share`, the share of the diffuse part that is under a
+        coat (no unit). If the material has a rough base: `base`, reflectance of the base in each channel, and
+        `base_alpha`, roughness of the base.
 
     Raises:
         ArgumentError: an argument is wrong, or a fit does not support the rig.

@@ -9,8 +9,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from functools import cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.sparse import csr_matrix
@@ -35,7 +36,9 @@ _HALF_CELL = np.radians(0.5)
 
 
 class LobeRatio(NamedTuple):
-    """Ratio of true to recorded lobe for all entries of a table, (90, 90, 180).
+    """Ratio of true to recorded lobe for all entries of a table, (90, 90, 180, colours).
+
+    There is one colour if the lens is achromatic.
 
     Attributes:
         log: ln(true / recorded).
@@ -43,7 +46,7 @@ class LobeRatio(NamedTuple):
         seen: True for entries that are corrected.
         recorded: recorded lobe divided by its peak in the slice (no unit). A correction by the ratio is meaningless for
             entries whose lobe is below the noise. Default: None, not computed.
-        parts: sources of the variance `std`^2 at the peak of each slice, (90,). Default: none.
+        parts: sources of the variance `std`^2 at the peak of each slice, (90, colours). Default: none.
     """
 
     log: np.ndarray
@@ -52,13 +55,25 @@ class LobeRatio(NamedTuple):
     recorded: np.ndarray | None = None
     parts: tuple[VariancePart, ...] = ()
 
+    @classmethod
+    def of_colours(cls, ratios: Sequence[LobeRatio]) -> LobeRatio:
+        """Combine the ratios of the colours, whose arrays have no axis of the colours."""
+
+        def stacked(arrays: Iterable[Any]) -> np.ndarray:
+            return np.stack(list(arrays), axis=-1)
+
+        log, std, seen, recorded = (stacked(arrays) for arrays in zip(*(one[:4] for one in ratios), strict=True))
+        sources = zip(*(one.parts for one in ratios), strict=True)
+        parts = tuple(own[0]._replace(variance=stacked(part.variance for part in own)) for own in sources)
+        return cls(log, std, seen, recorded, parts)
+
     def parts_with(self, name: str, added: np.ndarray, factor: np.ndarray | float = 1.0) -> tuple[VariancePart, ...]:
         """Add a source of variance, and scale the variances of the other sources.
 
         Args:
             name: name of the added source.
-            added: variance of the added source, (90, 90, 180).
-            factor: factor of the variances of the other sources, (90, 90, 180) or a number. Default: 1.
+            added: variance of the added source, (90, 90, 180, colours).
+            factor: factor of the variances of the other sources, in the shape of `added`, or a number. Default: 1.
         """
         if not self.parts:
             return ()
@@ -103,7 +118,7 @@ def above_noise(ratio: LobeRatio, floor: np.ndarray) -> LobeRatio:
     floor: noise floor of a pixel divided by the peak of the recorded lobe of each slice (no unit), (90,).
     """
     assert ratio.recorded is not None
-    share = ratio.recorded**2 / (ratio.recorded**2 + floor[:, None] ** 2)
+    share = ratio.recorded**2 / (ratio.recorded**2 + floor[:, None, None] ** 2)
     log = share * ratio.log
     lost = np.expm1(ratio.log - log)
     parts = ratio.parts_with("omitted correction below the noise", lost**2)

@@ -111,7 +111,8 @@ def _mirrored_noise(setup: FitSetup) -> PixelNoise | None:
     """
     problem = setup.problem
     cells, data, (table,) = problem.cells, problem.data, setup.tables
-    if cells.real is not None or (setup.rig is not None and not setup.rig.camera.optics.isotropic):
+    isotropic = setup.rig is None or all(one.camera.optics.isotropic for one in setup.rig.colours)
+    if cells.real is not None or not isotropic:
         return None
     mirrored = merl_grid(sampling_of(table)).index(phi_d=np.mod(np.pi - cells.phi_d, np.pi))[2]
     others = table.values[cells.i_theta_h, cells.slices[:, None], mirrored].transpose(2, 0, 1)

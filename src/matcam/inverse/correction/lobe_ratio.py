@@ -91,14 +91,15 @@ class CorrectionFits(NamedTuple):
 
 def lattices_ahead(rig: Rig, sampling: Sampling, expected: tuple[Axis, ...], workspace: Workspace) -> None:
     """Compute the lattices that `lobe_ratio` requires, and store them in the workspace."""
-    response_lattice(rig, sampling, FINE, (), workspace)
-    response_lattice(rig, sampling, COARSE, expected, workspace)
+    for one in rig.colours:
+        response_lattice(one, sampling, FINE, (), workspace)
+        response_lattice(one, sampling, COARSE, expected, workspace)
 
 
 def lobe_ratio(
     rig: Rig, sampling: Sampling, fits: CorrectionFits, workspace: Workspace, phase_std: float = 0.0
 ) -> LobeRatio:
-    """Compute the ratio of true to recorded lobe, averaged over the explanations.
+    """Compute the ratio of true to recorded lobe of each colour of the rig, averaged over the explanations.
 
     The ratio is computed on a fine lattice for the specified rig. The derivatives of the ratio, and its changes due to fitted
     parameters of the rig and due to alternatives, are smooth and are computed on a coarse lattice. Alternatives are free
@@ -106,6 +107,13 @@ def lobe_ratio(
 
     phase_std: standard deviation of the phase of the real pixels from which cells are read, px. Default: 0.
     """
+    return LobeRatio.of_colours([_ratio_of_lens(one, sampling, fits, workspace, phase_std) for one in rig.colours])
+
+
+def _ratio_of_lens(
+    rig: Rig, sampling: Sampling, fits: CorrectionFits, workspace: Workspace, phase_std: float
+) -> LobeRatio:
+    """Compute the ratio for an achromatic lens. The arrays have no axis of the colours."""
     at = fits.fit.coordinates
     log_slope = fits.fit.log_slope  # the mean of all channels, because they have one ratio
     fine = response_lattice(rig, sampling, FINE, (), workspace).of_fresnel(log_slope)

@@ -43,8 +43,8 @@ the slices of the lattice are too far apart there for the effect of the limb.
 """
 _LIMB_RINGS = _DENSE_RINGS + 4
 """Number of rings from which values in the dense rings are interpolated: up to two rings of the lattice beyond them."""
-_LATTICES = 4
-"""Number of lattices that are stored in memory, about 10 MB each."""
+_LATTICES = 6
+"""Number of lattices that are stored in memory, about 10 MB each: two for each of three colours."""
 VANISHED = 1e-40
 """Smallest value of a lobe that is corrected, 1/sr. No camera records such small values, which exponential tails reach."""
 

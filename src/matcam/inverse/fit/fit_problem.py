@@ -160,33 +160,36 @@ def _reflectance(
 
 
 class FitProblem:
-    """Least-squares problem of a fit: data, operator, layout and prior.
+    """Least-squares problem of a fit: data, operators, layout and prior.
 
     Attributes:
         data: values of the chosen cells.
         cells: the chosen cells.
-        operator: operator from a lobe to its record in the chosen cells.
+        operators: operators from a lobe to its record in the chosen cells, one for each colour of the rig.
         layout: order of the coordinates.
         prior: prior of the coordinates.
         radius: radius of the sphere or cylinder, px.
+        colour_of: index of the operator of each unit, (units,).
     """
 
     def __init__(
         self,
         data: FitData,
         cells: ChosenCells,
-        operator: LobeOperator,
+        operators: tuple[LobeOperator, ...],
         layout: Layout,
         prior: Prior,
         radius: float,
     ):
-        self.data, self.cells, self.operator = data, cells, operator
+        self.data, self.cells, self.operators = data, cells, operators
         self.layout, self.prior, self.radius = layout, prior, radius
+        # tables have one channel for each colour; an achromatic lens has one operator for all channels
+        self.colour_of = [unit % len(operators) for unit in range(layout.units)]
         self._last_base: tuple[bytes, RecordAndSlopes] | None = None
-        self._last: dict[int, tuple[bytes, list[RecordAndSlopes]]] = {}
+        self._last: dict[tuple[int, int], tuple[bytes, list[RecordAndSlopes]]] = {}
 
     def with_layout(self, layout: Layout) -> FitProblem:
-        return FitProblem(self.data, self.cells, self.operator, layout, self.prior, self.radius)
+        return FitProblem(self.data, self.cells, self.operators, layout, self.prior, self.radius)
 
     @property
     def theta_d(self) -> np.ndarray:
@@ -229,13 +232,13 @@ class FitProblem:
         for u, position in enumerate(layout.of_units("diffuse")):
             derivative[position, u] = diffuse
         if layout.base:
-            of_base, slopes = self._base_record(p)
+            of_base, slopes = (part[self.colour_of] for part in self._base_records(p))
             reflectance = self.of_units("base", p)[:, None, None]
             value = value + reflectance * of_base
-            derivative[layout.base_width.start] = reflectance * slopes[0]
-            derivative[layout.rig] = reflectance * slopes[1:, None]
+            derivative[layout.base_width.start] = reflectance * slopes[:, 0]
+            derivative[layout.rig] = reflectance * np.moveaxis(slopes[:, 1:], 1, 0)
             for u, position in enumerate(layout.of_units("base")):
-                derivative[position, u] = of_base
+                derivative[position, u] = of_base[u]
         return Body(value, derivative)
 
     def model(self, p: np.ndarray, weight: np.ndarray) -> FitModel:
@@ -246,13 +249,15 @@ class FitProblem:
             weight: weights of the cells (inverse variances), from which free strengths are solved, sr^2, (u, s, n).
         """
         layout = self.layout
-        orders = [self._records_and_slopes(index, p) for index in range(layout.lobes)]
-        records = [np.stack([orders[index][n].record for index in layout.lobe_of]) for n in range(len(orders[0]))]
+        pairs = list(zip(layout.lobe_of, self.colour_of, strict=True))
+        found = {pair: self._records_and_slopes(*pair, p) for pair in dict.fromkeys(pairs)}
+        orders = [found[pair] for pair in pairs]
+        records = [np.stack([one.record for one in order]) for order in zip(*orders, strict=True)]
         body = self.body(p)
         model, by_fresnel = self._strengths(p, weight, records, body.value)
         derivative = body.derivative
         for u, index in enumerate(layout.lobe_of):
-            by_lobe = _combined([one.slopes for one in orders[index]], model.log_slope[u])
+            by_lobe = _combined([one.slopes for one in orders[u]], model.log_slope[u])
             slope = model.strength[u][None, :, None] * by_lobe
             derivative[layout.lobe(index), u] = slope[: layout.kind.size]
             derivative[layout.rig, u] += slope[layout.kind.size :]
@@ -267,12 +272,11 @@ class FitProblem:
         approximation is smaller than the differences between the lobes from which a search starts.
 
         Args:
-            record: record of the common lobe of all units at F = 1, 1/sr, (s, n).
+            record: record of the common lobe of all units through each operator at F = 1, 1/sr, (operators, s, n).
             weight: weights of the cells (inverse variances), sr^2, (u, s, n).
         """
         p = np.zeros(self.layout.size)
-        records = [np.broadcast_to(record, (self.layout.units, *record.shape))]
-        return self._strengths(p, weight, records, np.zeros((self.layout.units, 1, 1)))[0]
+        return self._strengths(p, weight, [record[self.colour_of]], np.zeros((self.layout.units, 1, 1)))[0]
 
     def _strengths(
         self, p: np.ndarray, weight: np.ndarray, records: list[np.ndarray], body: np.ndarray
@@ -332,19 +336,20 @@ class FitProblem:
             model: model of the cells, which contains the derivative of ln F of each unit.
             of: linear function of an operator, with values of shape (..., s, n).
         """
-        parts = [of(operator) for operator in self.operator.orders]
-        return np.stack([_combined(parts, slope) for slope in model.log_slope])
+        parts = [[of(order) for order in operator.orders] for operator in self.operators]
+        pairs = zip(self.colour_of, model.log_slope, strict=True)
+        return np.stack([_combined(parts[colour], slope) for colour, slope in pairs])
 
-    def _base_record(self, p: np.ndarray) -> RecordAndSlopes:
+    def _base_records(self, p: np.ndarray) -> RecordAndSlopes:
         """Compute the record of a base of reflectance 1, 1/sr, and its derivatives with respect to ln roughness and the rig.
 
-        The light crosses the coat twice. The derivatives with respect to the rig are along the axes of its parameters.
+        The light crosses the coat twice. The derivatives with respect to the rig are along the axes of its parameters. The
+        first axis of both arrays is that of the operators.
         """
         q = np.concatenate([p[self.layout.base_width], p[self.layout.rig]])
         if self._last_base is None or self._last_base[0] != q.tobytes():
-            found = record_and_slopes(self.operator, _BASE, q)
-            crossed = self._transmittance
-            self._last_base = q.tobytes(), RecordAndSlopes(found.record * crossed, found.slopes * crossed)
+            found = zip(*(record_and_slopes(operator, _BASE, q) for operator in self.operators), strict=True)
+            self._last_base = q.tobytes(), RecordAndSlopes(*(np.stack(part) * self._transmittance for part in found))
         return self._last_base[1]
 
     @cached_property
@@ -359,16 +364,17 @@ class FitProblem:
     def _angles(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         return self.cells.theta_h, self.cells.theta_d[:, None], self.cells.phi_d
 
-    def _records_and_slopes(self, index: int, p: np.ndarray) -> list[RecordAndSlopes]:
-        """Compute the record of a lobe, and in a near rig also its moment, each with its derivatives.
+    def _records_and_slopes(self, index: int, colour: int, p: np.ndarray) -> list[RecordAndSlopes]:
+        """Compute the record of a lobe, and in a near rig also its moment, each with its derivatives, through one operator.
 
         The last results are cached, because an update of the weights does not change the lobe.
         """
         q = np.concatenate([p[self.layout.lobe(index)], p[self.layout.rig]])
-        key = q.tobytes()
-        if index not in self._last or self._last[index][0] != key:
-            self._last[index] = key, [record_and_slopes(one, self.layout.kind, q) for one in self.operator.orders]
-        return self._last[index][1]
+        pair, key = (index, colour), q.tobytes()
+        if pair not in self._last or self._last[pair][0] != key:
+            orders = self.operators[colour].orders
+            self._last[pair] = key, [record_and_slopes(one, self.layout.kind, q) for one in orders]
+        return self._last[pair][1]
 
     def gain(self, noise: PixelNoise) -> float:
         """Select the standard deviation of the image gain (no unit), which is infinite for free strengths."""

@@ -39,13 +39,14 @@ from matcam.inverse.operator.lobe_operator import (
 )
 from matcam.inverse.operator.pixel_phase import located_rig
 from matcam.inverse.operator.sample_view import FAR_AWAY, SampleView, rig_behind, sample_view
-from matcam.inverse.rig.lens_changes import CHANGES, WIDTH
+from matcam.inverse.rig.lens_changes import ASSUMED, CHANGES, WIDTH
 from matcam.inverse.rig.rig_axes import (
     LENS,
     Axis,
     axis_selection,
     change_axis,
     free_axis,
+    is_lens_width,
     known_lens,
     prior_axis,
     shape_axes,
@@ -163,6 +164,12 @@ class FitSetup:
             object.__setattr__(self, "rig", located_rig(self.rig, tables[0]).rig)
             for table in tables[1:]:
                 rig_behind(table, self.rig)
+            colours = len(self.rig.colours)
+            if colours > 1 and any(table.sizes["channel"] != colours for table in tables):
+                raise ArgumentError(
+                    f"a table behind ColourOptics must have {colours} channels, one for each lens, got "
+                    f"{', '.join(str(table.sizes['channel']) for table in tables)}"
+                )
 
     def with_(self, **changes: Any) -> FitSetup:
         """Copy the setup with changed fields.
@@ -255,30 +262,37 @@ class FitSetup:
             vector[layout.of_units(name)] = p[before.of_units(name)]
         return vector
 
-    def rule(self) -> tuple[ChosenCells, LobeOperator]:
-        """Compute and store the chosen cells and their operator.
+    def rule(self) -> tuple[ChosenCells, tuple[LobeOperator, ...]]:
+        """Compute and store the chosen cells and their operators.
 
         Returns:
-            The chosen cells of the slices, and the operator from a lobe to its record in these cells.
+            The chosen cells of the slices, and the operators from a lobe to its record in these cells, one for each colour of
+            the rig.
 
         Raises:
             ArgumentError: a fit does not support the rig, or the rig lacks a free parameter.
 
         Example:
-            >>> cells, operator = setup.rule()  # doctest: +SKIP
+            >>> cells, operators = setup.rule()  # doctest: +SKIP
         """
         sampling = sampling_of(self.tables[0])
         if self.rig is None:
-            return perfect_operator(sampling, self.slice_step, self.view, self.workspace, self.pixels)
-        return lobe_operator(self.rig, sampling, self.slice_step, self.prior.axes, self.workspace, self._whole)
+            cells, operator = perfect_operator(sampling, self.slice_step, self.view, self.workspace, self.pixels)
+            return cells, (operator,)
+        axes, whole = self.prior.axes, self._whole
+        cells, operators = zip(
+            *(lobe_operator(one, sampling, self.slice_step, axes, self.workspace, whole) for one in self.rig.colours),
+            strict=True,
+        )
+        return cells[0], operators
 
     @cached_property
     def problem(self) -> FitProblem:
         """Least-squares problem of the fit."""
         layout = self.layout  # computed first, because it checks the arguments
-        cells, operator = self.rule()
+        cells, operators = self.rule()
         radius = (self.view if self.rig is None else sample_view(self.rig)).radius
-        return FitProblem(fit_data(self.tables, cells), cells, operator, layout, self.prior, radius)
+        return FitProblem(fit_data(self.tables, cells), cells, operators, layout, self.prior, radius)
 
     @property
     def axes_with_refits(self) -> tuple[Axis, ...]:
@@ -324,22 +338,32 @@ class FitSetup:
                 "camera_parameters='prior' needs a camera with an uncertainty (Camera(..., uncertainty=...)), but this camera "
                 "is exact"
             )
+        colours = self.rig.colours
+        rig = colours[len(colours) // 2]  # parameters that may be free are common to all colours
+        free = [*(self.free if camera_parameters == "free" else ()), *self.also]
+        of_lens = [name for name in free if name.startswith("optics.")]
+        if len(colours) > 1 and of_lens:
+            raise ArgumentError(
+                f"a parameter of the lens cannot be free if each colour has its own lens, got {of_lens[0]!r}: use "
+                "camera_parameters='prior', which fits a common factor of the widths of all lenses"
+            )
         axes: tuple[Axis, ...] = ()
         root = np.zeros((0, 0))
         if camera_parameters == "free":
-            axes = tuple(free_axis(name, self.rig) for name in self.free)
+            axes = tuple(free_axis(name, rig) for name in self.free)
             root = np.zeros((len(axes), len(axes)))
         elif camera_parameters == "prior" and known.uncertainty is not None:
-            axes, root = _stated_prior(self.rig, known.uncertainty)
+            prior = _stated_prior if len(colours) == 1 else _prior_of_colours
+            axes, root = prior(self.rig, known.uncertainty)
         elif camera_parameters == "prior":
             axes, root = (change_axis(WIDTH),), np.array([[1 / CHANGES[WIDTH].std]])
         if self.also:
-            axes = (*axes, *(free_axis(name, self.rig, nearby=self.nearby) for name in self.also))
+            axes = (*axes, *(free_axis(name, rig, nearby=self.nearby) for name in self.also))
             root = np.pad(root, ((0, 0), (0, len(self.also))))
         if self.lens_shape:
-            shapes, stds = shape_axes(self.rig)
+            shapes, stds = shape_axes(rig)
             axes, root = (*axes, *shapes), block_diag(root, np.diag(1 / np.array(stds)))
-        finest = 2 * float(self.rig.camera.pixel.half_width) / sample_view(self.rig).radius
+        finest = 2 * float(rig.camera.pixel.half_width) / sample_view(rig).radius
         return Prior(axes, root, self.spline, max(finest, self.stiff_below), self.learned_spline)
 
 
@@ -358,6 +382,26 @@ def _stated_prior(rig: Rig, uncertainty: Uncertainty) -> tuple[tuple[Axis, ...],
         scales.append(axes[-1].std(std) / std)
     variances, vectors = np.linalg.eigh(relative * np.outer(scales, scales))
     return tuple(axes), (vectors / np.sqrt(np.maximum(variances, 1e-12))).T
+
+
+def _prior_of_colours(rig: Rig, uncertainty: Uncertainty) -> tuple[tuple[Axis, ...], np.ndarray]:
+    """Build the axes of the uncertain parameters of a camera with a lens for each colour, as `_stated_prior` does.
+
+    The widths of all lenses have one common factor. Its standard deviation is the largest of the relative standard deviations
+    of the widths, or `ASSUMED` if only other parameters of the lenses are uncertain.
+    """
+    parameters, stds = rig.camera.parameters(), uncertainty.std()
+    widths = [
+        std / float(parameters[name]) for name, std in stds.items() if is_lens_width(name) and float(parameters[name])
+    ]
+    others = any(std > 0 for name, std in stds.items() if name.startswith("optics.") and not is_lens_width(name))
+    relative = max(widths, default=ASSUMED if others else 0.0)
+    axes, root = _stated_prior(
+        rig.colours[0], Uncertainty.of({name: std for name, std in stds.items() if not name.startswith("optics.")})
+    )
+    if not relative:
+        return axes, root
+    return (change_axis(WIDTH), *axes), block_diag([[1 / relative]], root)
 
 
 def fit(

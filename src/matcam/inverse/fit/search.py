@@ -112,7 +112,7 @@ class Search:
 
     def __init__(self, problem: FitProblem, noise: PixelNoise | None, workspace: Workspace):
         self.problem, self.given_noise = problem, noise
-        self.starts = StartRecords(problem.operator, workspace)
+        self.starts = StartRecords(problem.operators, workspace)
         self.prior_rows = problem.prior.rows(problem.layout)
         self.low, self.high = problem.bounds()
 

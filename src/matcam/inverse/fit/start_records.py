@@ -20,15 +20,15 @@ class StartRecords:
     """Cache of the records of the lobes from which a search starts.
 
     Attributes:
-        operator: operator of the rig.
+        operators: operators of the rig, one for each colour.
         workspace: store of the records, for other materials and processes.
     """
 
-    operator: LobeOperator
+    operators: tuple[LobeOperator, ...]
     workspace: Workspace
 
     def of(self, kind: LobeKind, starts: np.ndarray) -> np.ndarray:
-        """Compute the records of lobes at F = 1, 1/sr, (starts, slices, cells).
+        """Compute the records of lobes at F = 1, 1/sr, (starts, operators, slices, cells).
 
         The parameters of the rig have their specified values.
 
@@ -36,13 +36,12 @@ class StartRecords:
             kind: parametrisation of the lobes.
             starts: coordinates of the lobes, (starts, coordinates).
         """
-        key = f"records of starts\n{self._name}\n{kind}\n{starts.tobytes().hex()}"
+        key = f"records of starts by colour\n{self._name}\n{kind}\n{starts.tobytes().hex()}"
 
         def make() -> dict[str, np.ndarray]:
-            stated = np.zeros(len(self.operator.axes))
-            return {
-                "records": np.stack([lobe_record(self.operator, kind, np.concatenate([q, stated])) for q in starts])
-            }
+            stated = np.zeros(len(self.operators[0].axes))
+            found = [[lobe_record(one, kind, np.concatenate([q, stated])) for one in self.operators] for q in starts]
+            return {"records": np.array(found)}
 
         folder = self.workspace.folder and self.workspace.folder / "starts"
         kept = Workspace(folder, files=_KEPT)
@@ -50,9 +49,9 @@ class StartRecords:
 
     @cached_property
     def _name(self) -> str:
-        """Hash of the values of the operator, which identifies the operator in the cache."""
+        """Hash of the values of the operators, which identifies them in the cache."""
         numbers = hashlib.sha256()
-        for leaf in jax.tree.leaves(self.operator.blocks):
+        for leaf in jax.tree.leaves([operator.blocks for operator in self.operators]):
             numbers.update(np.ascontiguousarray(leaf).tobytes())
         return numbers.hexdigest()
 

@@ -24,6 +24,7 @@ import equinox as eqx
 import numpy as np
 import numpy.typing as npt
 
+from matcam.camera.optics.colour import ColourOptics
 from matcam.camera.optics.optics import checked_isotropic
 from matcam.core import checks
 from matcam.core.errors import ArgumentError
@@ -297,7 +298,16 @@ def check_rig(rig: Rig) -> None:
         )
     if isinstance(rig.sample, Cylinder):
         check_cylinder(rig)
-        checked_isotropic(rig.camera.optics, "a fit of a cylinder")
+        for one in rig.colours:
+            checked_isotropic(one.camera.optics, "a fit of a cylinder")
+    if isinstance(rig.camera.optics, ColourOptics):
+        if any(np.any(shift) for shift in rig.camera.optics.shifts):
+            raise ArgumentError(
+                "a fit requires images without lateral colour, but ColourOptics has a shift: align the images of the colours "
+                "before the table is made, and set red_shift, green_shift and blue_shift to (0, 0)"
+            )
+        if len({one.camera.optics.isotropic for one in rig.colours}) > 1:
+            raise ArgumentError("a fit requires that the lenses of all colours are isotropic, or that none is")
     if rig.cell_value in (*ON_REAL_PIXELS, "mean") and not sample_view(rig).distant:
         raise ArgumentError(
             f"cell_value '{rig.cell_value}' requires a distant camera and lamp, because each cell has its own image if one of "

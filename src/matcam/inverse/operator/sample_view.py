@@ -131,7 +131,7 @@ def sample_view(rig: Rig | None) -> SampleView:
         return FAR_AWAY
     sample, lamp, azimuth = rig.sample, rig.lamp.nearness, rig.lamp_azimuth or 0.0
     # square pixels and an isotropic lens are invariant under a quarter turn
-    period = np.pi / 2 if rig.camera.optics.isotropic else 2 * np.pi
+    period = np.pi / 2 if all(one.camera.optics.isotropic for one in rig.colours) else 2 * np.pi
     turned = 0.0 if abs(np.sin(np.pi * azimuth / period)) < _ALIGNED else float(np.mod(azimuth, period))
     near = float(sample.nearness), 0.0 if lamp is None else float(lamp)  # type: ignore[attr-defined]
     return SampleView(float(sample.radius), *near, turned, isinstance(sample, Cylinder))  # type: ignore[attr-defined]

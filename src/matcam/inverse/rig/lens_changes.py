@@ -63,12 +63,13 @@ def _difference(factor: float, *shares: int) -> dict[float, tuple[tuple[float, f
     return {1.0: tuple((scale, scale, factor * share) for scale, share in zip(VARIANCES, shares, strict=True) if share)}
 
 
-def _widened(*points: float) -> dict[float, tuple[tuple[float, float, float], ...]]:
-    """Build differences between wider or narrower Gaussians and the kernel of the lens.
+def _widened() -> dict[float, tuple[tuple[float, float, float], ...]]:
+    """Build differences between wider or narrower Gaussians, those of `VARIANCES`, and the kernel of the lens.
 
-    points: logarithms of the ratios of the widths.
+    The points are the logarithms of the ratios of the widths.
     """
-    return {point: ((np.exp(2 * point), np.exp(2 * point), 1.0), (1.0, 1.0, -1.0)) for point in points}
+    others = (scale for scale in VARIANCES if scale != 1)
+    return {0.5 * float(np.log(scale)): ((scale, scale, 1.0), (1.0, 1.0, -1.0)) for scale in others}
 
 
 def _stretched(*points: float) -> dict[float, tuple[tuple[float, float, float], ...]]:
@@ -80,7 +81,7 @@ def _stretched(*points: float) -> dict[float, tuple[tuple[float, float, float], 
 
 
 CHANGES = {
-    WIDTH: KernelChange(_widened(-0.25, 0.25), ASSUMED, -0.5, 0.5, 0),
+    WIDTH: KernelChange(_widened(), ASSUMED, -0.5, 0.5, 0),
     # a disc has the moments of a mixture of Gaussians whose relative variance has the second and third central moments
     # -1/3 and 1/3
     SHAPE: KernelChange(_difference(1 / (18 * _STEP**2), 1, -1, 0, -1, 1), 1.0, -1.5, 4.0, 2),

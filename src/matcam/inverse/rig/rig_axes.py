@@ -203,9 +203,9 @@ def known_lens(camera: Camera) -> KnownLens:
     widths = {
         name: ASSUMED * float(value)
         for name, value in camera.parameters().items()
-        if _is_lens_width(name) and float(value) > 0
+        if is_lens_width(name) and float(value) > 0
     }
-    if not widths and any(_is_lens_width(name) for name in camera.parameters()):
+    if not widths and any(is_lens_width(name) for name in camera.parameters()):
         return KnownLens(None, "not specified: assumed to be exact", assumed=False, exact=True)
     known = Uncertainty.of(widths) if widths else None
     return KnownLens(
@@ -213,7 +213,8 @@ def known_lens(camera: Camera) -> KnownLens:
     )
 
 
-def _is_lens_width(name: str) -> bool:
+def is_lens_width(name: str) -> bool:
+    """Check whether a parameter of a camera is a width of a lens, which scales its kernel."""
     return name.startswith("optics.") and name.rsplit(".", 1)[-1] in _LENS_WIDTHS
 
 
