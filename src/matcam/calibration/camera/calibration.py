@@ -93,7 +93,8 @@ class Calibration(Summarised):
     def colour_camera(self) -> Camera | None:
         """Camera with a lens for each colour.
 
-        None if the channels are not R, G and B, or if their pixels differ. The errors of the colours are treated as independent.
+        None if the channels are not R, G and B, or if their pixels differ. The errors of the colours are treated as
+        independent.
         """
         if set(self.channels) != set("RGB"):
             return None
