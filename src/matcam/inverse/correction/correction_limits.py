@@ -81,6 +81,19 @@ class LobeRatio(NamedTuple):
         return (*scaled_parts(self.parts, factor), VariancePart(name, "B", added[PEAK]))
 
 
+def with_misfit(ratio: LobeRatio, misfit: float) -> LobeRatio:
+    """Add the misfit of the lobe to the standard deviation.
+
+    Neighbouring cells have similar misfit, so their mean has the misfit of one cell. The error of a correction is at most the
+    correction.
+
+    misfit: standard deviation of the recorded lobe that pixel noise does not explain, relative to the lobe (no unit).
+    """
+    added = np.minimum(misfit, np.abs(ratio.log)) ** 2
+    parts = ratio.parts_with("misfit of the lobe", added)
+    return ratio._replace(std=np.sqrt(ratio.std**2 + added), parts=parts)
+
+
 def withheld(ratio: LobeRatio) -> LobeRatio:
     """Set the ratio to 1, and include the withheld change in the standard deviation."""
     change, factor = np.expm1(ratio.log), np.maximum(np.exp(ratio.log), 1)

@@ -167,13 +167,28 @@ class Explanation(NamedTuple):
         return Remark("no-blur-in-data", text)
 
     @property
+    def misfit(self) -> float:
+        """Standard deviation of the recorded lobe that pixel noise does not explain, relative to the lobe (no unit)."""
+        if not self.weighing.known:
+            return 0.0
+        share = self._misfit_share
+        pixel, fitted = self.weighing.noise.relative, self.fit.noise.relative
+        whole = pixel / np.sqrt(1 - share) if self.fit.noise_given else fitted
+        return float(whole * np.sqrt(share))
+
+    @property
+    def _misfit_share(self) -> float:
+        """Share of the variance of the residuals that pixel noise does not explain."""
+        # few cells with large residuals hardly change the robust chi squared, but the estimated noise
+        pixel, fitted = self.weighing.noise.relative, self.fit.noise.relative
+        return 1 - min(self.weighing.kappa, 1.0 if self.fit.noise_given else (pixel / max(pixel, fitted)) ** 2)
+
+    @property
     def remarks(self) -> tuple[Remark, ...]:
         remarks = [*self.fit.remarks, *self.located.remarks]
         if self.fit.has_spline:
             remarks.append(self.shape.remark(self.fit.family))
-        # few cells with large residuals hardly change the robust chi squared, but the estimated noise
-        pixel, fitted = self.weighing.noise.relative, self.fit.noise.relative
-        share = 1 - min(self.weighing.kappa, 1.0 if self.fit.noise_given else (pixel / max(pixel, fitted)) ** 2)
+        share = self._misfit_share
         if self.weighing.known and (self.weighing.unexplained or share > _MISFIT):
             remarks.append(
                 Remark(
