@@ -145,7 +145,13 @@ def contents_of(thing: Any, name: str = "thing", others: str = "a Camera or a Ch
     if isinstance(thing, xr.Dataset):
         return Contents("fields", check_fields(thing)) if "vndf" in thing else Contents("result", thing)
     if isinstance(thing, np.ndarray) or hasattr(thing, "__jax_array__") or type(thing).__module__.startswith("jax"):
-        return Contents("picture", np.asarray(thing))
+        picture = np.asarray(thing)
+        if picture.ndim not in (2, 3):
+            raise ArgumentError(
+                f"{name} must be an image of shape (height, width) or (height, width, channels), got shape {picture.shape}: "
+                "give a table as an xarray.DataArray (see read_merl)"
+            )
+        return Contents("picture", picture)
     raise ArgumentError(
         f"{name} must be an xarray.DataArray or Dataset, an image as an array, {others}, got {type(thing).__name__}"
     )

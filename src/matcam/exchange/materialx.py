@@ -24,7 +24,8 @@ from matcam.core.errors import ArgumentError
 from matcam.core.grid import CHANNELS
 from matcam.core.io import write_text
 from matcam.core.jax import jax, jnp
-from matcam.material.material import Material, check_material
+from matcam.exchange.parameterisation import check_isotropic
+from matcam.material.material import Material
 from matcam.material.microfacet import Microfacet
 from matcam.material.ndf.ggx import GGX
 from matcam.material.reflectance import Dielectric, Schlick
@@ -67,7 +68,7 @@ def fit_openpbr(material: Material) -> OpenPBRSurface:
         material: isotropic material with one or three channels, such as `Tabulated(table)`.
 
     Raises:
-        ArgumentError: the material is not a Material, or has neither one nor three channels.
+        ArgumentError: the material is not a Material, is anisotropic, or has neither one nor three channels.
 
     Source:
         OpenPBR Surface specification 1.1; Bieron and Peers (2020), *An Adaptive BRDF Fitting Metric*: roots as a
@@ -79,7 +80,7 @@ def fit_openpbr(material: Material) -> OpenPBRSurface:
         >>> surface.metalness, round(surface.specular_ior, 2)
         (0.0, 1.5)
     """
-    check_material(material)
+    check_isotropic(material)
     # the half angles are dense about the peak, as in a MERL table
     theta_h, theta_d, phi_d = np.meshgrid(
         np.linspace(0.0, 1.0, 28) ** 2 * np.radians(85), np.radians(np.arange(5.0, 76, 10)), _AZIMUTHS, indexing="ij"

@@ -89,6 +89,20 @@ _THETA_NODES = 181  # two intervals in theta_h for each cell of a MERL table
 _FAINTEST = 1e-9  # smallest divisor, as a share of the peak of D
 
 
+def check_isotropic(material: Material) -> None:
+    """Raise ArgumentError if an argument is not a material, or if the material is anisotropic."""
+    check_material(material)
+    if isinstance(material, Microfacet) and not isinstance(material.ndf, NDF):
+        raise ArgumentError(
+            f"only isotropic materials can be resampled, but {material.ndf!r} is anisotropic: give a material with an "
+            "isotropic NDF"
+        )
+    if isinstance(material, Adaptive) and material.mirrored:
+        raise ArgumentError(
+            "only isotropic materials can be resampled, but this Adaptive material is anisotropic: give an isotropic material"
+        )
+
+
 def adaptive_grid(material: Material, *, description: str = "", square: int = SQUARE) -> xr.Dataset:
     """Resample an isotropic material to the fields of an RGL file.
 
@@ -117,16 +131,7 @@ def adaptive_grid(material: Material, *, description: str = "", square: int = SQ
         >>> fields["rgb"].dims, fields["rgb"].shape
         (('phi_i', 'theta_i', 'channel', 'row', 'column'), (1, 44, 3, 8, 8))
     """
-    check_material(material)
-    if isinstance(material, Microfacet) and not isinstance(material.ndf, NDF):
-        raise ArgumentError(
-            f"only isotropic materials can be resampled, but {material.ndf!r} is anisotropic: give a material with an "
-            "isotropic NDF"
-        )
-    if isinstance(material, Adaptive) and material.mirrored:
-        raise ArgumentError(
-            "only isotropic materials can be resampled, but this Adaptive material is anisotropic: give an isotropic material"
-        )
+    check_isotropic(material)
     if type(square) is not int or square % 2 or not 8 <= square <= 512:
         raise ArgumentError(f"square must be an even number from 8 to 512, got {square!r}")
     return resampled_grid(material, _FINEST._replace(square=square), description)

@@ -92,9 +92,10 @@ def measure(
         the largest error of the transfer function of the lens; 0 for Gaussian lenses.
 
     Raises:
-        ArgumentError: the material has neither one nor three channels; the lens varies over the field; the `cell_value` of
-            the rig is "mean", "nearest" or "bilinear" for a flat sample or a cylinder; a lamp azimuth or a lens that is not
-            isotropic is specified for a cylinder; or the call is inside jax.jit.
+        ArgumentError: the material has neither one nor three channels; the lens varies over the field, and the camera
+            or the lamp is near or the lamp has a disc; the `cell_value` of the rig is "mean", "nearest" or "bilinear"
+            for a flat sample or a cylinder; a lamp azimuth or a lens that is not isotropic is specified for a cylinder;
+            or the call is inside jax.jit.
 
     Source:
         docs/model.md 2 and 3. The error is below 1e-4 of the value or 1e-7 of the peak for Gaussian optics (tests).

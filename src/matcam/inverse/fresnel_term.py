@@ -299,7 +299,8 @@ def fresnel_budget(result: xr.Dataset, theta_d: float, channel: str | None = Non
         channel: name of the channel. Default: None, the middle channel.
 
     Raises:
-        ArgumentError: `result` is not from `fresnel`, or has no such channel or no F at this angle.
+        ArgumentError: `result` is not from `fresnel`, or has no such channel or no F at this angle, or the angle is out of
+            its range.
 
     Example:
         >>> found = matcam.fresnel(table, matcam.rigs.merl())  # doctest: +SKIP
@@ -317,7 +318,8 @@ def fresnel_budget(result: xr.Dataset, theta_d: float, channel: str | None = Non
     names = [str(name) for name in result["channel"].values]
     channel = names[len(names) // 2] if channel is None else channel
     checks.choice("channel", channel, tuple(names))
-    at = int(np.argmin(np.abs(result["theta_d"].values - theta_d))), names.index(channel)
+    angle = float(checks.scalar("theta_d", checks.within("theta_d", theta_d, 0, np.pi / 2, "rad")))
+    at = int(np.argmin(np.abs(result["theta_d"].values - angle))), names.index(channel)
     value, degrees = float(result["corrected"].values[at]), float(np.degrees(result["theta_d"].values[at[0]]))
     if not np.isfinite(value):
         raise ArgumentError(

@@ -93,7 +93,8 @@ def limits(
             all rigs, which include those with another blur and the changed ones. Default: None.
 
     Returns:
-        Dataset over roughness, theta_d (rad), blur and change:
+        Dataset over roughness, theta_d (rad), blur and change. The bounds are for one channel. If the channels of a table have
+        one lobe and independent noise, bounds of roughness and lens decrease with the square root of their number:
 
         - `width_std`: bound of the standard deviation of ln roughness if the lens is exact.
         - `width_std_stated`: the same bound for the uncertainty of the lens that the camera specifies; NaN if there is none.

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from matcam.core.jax import jax
 
 _AZIMUTHS = 64  # number of phi_h of the half vectors of the albedo
+_QUARTER = np.pi / 2 * (1 + 1e-9)  # largest half or difference angle, rad, with a margin for rounding
 
 
 class Material(Module):
@@ -75,11 +76,14 @@ class Material(Module):
             missing data.
 
         Raises:
-            ArgumentError: an angle is not finite, or the shapes do not broadcast.
+            ArgumentError: an angle is not finite, `theta_h` or `theta_d` is beyond 90 degrees, or the shapes do not
+                broadcast.
 
         Source:
             Rusinkiewicz (1998); docs/model.md 1.
         """
+        for name, angle in (("theta_h", theta_h), ("theta_d", theta_d)):
+            checks.within(name, angle, -_QUARTER, _QUARTER, "rad")
         shading = shading_at(theta_h, theta_d, phi_d, phi_h)
         reflected = self.reflected(shading)
         above = (shading.cos_i > 0) & (shading.cos_o > 0)

@@ -61,6 +61,13 @@ class Microfacet(Material):
         self.fresnel = as_reflectance(fresnel)
         self.diffuse = per_channel("diffuse", checks.within("diffuse", diffuse, 0, 1))
         self.masking = checks.choice("masking", masking, MASKINGS)
+        if self.diffuse.size > 1:
+            channels = jax.eval_shape(self.fresnel.at, jnp.zeros(())).shape
+            if channels not in ((), (1,), self.diffuse.shape):
+                raise ArgumentError(
+                    f"fresnel and diffuse must have the same number of channels, or one, got {channels[0]} and "
+                    f"{self.diffuse.size}"
+                )
 
     @eqx.filter_jit
     def reflected(self, shading: Shading) -> jax.Array:

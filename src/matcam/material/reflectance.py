@@ -283,7 +283,7 @@ def per_channel(name: str, value: jax.Array) -> jax.Array:
 
     Otherwise an ArgumentError with its shape is raised.
     """
-    if value.ndim > 1:
+    if value.ndim > 1 or value.size == 0:
         raise ArgumentError(f"{name} must be a number or a list with one entry per channel, got shape {value.shape}")
     return value
 

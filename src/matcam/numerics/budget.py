@@ -223,6 +223,7 @@ def _checked(source: UncertaintySource) -> UncertaintySource:
     }
     for what, value in numbers.items():
         checks.scalar(f"{what} {name}", value)
+    checks.choice(f"kind {name}", source.kind, ("A", "B"))
     return source
 
 

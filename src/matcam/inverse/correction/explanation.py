@@ -171,24 +171,16 @@ class Explanation(NamedTuple):
         """Standard deviation of the recorded lobe that pixel noise does not explain, relative to the lobe (no unit)."""
         if not self.weighing.known:
             return 0.0
-        share = self._misfit_share
-        pixel, fitted = self.weighing.noise.relative, self.fit.noise.relative
-        whole = pixel / np.sqrt(1 - share) if self.fit.noise_given else fitted
-        return float(whole * np.sqrt(share))
-
-    @property
-    def _misfit_share(self) -> float:
-        """Share of the variance of the residuals that pixel noise does not explain."""
-        # few cells with large residuals hardly change the robust chi squared, but the estimated noise
-        pixel, fitted = self.weighing.noise.relative, self.fit.noise.relative
-        return 1 - min(self.weighing.kappa, 1.0 if self.fit.noise_given else (pixel / max(pixel, fitted)) ** 2)
+        return float(self.weighing.noise.relative * np.sqrt(1 / self.weighing.kappa - 1))
 
     @property
     def remarks(self) -> tuple[Remark, ...]:
         remarks = [*self.fit.remarks, *self.located.remarks]
         if self.fit.has_spline:
             remarks.append(self.shape.remark(self.fit.family))
-        share = self._misfit_share
+        # few cells with large residuals hardly change the robust chi squared, but the estimated noise
+        pixel, fitted = self.weighing.noise.relative, self.fit.noise.relative
+        share = 1 - min(self.weighing.kappa, 1.0 if self.fit.noise_given else (pixel / max(pixel, fitted)) ** 2)
         if self.weighing.known and (self.weighing.unexplained or share > _MISFIT):
             remarks.append(
                 Remark(

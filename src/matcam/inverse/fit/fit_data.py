@@ -127,7 +127,8 @@ def _table_data(brdf: xr.DataArray, cells: ChosenCells, index: int) -> FitData:
         if share < _FEWEST or seen < _FEWEST_SLICES:
             raise FitError(
                 f"channel {label}: the table contains {share:.0%} of the required values, in {seen} of {cells.slices.size} "
-                f"slices of theta_d: give a table with at least {_FEWEST:.0%} of them, in at least {_FEWEST_SLICES} slices"
+                f"slices of theta_d: give a table with at least {_FEWEST:.0%} of them, in at least {_FEWEST_SLICES} slices, or "
+                "a slice_step that selects the slices with values"
             )
         if not _PEAKS[0] < bright.max() < _PEAKS[1]:
             raise FitError(

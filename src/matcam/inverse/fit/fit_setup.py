@@ -474,8 +474,15 @@ def fit(
         ...
         matcam.core.errors.ArgumentError: at least one table is required, got none: give a table or a list of tables
     """
+    if isinstance(free, str):
+        raise ArgumentError(f"free must be a list of names, got {free!r}: give [{free!r}]")
+    if tuple(free) != (LENS,) and camera_parameters != "free":
+        raise ArgumentError(
+            f"free has an effect only with camera_parameters='free', got camera_parameters={camera_parameters!r}"
+        )
     setup = FitSetup(
-        tables=(brdf,) if isinstance(brdf, xr.DataArray) else tuple(brdf), rig=rig, ndf=ndf, fresnel=fresnel,
+        tables=tuple(brdf) if isinstance(brdf, list | tuple) else (brdf,), rig=rig,  # type: ignore[arg-type]
+        ndf=ndf, fresnel=fresnel,
         diffuse=diffuse, per_channel=per_channel, masking=masking, camera_parameters=camera_parameters,
         free=tuple(free), spline=spline, noise=noise, slice_step=slice_step, workspace=workspace,
     )  # fmt: skip
