@@ -8,6 +8,7 @@ from matcam import Camera, ColourOptics, GaussianOptics, Rig, Sphere, fit, fresn
 from matcam.camera import PixelNoise, Uncertainty
 from matcam.core.errors import ArgumentError
 from matcam.inverse import Correction, FitSetup
+from matcam.inverse.correction.evidence import channel_misfit
 from tests.inverse import recorded
 from tests.oracle import sphere_cells as oracle
 from tests.oracle.merl_lobe import PHI_D, THETA_D, THETA_H, conductor
@@ -45,6 +46,7 @@ def test_each_channel_is_fitted_through_its_lens(table):
         assert found.params[f"k[{channel}]"] == pytest.approx(k, rel=2e-3)
     green = fit(table, rig().colours[1], slice_step=EVERY)
     assert not green.explained  # one lens is wrong for two of the channels
+    assert channel_misfit(found, NOISE) < NOISE.relative < 0.03 < channel_misfit(green, NOISE)
 
 
 def test_the_widths_have_a_common_factor(table):
@@ -99,6 +101,14 @@ def test_a_whole_table_is_corrected():
     assert np.mean(pull > 3) < 0.01
     budget = done.uncertainty_budget(np.radians(45.0), 0)
     assert budget.combined == pytest.approx(std[0, 45, 90, 0], rel=1e-6)
+
+    green = Correction.of(behind, rig(relative=0.03).colours[1])
+    assert "channels-differ" in [remark.code for remark in green.remarks]
+    assert "channels-differ" not in [remark.code for remark in done.remarks]
+    value, std, supported = (green.table[name].values for name in ("brdf", "brdf_std", "supported"))
+    judged = np.isfinite(std) & (true > 1e-9) & supported
+    pull = np.abs(value - true)[judged] / std[judged]
+    assert np.mean(pull > 3) < 0.03
 
     curve = fresnel(behind, rig(relative=0.03))
     assert curve["response"].dims == ("theta_d", "channel")

@@ -22,7 +22,7 @@ from matcam.inverse.correction.corrected_table import corrected_table, responses
 from matcam.inverse.correction.correction_limits import (
     LobeRatio,
     shrunk,
-    with_misfit,
+    with_channel_misfit,
     withheld,
 )
 from matcam.inverse.correction.explanation import UNEXPLAINED, explain, first_setup
@@ -148,7 +148,8 @@ class Correction(Summarised):
         best = found.fit
         maskings = other_maskings(best, min(found.weighing.kappa, MOST_LINEAR))
         fits = CorrectionFits(best, found.shape, found.base, found.refits, found.others, maskings, expected)
-        fitted = with_misfit(lobe_ratio(located.rig, sampling, fits, workspace, located.std), found.misfit)
+        fitted = lobe_ratio(located.rig, sampling, fits, workspace, located.std)
+        fitted = with_channel_misfit(fitted, found.channel_misfit)
         held_back = found.contradicts and not force_correction
         said = held_back and _matters(fitted)
         if force_correction:

@@ -81,16 +81,15 @@ class LobeRatio(NamedTuple):
         return (*scaled_parts(self.parts, factor), VariancePart(name, "B", added[PEAK]))
 
 
-def with_misfit(ratio: LobeRatio, misfit: float) -> LobeRatio:
-    """Add the misfit of the lobe to the standard deviation.
+def with_channel_misfit(ratio: LobeRatio, misfit: float) -> LobeRatio:
+    """Add the difference between the lobes of the channels to the standard deviation.
 
-    Neighbouring cells have similar misfit, so their mean has the misfit of one cell. The error of a correction is at most the
-    correction.
+    Neighbouring cells have similar differences, so the error of a channel is that of one cell. It is at most the correction.
 
-    misfit: standard deviation of the recorded lobe that pixel noise does not explain, relative to the lobe (no unit).
+    misfit: difference between the lobes of the channels that noise does not explain, relative to the lobe (no unit).
     """
     added = np.minimum(misfit, np.abs(ratio.log)) ** 2
-    parts = ratio.parts_with("misfit of the lobe", added)
+    parts = ratio.parts_with("differences between the channels", added)
     return ratio._replace(std=np.sqrt(ratio.std**2 + added), parts=parts)
 
 

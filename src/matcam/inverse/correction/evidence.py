@@ -147,6 +147,17 @@ def _channel_noise(found: MaterialFit) -> PixelNoise | None:
     return _of_pairs(data._replace(used=used), difference, model.value)
 
 
+def channel_misfit(found: MaterialFit, noise: PixelNoise) -> float:
+    """Compute the difference between the lobes of the channels that noise does not explain, relative to the lobe (no unit).
+
+    Args:
+        found: fit with free strengths and one lobe for all channels.
+        noise: noise of a pixel.
+    """
+    apart = _channel_noise(found)
+    return 0.0 if apart is None else float(np.sqrt(max(apart.relative**2 - noise.relative**2, 0.0)))
+
+
 def _of_pairs(data: FitData, difference: np.ndarray, value: np.ndarray) -> PixelNoise:
     """Estimate noise from pairs of cells whose true values are equal.
 

@@ -26,7 +26,7 @@ from matcam.core.errors import FitError
 from matcam.core.remark import Remark
 from matcam.core.workspace import Workspace
 from matcam.forward.pixel_grid import grid_of
-from matcam.inverse.correction.evidence import OtherLobe, Weighing, noise_without_model
+from matcam.inverse.correction.evidence import OtherLobe, Weighing, channel_misfit, noise_without_model
 from matcam.inverse.correction.lobe_shape import ShapeUncertainty, known_shape, shape_uncertainty
 from matcam.inverse.correction.rig_refits import RigRefit, rig_refits
 from matcam.inverse.correction.spline_lobe import in_all_slices
@@ -66,6 +66,8 @@ _MISFIT = 0.75
 """Share of misfit in the variance of the residuals above which no lobe explains the data. The noise that the fit estimates is
 then more than twice the noise of a pixel.
 """
+CHANNELS_DIFFER = "channels-differ"
+"""Code of the remark that the channels have different lobes."""
 UNEXPLAINED = "unexplained"
 """Code of the remark that no explanation describes the data."""
 
@@ -167,11 +169,12 @@ class Explanation(NamedTuple):
         return Remark("no-blur-in-data", text)
 
     @property
-    def misfit(self) -> float:
-        """Standard deviation of the recorded lobe that pixel noise does not explain, relative to the lobe (no unit)."""
-        if not self.weighing.known:
-            return 0.0
-        return float(self.weighing.noise.relative * np.sqrt(1 / self.weighing.kappa - 1))
+    def channel_misfit(self) -> float:
+        """Difference between the lobes of the channels that pixel noise does not explain, relative to the lobe (no unit).
+
+        It is 0 if the noise of a pixel is unknown.
+        """
+        return channel_misfit(self.fit, self.weighing.noise) if self.weighing.known else 0.0
 
     @property
     def remarks(self) -> tuple[Remark, ...]:
@@ -187,6 +190,16 @@ class Explanation(NamedTuple):
                     UNEXPLAINED,
                     f"pixel noise ({self.weighing.noise.relative:.1%}) does not explain {share:.0%} of the "
                     "variance of the residuals: no lobe that was tried explains the data fully; check the rig",
+                )
+            )
+        apart = self.channel_misfit
+        if apart > self.weighing.noise.relative:
+            remarks.append(
+                Remark(
+                    CHANNELS_DIFFER,
+                    f"the lobes of the channels differ by {apart:.1%} of their values in addition to noise, so the lens or the "
+                    "roughness differs between the channels: specify a camera with a lens for each colour (camera-RGB.json of "
+                    "`matcam calibrate`)",
                 )
             )
         return (*remarks, *(refit.remark for refit in self.refits if refit.contradicts))
