@@ -271,6 +271,7 @@ BAD = [
     ("inspect file", "unknown format; the supported formats are"),
     ("figures short.binary", "truncated"),
     ("frensel", "No such command 'frensel'"),
+    ("predict 0.5 -1", "give a number that is not negative"),
     ("check", "Did you mean matcam capture check?"),
     ("figures same.binary SAME", "two files have the same name"),
 ]

@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import gc
 import os
+import re
 import signal
 import sys
 import traceback
@@ -23,6 +24,7 @@ from matcam.core.threads import use_one_blas_thread, use_one_heap
 BAD_INPUT = 2
 FAULT = 70
 INTERRUPTED = 130
+_NEGATIVE = re.compile(r"No such option: -\.?\d")
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -136,7 +138,7 @@ def _run(arguments: list[str] | None) -> int:
         return exit_.exit_code
     except usage_error as error:
         context = f" (see {error.ctx.command_path} --help)" if error.ctx else ""
-        return _complain(f"{_one_line(error.format_message())}{_in_groups(error)}{context}", BAD_INPUT)
+        return _complain(f"{_one_line(error.format_message())}{_hint(error)}{context}", BAD_INPUT)
     except (KeyboardInterrupt, typer.Abort):
         return _interrupted()
     except MatcamError as error:
@@ -157,9 +159,16 @@ def _run(arguments: list[str] | None) -> int:
     return code if broken is None else _output_failed(broken, code)
 
 
-def _in_groups(error: Any) -> str:
-    """Suggest the commands of groups whose name was given without the group, such as `matcam data merl` for `matcam merl`."""
+def _hint(error: Any) -> str:
+    """Suggest what was meant by a usage error.
+
+    Commands of groups may have been given without the group, such as `matcam merl` instead of `matcam data merl`. A negative
+    number is read as an option.
+    """
     from matcam.cli.app import app
+
+    if _NEGATIVE.search(error.format_message()):
+        return ". A word that starts with a minus sign is read as an option: give a number that is not negative"
 
     found = [
         f"matcam {group.name} {command.name}"
