@@ -110,6 +110,14 @@ def test_a_whole_table_is_corrected():
     pull = np.abs(value - true)[judged] / std[judged]
     assert np.mean(pull > 3) < 0.03
 
+    wrong = fresnel(behind, rig(relative=0.03).colours[1])
+    expected = case.terms[0].factor(wrong["theta_d"].values)
+    normal = (np.degrees(wrong["theta_d"].values) > 10) & (np.degrees(wrong["theta_d"].values) < 45)
+    pull = (wrong["corrected"].values - expected / expected[normal].mean(axis=0)) / wrong["corrected_std"].values
+    assert np.sqrt(np.nanmean(pull[50:80] ** 2)) < 1
+    total = np.sqrt((wrong["budget_std"].values ** 2).sum(axis=0))
+    np.testing.assert_allclose(total, wrong["corrected_std"].values, rtol=1e-6)
+
     curve = fresnel(behind, rig(relative=0.03))
     assert curve["response"].dims == ("theta_d", "channel")
     np.testing.assert_allclose(curve["response"].values[5:81], (clean / true)[peaks], rtol=0.02)

@@ -194,6 +194,7 @@ def fresnel(
     colours = explained.located.rig.colours
     peaks = np.stack([_peak_responses(one, found, masking, angles, workspace) for one in colours])
     response, centre = np.split(np.ones_like(peaks) if held_back else peaks, [theta_d.size], axis=1)
+    term = term.with_channel_misfit(explained.channel_misfit, response / centre)
     peak_terms = fresnel_of_peaks(brdf, theta_d, lobe, masking, response / centre, term.used)
     width = next(iter(found.params))
 

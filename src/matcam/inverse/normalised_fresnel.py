@@ -15,6 +15,7 @@ from matcam.numerics.fit_budget import VariancePart, statement_parts
 GAIN = "gains of the images"
 OTHER_LOBES = "other lobes that explain the table"
 NO_CAMERA = "no camera, instead of the specified camera"
+CHANNELS = "differences between the channels"
 
 
 class NormalisedFresnel:
@@ -77,6 +78,19 @@ class NormalisedFresnel:
         self.std_noise = np.hypot(self.std_noise, own)
         self.parts = (*self.parts, VariancePart(GAIN, "A", own**2, degrees=max(self.used.shape[-1] - 1, 1)))
         self.absolute_std = np.hypot(self.absolute_std, gain * self.absolute)
+        return self
+
+    def with_channel_misfit(self, misfit: float, relative_response: np.ndarray) -> NormalisedFresnel:
+        """Add the variance due to different lobes of the channels, as `with_channel_misfit` of a correction does.
+
+        Args:
+            misfit: difference between the lobes of the channels that noise does not explain, relative to the lobe (no unit).
+            relative_response: ratio of recorded to true peak, relative to that at theta_d = 0, (channels or 1, slices).
+        """
+        relative = np.minimum(misfit, np.abs(np.log(np.maximum(relative_response, 1e-300))))
+        self.std_camera = np.hypot(self.std_camera, relative * self.normalised)
+        self.parts = (*self.parts, VariancePart(CHANNELS, "B", (relative * self.normalised) ** 2))
+        self.absolute_std = np.hypot(self.absolute_std, misfit * self.absolute)
         return self
 
 

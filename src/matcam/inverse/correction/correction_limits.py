@@ -18,7 +18,7 @@ from scipy.sparse import csr_matrix
 
 from matcam.core.grid import GRID_SHAPE, Sampling, merl_grid
 from matcam.core.remark import Remark
-from matcam.inverse.normalised_fresnel import NO_CAMERA
+from matcam.inverse.normalised_fresnel import CHANNELS, NO_CAMERA
 from matcam.numerics.fit_budget import VariancePart, scaled_parts
 
 ROWS = tuple(slice(start, start + 10) for start in range(0, GRID_SHAPE[0], 10))
@@ -89,7 +89,7 @@ def with_channel_misfit(ratio: LobeRatio, misfit: float) -> LobeRatio:
     misfit: difference between the lobes of the channels that noise does not explain, relative to the lobe (no unit).
     """
     added = np.minimum(misfit, np.abs(ratio.log)) ** 2
-    parts = ratio.parts_with("differences between the channels", added)
+    parts = ratio.parts_with(CHANNELS, added)
     return ratio._replace(std=np.sqrt(ratio.std**2 + added), parts=parts)
 
 

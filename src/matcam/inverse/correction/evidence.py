@@ -51,6 +51,10 @@ _FAINT = 1e-2
 """Share of the peak of a slice. For fainter cells, misfit is relative to this share instead of the value of the cell."""
 _TYPICAL = PixelNoise(1e-2, 1e-4, 0.0)
 """Noise of a pixel of a typical camera, from which an estimate of the noise starts."""
+_AS_NOISE = 2.0
+"""Variance of the differences between channels that is attributed to noise, in variances of the noise of a pixel. It exceeds 1,
+because both are estimates.
+"""
 _MOSTLY_MISFIT = 2.0
 """Value of chi^2 above which misfit is more than half of the residual variance."""
 _EQUAL = 1e-6
@@ -155,7 +159,7 @@ def channel_misfit(found: MaterialFit, noise: PixelNoise) -> float:
         noise: noise of a pixel.
     """
     apart = _channel_noise(found)
-    return 0.0 if apart is None else float(np.sqrt(max(apart.relative**2 - noise.relative**2, 0.0)))
+    return 0.0 if apart is None else float(np.sqrt(max(apart.relative**2 - _AS_NOISE * noise.relative**2, 0.0)))
 
 
 def _of_pairs(data: FitData, difference: np.ndarray, value: np.ndarray) -> PixelNoise:
