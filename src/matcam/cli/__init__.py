@@ -165,10 +165,9 @@ def _hint(error: Any) -> str:
     Commands of groups may have been given without the group, such as `matcam merl` instead of `matcam data merl`. A negative
     number is read as an option.
     """
-    from matcam.cli.app import app
-
     if _NEGATIVE.search(error.format_message()):
         return ". A word that starts with a minus sign is read as an option: give a number that is not negative"
+    from matcam.cli.app import app
 
     found = [
         f"matcam {group.name} {command.name}"

@@ -49,9 +49,9 @@ def picture(
 ) -> xr.DataArray:
     """Simulate the image of a sphere or cylinder in a rig.
 
-    The irradiance is 1 at the sample's centre, on a surface that faces the lamp (each point of a disc, for a source
-    disc). Row 0 is on top. Pixel centres lie on
-    integers, and the optical axis at ((width - 1) / 2, (height - 1) / 2). For derivatives see `picture_values`.
+    The irradiance is 1 at the sample's centre, on a surface that faces the lamp (each point of a disc, for a source disc).
+    Row 0 is on top. Pixel centres lie on integers, and the optical axis at ((width - 1) / 2, (height - 1) / 2). For
+    derivatives see `picture_values`.
 
     The image under a source disc is the mean of the images under the points of a quadrature rule. The computing time is
     proportional to the number of points. A disc has at least 14 points, and more if its image is wider than the blur.
