@@ -32,3 +32,11 @@ def test_equal_mirrored_cells_do_not_hide_the_noise(noisy):
     symmetrised = noisy.copy(data=(noisy.values + noisy.values[:, :, ::-1]) / 2)
     assert noise_of(symmetrised).relative == pytest.approx(0.01, rel=0.15)
     assert noise_of(symmetrised.isel(channel=[0])) is None
+
+
+@pytest.mark.parametrize("channels", [[0, 1, 2], [0]])
+def test_clipped_noise_does_not_hide_the_floor(noisy, channels):
+    """The floor is that of a cell with both its pixels: 1e-4 times the root of 2 for a pixel."""
+    floor = 1e-4 * noisy.max(("theta_h", "phi_d")).values[:, None] * np.random.default_rng(5).normal(size=noisy.shape)
+    table = noisy.copy(data=np.maximum(noisy.values + floor, 0)).isel(channel=channels)
+    assert noise_of(table).floor == pytest.approx(1e-4 * np.sqrt(2), rel=0.2)

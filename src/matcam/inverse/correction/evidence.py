@@ -28,11 +28,13 @@ import numpy as np
 from matcam.camera.sensor import PixelNoise
 from matcam.core.grid import merl_grid, sampling_of
 from matcam.inverse.correction.spline_lobe import TRIED_SPLINES
+from matcam.inverse.fit.clipped_values import inside_clipped
 from matcam.inverse.fit.fit_data import (
     FitData,
     cell_variance,
     estimate_noise,
     huber_weights,
+    log_likelihood,
     standardised_residual,
     whitening,
 )
@@ -121,7 +123,7 @@ def _mirrored_noise(setup: FitSetup) -> PixelNoise | None:
     mirrored = merl_grid(sampling_of(table)).index(phi_d=np.mod(np.pi - cells.phi_d, np.pi))[2]
     others = table.values[cells.i_theta_h, cells.slices[:, None], mirrored].transpose(2, 0, 1)
     apart = (np.abs(cells.y) >= 0.5).all(axis=-1)  # a cell and its mirrored cell are in two pixels
-    used = data.used & np.isfinite(others) & apart
+    used = data.used & np.isfinite(others) & apart & inside_clipped(data.clipped, cells.theta_h)
     if used.sum() < _FEWEST_PAIRS:
         return None
     others = np.where(used, others, 0.0)
@@ -143,7 +145,8 @@ def _channel_noise(found: MaterialFit) -> PixelNoise | None:
         return None
     other = np.roll(np.arange(units), 1)
     strong = (model.strength > 0) & (model.strength[other] > 0)
-    used = data.used & data.used[other] & strong[..., None]
+    inside = inside_clipped(data.clipped, problem.cells.theta_h)
+    used = data.used & data.used[other] & strong[..., None] & inside & inside[other]
     if used.sum() < _FEWEST_PAIRS:
         return None
     scale = np.where(strong, model.strength / np.where(strong, model.strength[other], 1.0), 0.0)
@@ -220,7 +223,7 @@ def mean_squared_residual(found: MaterialFit, noise: PixelNoise) -> float:
     """
     solution = found._solution
     data, model = solution.problem.data, solution.model
-    u = standardised_residual(data, solution.problem.residual(model), model.value, noise, np.inf)[data.used]
+    u = standardised_residual(data, model.value, noise, np.inf)[data.used]
     return float(_robust(u).sum() / max(solution.freedom, 1))
 
 
@@ -233,7 +236,7 @@ def independent_share(found: MaterialFit) -> float:
     """
     solution = found._solution
     data, model, cells = solution.problem.data, solution.model, solution.problem.cells
-    u = standardised_residual(data, solution.problem.residual(model), model.value, found.noise, np.inf)
+    u = standardised_residual(data, model.value, found.noise, np.inf)
     u *= huber_weights(u)
     at_slice = np.broadcast_to(np.arange(cells.slices.size)[:, None], cells.i_theta_h.shape)
     part = cells.i_phi_d // _AZIMUTH_BIN
@@ -265,9 +268,9 @@ def explained(found: MaterialFit, noise: PixelNoise) -> Explained:
     """
     solution = found._solution
     problem, model = solution.problem, solution.model
-    data, residual = problem.data, problem.residual(model)
     whole = _at_least(found.noise, noise)
-    u = standardised_residual(data, residual, model.value, whole, np.inf)[data.used]
+    data = problem.data.around(model.value, whole)
+    cost = _robust(standardised_residual(data, model.value, whole, np.inf))
     variance = cell_variance(data, model.value, whole)
     scale = cell_variance(data, model.value, PixelNoise(1.0, _FAINT, 0.0))
     misfit = ((variance - cell_variance(data, model.value, noise)) / scale)[data.used].mean()
@@ -280,7 +283,7 @@ def explained(found: MaterialFit, noise: PixelNoise) -> Explained:
     distance = float(((rows @ solution.p) ** 2).sum() + (off**2 / std**2).sum())
     power = (np.where(data.used, 1 / variance, 0.0) * model.lobe**2).sum(-1)
     return Explained(
-        log_likelihood=-0.5 * float(np.log(variance[data.used]).sum() + _robust(u).sum()),
+        log_likelihood=log_likelihood(data, model.value, whole, cost),
         log_misfit=-float(np.sqrt(misfit)) / MISFIT_SCALE,
         log_prior=-0.5 * distance - (np.log(TRIED_SPLINES) if problem.layout.kind.spline_size else 0.0),
         information=flat @ flat.T,

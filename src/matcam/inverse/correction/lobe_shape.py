@@ -83,7 +83,7 @@ def shape_uncertainty(found: MaterialFit, noise: PixelNoise | None, kappa: float
         residual = linear.residual - np.tensordot(result, columns, 1)
         if noise is None:
             assumed = estimate_noise(data, np.where(data.used, residual, 0), value, count, assumed)
-        robust = huber_weights(standardised_residual(data, residual, value, assumed, np.inf))
+        robust = huber_weights(standardised_residual(data, value, assumed, np.inf))
         white = whitening(data, robust / cell_variance(data, value, assumed), model.lobe, np.inf)
         flat, target = white(columns).reshape(count, -1), white(linear.residual).ravel()
         information, right = kappa * flat @ flat.T, kappa * flat @ target

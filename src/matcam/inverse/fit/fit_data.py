@@ -19,6 +19,7 @@ from matcam.camera.sensor import PixelNoise
 from matcam.core.errors import FitError
 from matcam.core.grid import sampling_of
 from matcam.forward.pixel_grid import grid_of
+from matcam.inverse.fit.clipped_values import as_normal, clipped_values, inverse_mills_ratio, log_probability
 from matcam.inverse.operator.chosen_cells import ChosenCells, chosen_cells
 from matcam.inverse.operator.sample_view import sample_view
 from matcam.rigs import Rig
@@ -60,13 +61,17 @@ class FitData(NamedTuple):
     channel of one table.
 
     Attributes:
-        values: values of the cells, 1/sr, (u, s, n); 0 for unused cells.
+        values: values of the cells, 1/sr, (u, s, n); 0 for unused cells. The value of a clipped cell depends on the model
+            (`around`).
         used: True for cells that are used in the fit, (u, s, n).
         share: variance of a cell divided by the variance of a pixel, (s, n). It is 1/2 for the mean of two pixels, 1 if both
             positions of the cell lie in the same pixel, and the sum of the squared weights for interpolated pixels.
         peak: largest value of each slice, 1/sr, (u, s); 1 if no value of the slice is positive.
         labels: names of the channels, (u,).
         table_of: index of the table of each unit, (u,).
+        clipped: True for cells that are 0 because negative noise was clipped, (u, s, n).
+        information: information about the value of a cell, as a share of the information of a cell that is not clipped
+            (no unit), (u, s, n).
     """
 
     values: np.ndarray
@@ -75,6 +80,8 @@ class FitData(NamedTuple):
     peak: np.ndarray
     labels: tuple[str, ...]
     table_of: tuple[int, ...]
+    clipped: np.ndarray
+    information: np.ndarray
 
     @property
     def tables(self) -> int:
@@ -83,6 +90,22 @@ class FitData(NamedTuple):
     def units_of(self, table: int) -> list[int]:
         return [unit for unit, owner in enumerate(self.table_of) if owner == table]
 
+    def around(self, model: np.ndarray, noise: PixelNoise) -> FitData:
+        """Replace clipped cells by the normal observations that have the same likelihood near modelled values.
+
+        Args:
+            model: modelled values, 1/sr, (u, s, n).
+            noise: noise of a pixel.
+        """
+        if not self.clipped.any():
+            return self
+        std = np.sqrt(pixel_variance(self, model, noise))
+        residual, information = as_normal(model / std)
+        return self._replace(
+            values=np.where(self.clipped, model + residual * std, self.values),
+            information=np.where(self.clipped, information, 1.0),
+        )
+
 
 def fit_data(tables: tuple[xr.DataArray, ...], cells: ChosenCells) -> FitData:
     """Collect the values of checked tables of one rig.
@@ -90,9 +113,10 @@ def fit_data(tables: tuple[xr.DataArray, ...], cells: ChosenCells) -> FitData:
     The units are ordered by table, then by channel. A FitError is raised if the values of a channel do not suffice for a fit.
     """
     parts = [_table_data(table, cells, index) for index, table in enumerate(tables)]
-    values, used, peak = (np.concatenate(c) for c in zip(*((p.values, p.used, p.peak) for p in parts), strict=True))
     labels = tuple(label for part in parts for label in part.labels)
-    return FitData(values, used, parts[0].share, peak, labels, tuple(t for part in parts for t in part.table_of))
+    fields = ("values", "used", "peak", "clipped", "information")
+    joined = {name: np.concatenate([getattr(part, name) for part in parts]) for name in fields}
+    return parts[0]._replace(**joined, labels=labels, table_of=tuple(t for part in parts for t in part.table_of))
 
 
 def check_values(tables: tuple[xr.DataArray, ...], rig: Rig | None, slice_step: int = SEARCH_STEP) -> None:
@@ -141,6 +165,8 @@ def _table_data(brdf: xr.DataArray, cells: ChosenCells, index: int) -> FitData:
         np.where(peak > 0, peak, 1.0),
         labels,
         (index,) * len(labels),
+        clipped_values(values, used, cells.theta_h),
+        np.ones(values.shape),
     )
 
 
@@ -165,8 +191,8 @@ class Whitening(NamedTuple):
         return u - (1 - self.remainder) * self.direction * (u * self.direction).sum(-1, keepdims=True)
 
 
-def cell_variance(data: FitData, model: np.ndarray, noise: PixelNoise) -> np.ndarray:
-    """Compute the variance of each cell without the image gain, 1/sr^2, (u, s, n); it is 1 for unused cells.
+def pixel_variance(data: FitData, model: np.ndarray, noise: PixelNoise) -> np.ndarray:
+    """Compute the variance of each cell before clipping, without the image gain, 1/sr^2, (u, s, n); 1 for unused cells.
 
     Args:
         data: values of the cells.
@@ -175,6 +201,14 @@ def cell_variance(data: FitData, model: np.ndarray, noise: PixelNoise) -> np.nda
     """
     variance = data.share * ((noise.relative * model) ** 2 + (noise.floor * data.peak[..., None]) ** 2)
     return np.where(data.used, variance, 1.0)
+
+
+def cell_variance(data: FitData, model: np.ndarray, noise: PixelNoise) -> np.ndarray:
+    """Compute the variance of the observation of each cell (`FitData.around`), without the image gain, 1/sr^2, (u, s, n).
+
+    The arguments are those of `pixel_variance`.
+    """
+    return pixel_variance(data, model, noise) / data.information
 
 
 def whitening(data: FitData, weight: np.ndarray, along: np.ndarray, gain: float) -> Whitening:
@@ -193,22 +227,20 @@ def whitening(data: FitData, weight: np.ndarray, along: np.ndarray, gain: float)
     return Whitening(root, a / np.where(length > 0, length, 1.0), remainder)
 
 
-def standardised_residual(
-    data: FitData, residual: np.ndarray, model: np.ndarray, noise: PixelNoise, gain: float
-) -> np.ndarray:
+def standardised_residual(data: FitData, model: np.ndarray, noise: PixelNoise, gain: float) -> np.ndarray:
     """Compute residuals in standard deviations of the noise, (u, s, n).
 
     The effect of the most probable image gain of each slice is subtracted.
 
     Args:
         data: values of the cells.
-        residual: data - model, 1/sr, (u, s, n).
         model: modelled values, 1/sr, (u, s, n).
         noise: noise of a pixel.
         gain: standard deviation of the image gain (no unit); infinite for free strengths.
     """
+    data = data.around(model, noise)
     root = np.sqrt(np.where(data.used, 1 / cell_variance(data, model, noise), 0.0))
-    u, a = residual * root, model * root
+    u, a = (data.values - model) * root, model * root
     power = (a**2).sum(-1, keepdims=True) + 1 / max(gain, 1e-12) ** 2
     likeliest = (a * u).sum(-1, keepdims=True) / np.where(power > 0, power, 1.0)
     return u - a * likeliest
@@ -216,6 +248,22 @@ def standardised_residual(
 
 def huber_weights(u: np.ndarray) -> np.ndarray:
     return np.minimum(1.0, _HUBER / np.maximum(np.abs(u), 1e-300))
+
+
+def log_likelihood(data: FitData, model: np.ndarray, noise: PixelNoise, cost: np.ndarray) -> float:
+    """Compute the logarithm of the likelihood of the cells, up to a constant.
+
+    Args:
+        data: values of the cells.
+        model: modelled values, 1/sr, (u, s, n).
+        noise: noise of a pixel.
+        cost: squared `standardised_residual`, or a robust function of it, (u, s, n).
+    """
+    variance = pixel_variance(data, model, noise)
+    terms = np.log(variance) + cost
+    if data.clipped.any():
+        terms = np.where(data.clipped, -2 * log_probability(model / np.sqrt(variance)), terms)
+    return -0.5 * float(terms[data.used].sum())
 
 
 def estimate_noise(
@@ -245,12 +293,18 @@ def estimate_noise(
     chi2 *= used.sum() / max(used.sum() - fitted, 1)
     value2 = (data.share * model**2)[used]
     peak2 = np.broadcast_to(data.share * data.peak[..., None] ** 2, model.shape)[used]
+    clipped, model_clipped = data.clipped[used], model[data.clipped & used]
 
     def objective(logs: np.ndarray) -> tuple[float, np.ndarray]:
         relative, floor = np.exp(2 * logs)
         total = relative * value2 + floor * peak2
         slope = (1 - chi2 / total) / total
-        return float((np.log(total) + chi2 / total).mean()), np.array(
+        cost = np.log(total) + chi2 / total
+        if model_clipped.size:
+            z = model_clipped / np.sqrt(total[clipped])
+            cost[clipped] = -2 * log_probability(z)
+            slope[clipped] = -z * inverse_mills_ratio(z) / total[clipped]
+        return float(cost.mean()), np.array(
             [2 * relative * (slope * value2).mean(), 2 * floor * (slope * peak2).mean()]
         )
 

@@ -16,6 +16,7 @@ derivative from free strengths is treated as independent of the parameters, beca
 from __future__ import annotations
 
 from collections.abc import Callable
+from copy import copy
 from functools import cached_property
 from typing import NamedTuple
 
@@ -190,6 +191,12 @@ class FitProblem:
 
     def with_layout(self, layout: Layout) -> FitProblem:
         return FitProblem(self.data, self.cells, self.operators, layout, self.prior, self.radius)
+
+    def around(self, model: FitModel, noise: PixelNoise) -> FitProblem:
+        """Build the same problem with the observations of clipped cells near a model (`FitData.around`)."""
+        problem = copy(self)
+        problem.data = self.data.around(model.value, noise)
+        return problem
 
     @property
     def theta_d(self) -> np.ndarray:

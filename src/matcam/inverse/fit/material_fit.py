@@ -16,7 +16,7 @@ from matcam.core.remark import Remark
 from matcam.core.results.labelled import named
 from matcam.core.results.summary import Quantity, Summarised, Summary, correlations, half_width, parameters
 from matcam.inverse.fit.body import Base, DiffusePart
-from matcam.inverse.fit.fit_data import cell_variance, standardised_residual
+from matcam.inverse.fit.fit_data import log_likelihood, standardised_residual
 from matcam.inverse.fit.fit_parameters import reflectance_at
 from matcam.inverse.fit.fit_readings import (
     FitCoordinates,
@@ -410,7 +410,7 @@ def material_fit(solution: Solution, camera: Camera | None, *, noise_given: bool
         {"fresnel": "F of the fitted lobe", "fresnel_std": "standard deviation of fresnel"},
     )
     value, noise = solution.model.value, solution.noise
-    scaled = standardised_residual(data, problem.residual(solution.model), value, noise, problem.gain(noise))
+    scaled = standardised_residual(data, value, noise, problem.gain(noise))
     residual = xr.Dataset(
         {"residual": (("channel", "theta_d", "cell"), np.where(data.used, scaled, np.nan))},
         coords={
@@ -421,8 +421,6 @@ def material_fit(solution: Solution, camera: Camera | None, *, noise_given: bool
         attrs={"units": "standard deviations of the noise"},
     )
     named(residual, {"residual": "residual over the standard deviation of the noise"})
-    variance = cell_variance(data, value, noise)
-    likelihood = -0.5 * (np.log(variance[data.used]).sum() + (scaled[data.used] ** 2).sum())
     verdict = lobe_verdict(solution, noise_given=noise_given)
     return MaterialFit(
         family=lobe.kind.family,
@@ -440,7 +438,7 @@ def material_fit(solution: Solution, camera: Camera | None, *, noise_given: bool
         residual=residual,
         noise=noise,
         misfit=solution.misfit,
-        log_likelihood=float(likelihood),
+        log_likelihood=log_likelihood(data, value, noise, scaled**2),
         freedom=solution.freedom,
         remarks=fit_remarks(solution, camera, verdict, noise_given),
         noise_given=noise_given,

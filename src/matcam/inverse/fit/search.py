@@ -164,17 +164,20 @@ class Search:
     def _weighed(self, p: np.ndarray, weight: np.ndarray, noise: PixelNoise) -> tuple[FitModel, np.ndarray, PixelNoise]:
         """Evaluate the model, and update weights and noise. The results are model, weights and noise.
 
+        The problem gets the observations of clipped cells near the model.
+
         weight: weights for the solution of free strengths, sr^2, (units, slices, cells).
         """
         model = self.problem.model(p, weight)
         if self.given_noise is None:
             noise = estimate_noise(self.problem.data, self.problem.residual(model), model.value, p.size, noise)
+        self.problem = self.problem.around(model, noise)
         weight = self._robust_weight(model, noise)
         return self.problem.model(p, weight), weight, noise
 
     def _robust_weight(self, model: FitModel, noise: PixelNoise) -> np.ndarray:
-        data, residual = self.problem.data, self.problem.residual(model)
-        u = standardised_residual(data, residual, model.value, noise, self.problem.gain(noise))
+        data = self.problem.data
+        u = standardised_residual(data, model.value, noise, self.problem.gain(noise))
         return huber_weights(u) / cell_variance(data, model.value, noise)
 
     def _inside(self, p: np.ndarray) -> np.ndarray:
@@ -229,13 +232,14 @@ class Search:
         limit. There are at most `rounds` rounds. The first round has at most `steps[0]` least-squares steps, and each later
         round at most `steps[1]`.
         """
-        problem, data = self.problem, self.problem.data
+        if self.problem.data.clipped.any():
+            self.problem = self.problem.around(self.problem.model(p, weight), noise)
         last = np.zeros_like(p)
         for turn in range(rounds):
             before = p
             p, _ = self._least_squares(p, weight, noise, steps=steps[turn > 0])
             model, weight, noise = self._weighed(p, weight, noise)
-            white = problem.whitening(model, weight, noise.picture_gain)
+            white = self.problem.whitening(model, weight, noise.picture_gain)
             flat = white(model.derivative).reshape(p.size, -1)
             covariance = _covariance(flat @ flat.T, self.prior_rows)
             std = np.sqrt(np.maximum(np.diag(covariance), 1e-30))
@@ -253,6 +257,7 @@ class Search:
             raise FitError(
                 "the fit produced non-finite parameters: check that the table is linear, and try another family of the lobe"
             )
+        problem, data = self.problem, self.problem.data
         u = white(problem.residual(model))
         strengths = data.used.any(-1).sum() if problem.layout.fresnel == "free" else 0
         freedom = int(data.used.sum() - p.size - strengths)
