@@ -43,8 +43,8 @@ from matcam.forward.cylinder_cells import check_cylinder, cylinder_table
 from matcam.forward.frequencies.table_records import frequency_error, record_by_frequencies, served_by_frequencies
 from matcam.forward.integral.blur import Imaging, imaging_of, kernel_error
 from matcam.forward.pixel_grid import phase_of_slices, pixel_numbers, slice_pixels
-from matcam.forward.sampler.plan import RecordPlan, graded_for, record_plan
-from matcam.forward.sampler.record import record
+from matcam.forward.sampler.plan import graded_for
+from matcam.forward.sampler.planned_blocks import PlannedBlocks
 from matcam.forward.sampler.under_lamp import record_under_lamp
 from matcam.lamp.lamps import disc_of
 from matcam.material.material import Material, cell_values, check_material
@@ -206,7 +206,7 @@ def _values_through(
         return cell_means(record_under_lamp(material, rig, imaging, cells.positions), cells), cells.pixels
     lobe = graded_for(checks.outside_jit(material.finest, "the material's parameters"), imaging), material.elongation
     cells, plan = _table_plan(imaging, chosen, lobe, workspace)
-    return cell_means(record(material, imaging, plan), cells), cells.pixels
+    return cell_means(plan.record(material, imaging), cells), cells.pixels
 
 
 def _by_frequencies(
@@ -251,7 +251,7 @@ class TablePlan(NamedTuple):
     """Cells of a table, and the plan of their record."""
 
     cells: TableCells | RealCells
-    plan: RecordPlan
+    plan: PlannedBlocks
 
 
 def _table_plan(imaging: Imaging, chosen: CellChoice, lobe: tuple[float, float], workspace: Workspace) -> TablePlan:
@@ -271,7 +271,7 @@ def _table_plan(imaging: Imaging, chosen: CellChoice, lobe: tuple[float, float],
 
     def plan() -> TablePlan:
         cells = chosen.cells(imaging.sample, imaging.lamp_nearness)
-        plan = record_plan(imaging, cells.positions, *lobe)
+        plan = PlannedBlocks(imaging, cells.positions, *lobe)
         if computes_on_gpu():
             cells = transferred(cells)._replace(pixels=cells.pixels)
         return TablePlan(cells, plan)

@@ -11,8 +11,8 @@ from matcam.core import checks
 from matcam.core.jax import jax, jnp
 from matcam.forward.integral.blur import Imaging
 from matcam.forward.integral.discs import disc_fineness, nearer
-from matcam.forward.sampler.plan import RecordPositions, record_plan
-from matcam.forward.sampler.record import record
+from matcam.forward.sampler.plan import RecordPositions
+from matcam.forward.sampler.planned_blocks import PlannedBlocks
 from matcam.lamp.lamps import LampPoint, disc_of, lamp_points
 from matcam.material.material import Material
 from matcam.rigs import Rig
@@ -82,7 +82,7 @@ def record_under_points(
         x, y = (np.tile(a, len(some)) for a in (positions.x, positions.y))
         every = RecordPositions(x, y, angle, azimuth if np.any(azimuth) else None)
         near = nearer(imaging, some[0].distance)
-        values = record(material, near, record_plan(near, every, finest, material.elongation), turning)
+        values = PlannedBlocks(near, every, finest, material.elongation).record(material, near, turning)
         weights = np.array([point.weight for point in some])
         total += jnp.tensordot(weights, values.reshape(len(some), count, -1), axes=1)
     return jnp.asarray(total)
