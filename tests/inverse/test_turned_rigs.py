@@ -38,6 +38,17 @@ def test_many_cells_of_turned_rigs(camera, lamp, radius, azimuth):
     assert np.max(missed(camera, lamp, radius, [0.001, 0.02, 0.2], 14, azimuth=azimuth)) < 1
 
 
+@pytest.mark.slow
+def test_broad_lobes_at_the_limb():
+    """Without masking, so that the whole surface sends light up to the limb: all chosen cells of five slices."""
+    rig, _ = made(np.inf, np.inf, 100.0, lamp_azimuth=-1.1)
+    cells, operator = lobe_operator(rig, "centre", 18, (), NEVER)
+    found = np.asarray(operator.record(GGX(0.2), None, ()))
+    table = measure(Microfacet(GGX(0.2), 1.0, masking=None), rig).values[..., 0]
+    truth = table[cells.i_theta_h, cells.slices[:, None], cells.i_phi_d]
+    assert np.max(np.abs(found / truth - 1)[cells.valid]) < 1e-4
+
+
 def test_a_quarter_turn_is_no_turn():
     """A square's other side: the very operator is the same."""
     workspace = Workspace()

@@ -132,7 +132,7 @@ def lay_circles(view: SphereView, windows: Windows, finest: float, fineness: flo
         fineness: factor of the number of nodes across a window, see `BlurScale`.
     """
     border = windows.border(view)
-    limb, terminator = _ends_inside(view, windows, border)
+    limb, terminator = ends_inside(view, windows, border)
     ends = limb | terminator
     about, across = about_highlight(windows), _across_radius(windows)
     peak = about.axis
@@ -159,7 +159,7 @@ def lay_circles(view: SphereView, windows: Windows, finest: float, fineness: flo
     ratio = np.where(~strip & (low < side), np.clip((high - low) / width, 1, 2), 1.0)
     pitches = np.where(both, width, (high - low) / ratio) / nodes, (high - side) / nodes
     scale = np.where(strip, _UNGRADED, min(COARSEST / view.radius, finest))
-    touching = np.where(ends[:, None], _touching(view, windows, frame), np.nan)
+    touching = np.where(ends[:, None], touching_angles(view, windows, frame), np.nan)
     spans = _spans(np.where(both, side, np.nan), touching, (low, high), scale, pitches)
     # the integrand vanishes at both ends of the range, unless the highlight, a terminator or a touching limb is there
     circles = _nodes(spans, (low > 0) & ~terminator & (strip | ~limb))
@@ -167,7 +167,7 @@ def lay_circles(view: SphereView, windows: Windows, finest: float, fineness: flo
     return CircleLayout(frame, np.where(strip, nearest, np.inf), circles, arcs)
 
 
-def _ends_inside(view: SphereView, windows: Windows, border: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def ends_inside(view: SphereView, windows: Windows, border: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Check whether limb and terminator may be in each window. border: normals along the borders of the windows."""
     lit = np.sin(windows.lamp)[:, None] * border[0] + np.cos(windows.lamp)[:, None] * border[2]
     return np.any(border[2] < view.camera + _AT_END, axis=1), np.any(lit < view.lamp + _AT_END, axis=1)
@@ -229,7 +229,7 @@ def _with_arcs(clips: Clips, low: np.ndarray, high: np.ndarray, ends: np.ndarray
     return low, high
 
 
-def _touching(view: SphereView, windows: Windows, frame: Frame) -> np.ndarray:
+def touching_angles(view: SphereView, windows: Windows, frame: Frame) -> np.ndarray:
     """Compute the angles of circles that touch the limb or the terminator, (windows, 4), rad."""
     zero = np.zeros(windows.lamp.size)
     away_from_camera = np.stack([zero, zero, zero - 1])

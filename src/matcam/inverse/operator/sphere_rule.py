@@ -34,7 +34,14 @@ from matcam.forward.integral.blur_groups import fineness_of
 from matcam.forward.sampler.arc_nodes import nodes_on_arcs
 from matcam.forward.sampler.arc_rules import MOST_NODES, arc_rules
 from matcam.forward.sampler.arcs import CHUNK, Arcs, Clips, gaps_of
-from matcam.forward.sampler.circles import CircleLayout, Circles, about_highlight, from_highlight
+from matcam.forward.sampler.circles import (
+    CircleLayout,
+    Circles,
+    about_highlight,
+    ends_inside,
+    from_highlight,
+    touching_angles,
+)
 from matcam.forward.sampler.windows import SphereView, Windows
 from matcam.inverse.operator.lamp_lines import LampDisc, chord_points, lamp_kernel, of_gaussians
 from matcam.inverse.operator.theta_nodes import (
@@ -73,6 +80,8 @@ _REACH = 6.2
 """Support radius of a Gaussian, in standard deviations. At this distance the Gaussian is 5e-9 of its maximum. Such a small
 value is required, because highlights are up to 1e6 times brighter than their surroundings.
 """
+_SEEN = 0.6
+"""Share of a window in which limb and terminator contribute to the accuracy of a record."""
 _SLACK = 0.02
 """Share by which the range of angles is widened, because the border of a window is sampled at single points."""
 
@@ -212,20 +221,36 @@ class WindowArcs(NamedTuple):
             view: the sphere and the distances of camera and lamp.
             windows: windows of the pixels.
             circles: range of the angle from the normal of the highlight in which the circles lie.
-            more: True for twice as many circles, see `_MORE_CIRCLES`.
+            more: True for twice as many circles, see `_MORE_CIRCLES`, and more of them behind circles that touch the limb. In
+                other rigs the error of two azimuths for masking at the limb is larger than that of the circles.
         """
-        angle, step = circles.nodes(_MORE_CIRCLES if more else NODES)
+        angle, step = circles.nodes(_MORE_CIRCLES, _roots(view, windows, circles)) if more else circles.nodes(NODES)
         found = []
         for begin in range(0, angle.shape[0], CHUNK):
             part = slice(begin, begin + CHUNK)
             own = windows.at(part)
             clips = Clips.of(own.half_spaces(view), about_highlight(own))
             index = np.repeat(np.arange(own.x.size), angle.shape[1])
-            found.append(gaps_of(clips, index, angle[part].ravel()))
+            start, length = gaps_of(clips, index, angle[part].ravel())
+            found.append((start, np.where(step[part].ravel()[:, None] > 0, length, 0.0)))
         arcs = Arcs.of(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
         window, everywhere = np.repeat(np.arange(windows.x.size), angle.shape[1]), np.full(windows.x.size, np.inf)
         circles_of = Circles(window, angle.ravel(), step.ravel())
         return cls(windows, CircleLayout(about_highlight(windows), everywhere, circles_of, arcs))
+
+
+def _roots(view: SphereView, windows: Windows, circles: ThetaRange) -> list[np.ndarray]:
+    """List the angles of circles that touch limb or terminator in a window, rad, (pixels,) each, in ascending order.
+
+    The length of the arcs behind such a circle varies with the square root of the distance. The angles are infinite for
+    windows without limb and terminator. The list is empty if no circle touches them. In a distant rig both angles are equal.
+    """
+    seen = windows._replace(half=_SEEN * windows.half)
+    limb, terminator = ends_inside(view, seen, seen.border(view))
+    touching = touching_angles(view, windows, about_highlight(windows))
+    angles = np.where((limb | terminator)[:, None], np.sort(touching[:, [0, 2]], axis=1), np.inf)
+    angles = np.where(angles < circles.high[:, None], angles, np.inf)
+    return [one for one in angles.T[: 1 if view.distant else 2] if np.isfinite(one).any()]
 
 
 def sphere_rules(

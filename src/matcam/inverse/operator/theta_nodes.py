@@ -31,7 +31,8 @@ NARROWEST = 0.5
 records of such lobes differ by at most 1e-7 of the peak, and by 1e-4 at a fifth of this roughness.
 """
 NODE_RULE = (
-    f"weights of 40 or 80 circles on {_LOCAL} nodes from the nearest point of a window, scale {_LARGEST_SCALE:g}"
+    f"weights of 40 or 80 circles between limb and highlight on {_LOCAL} nodes from the nearest point of a window, "
+    f"scale {_LARGEST_SCALE:g}"
 )
 """Name of the transfer of weights to nodes, in the description of a stored rule."""
 _RING_WINDOWS = 4
@@ -189,16 +190,34 @@ class ThetaRange(NamedTuple):
         at = [self.low + (self.high - self.low) * n / _RING_WINDOWS for n in range(_RING_WINDOWS + 1)]
         return [self._replace(low=low, high=high) for low, high in pairwise(at)]
 
-    def nodes(self, rule: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    def nodes(
+        self, rule: tuple[np.ndarray, np.ndarray], roots: Sequence[np.ndarray] = ()
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Compute nodes and weights of a quadrature rule in theta, rad.
 
-        Both arrays have shape (pixels, nodes).
+        Both arrays have shape (pixels, nodes). The range is divided at `roots`, and each part has its own nodes. Parts outside
+        the range have weights of 0.
 
-        rule: nodes in [-1, 1], and their weights.
+        Args:
+            rule: nodes in [-1, 1], and their weights.
+            roots: ascending angles, rad, (pixels,) each, behind which the integrand varies with the square root of the
+                distance. Default: none.
         """
-        spacing = self.spacing().by_pixel()
-        weight = spacing.scale * np.cosh(spacing.stretched(rule[0])) * (spacing.last - spacing.first) / 2 * rule[1]
-        return spacing.angle(rule[0]), weight
+        scale, first, last = self.spacing().by_pixel()
+        cuts = [arcsinh(root[:, None] / scale) for root in roots]
+        edges = [first, *(np.clip(cut, first, last) for cut in cuts), last]
+        stretched, rate = [], []
+        for begin, end, cut in zip(edges, edges[1:], [None, *cuts], strict=False):
+            if cut is None:
+                stretched.append(begin + (end - begin) * (rule[0] + 1) / 2)
+                rate.append((end - begin) / 2 * rule[1])
+                continue
+            start, stop = (np.sqrt(np.maximum(edge - cut, 0.0)) for edge in (begin, end))
+            root = start + (stop - start) * (rule[0] + 1) / 2
+            stretched.append(np.minimum(cut, end) + root**2)
+            rate.append(root * (stop - start) * rule[1])
+        at = np.concatenate(stretched, axis=1)
+        return scale * np.sinh(at), scale * np.cosh(at) * np.concatenate(rate, axis=1)
 
     def spacing(self) -> NodeSpacing:
         return NodeSpacing.of(self.low, self.high, self.largest_scale)
