@@ -117,6 +117,21 @@ def test_parameters_can_be_replaced_by_name():
         camera.with_parameters({"optics.sigma_px": 1.0})
 
 
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"optics.sigma_px": -0.5}, r"sigma must lie in \(0, inf\) px, got -0.5"),
+        ({"optics.sigma_px": np.nan}, "optics.sigma_px must be finite, got nan"),
+        ({"optics.sigma_px": [1, 2]}, "optics.sigma_px must be a single number"),
+        ({"optics.sigma_px": "wide"}, "optics.sigma_px must be a number"),
+        ({"pixel.half_width_px": 0.7}, r"half_width must lie in \(0, 0.5\] px"),
+    ],
+)
+def test_replaced_parameters_are_checked(values, message):
+    with pytest.raises(ArgumentError, match=message):
+        Camera(GaussianOptics(0.5), BoxPixel(0.5)).with_parameters(values)
+
+
 def test_parameters_of_a_lens_in_a_lens():
     camera = Camera(matcam.HaloOptics(matcam.HaloOptics(GaussianOptics(0.5), 0.1, 4), 0.01, 90), BoxPixel(0.5))
     assert set(camera.parameters()) == {

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from matcam.camera import kernel as effective
 from matcam.camera.lens_field import LensField
 from matcam.camera.optics.optics import Optics
-from matcam.camera.parameters import Provenance, Uncertainty, parameters_of, replace_parameters
+from matcam.camera.parameters import Provenance, Uncertainty, parameters_of, rebuilt, replace_parameters
 from matcam.camera.pixel import BoxPixel, PixelResponse
 from matcam.camera.sensor import Sensor
 from matcam.core import checks
@@ -197,18 +197,20 @@ class Camera(Module, Summarised):
         """Build a camera with some of the `parameters()` replaced.
 
         Args:
-            values: new values by name, in the units of the names.
+            values: new values by name, numbers in the units of the names.
 
         Raises:
-            ArgumentError: `values` is not a dict, or names a parameter that the camera lacks.
+            ArgumentError: `values` is not a dict, names a parameter that the camera lacks, or contains a value that the lens or
+                the pixel cannot have.
         """
         known = self.parameters()
-        for name in checks.instance("values", values, dict):
+        for name, value in checks.instance("values", values, dict).items():
             if name not in known:
                 raise ArgumentError(f"this camera has no parameter {name!r}; it has {', '.join(sorted(known))}")
-        camera = self
-        for part in ("optics", "pixel"):
-            camera = replaced(camera, part, replace_parameters(part, getattr(self, part), values))
+            checks.scalar(name, checks.number(name, value))
+        camera = camera_with(self, values)
+        for part in (camera.optics, camera.pixel):
+            rebuilt(part)
         return camera
 
     def with_field(self, field: LensField | None) -> Camera:
@@ -316,3 +318,14 @@ class Camera(Module, Summarised):
         uncertainty = "" if self.uncertainty is None else f", uncertainty={self.uncertainty!r}"
         field = "" if self.field is None else f", field={self.field!r}"
         return f"Camera({self.optics!r}, {self.pixel!r}{sensor}{uncertainty}{field})"
+
+
+def camera_with(camera: Camera, values: Mapping[str, Any]) -> Camera:
+    """Replace parameters without checks of their ranges. In a fit, a width may be 0.
+
+    values: new values by name, in the units of the names; names of other parameters are ignored.
+    """
+    found = camera
+    for part in ("optics", "pixel"):
+        found = replaced(found, part, replace_parameters(part, getattr(camera, part), values))
+    return found

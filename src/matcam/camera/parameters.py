@@ -177,6 +177,12 @@ def replace_parameters(part: str, module: Any, values: Mapping[str, Any]) -> Any
     return module
 
 
+def rebuilt(module: Any) -> Any:
+    """Construct a lens or pixel again from its values, so that its constructor checks them."""
+    values = fields_of(module).values()
+    return type(module)(*(rebuilt(value) if isinstance(value, Module) else value for value in values))
+
+
 def fields_of(module: Any) -> dict[str, Any]:
     """List the values of the profile fields of a lens or pixel by name.
 

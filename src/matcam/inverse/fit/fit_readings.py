@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from matcam.camera.camera import Camera
+from matcam.camera.camera import Camera, camera_with
 from matcam.camera.parameters import Uncertainty
 from matcam.core.jax import jax, jnp, placed
 from matcam.core.remark import Remark
@@ -410,6 +410,6 @@ def fitted_camera(solution: Solution, camera: Camera) -> Camera:
     covariance = solution.covariance[position, position][np.ix_(lens, lens)]
     slopes = [axes[n].slope(float(coordinates[n]), float(np.sqrt(covariance[m, m]))) for m, n in enumerate(lens)]
     covariance = covariance * np.outer(slopes, slopes)
-    fitted = camera.with_parameters(values)
+    fitted = camera_with(camera, values)
     uncertainty = Uncertainty(values, (covariance + covariance.T) / 2)
     return Camera(fitted.optics, fitted.pixel, fitted.sensor, uncertainty=uncertainty, provenance=fitted.provenance)

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import equinox as eqx
 import numpy as np
 
-from matcam.camera.camera import Camera
+from matcam.camera.camera import Camera, camera_with
 from matcam.camera.parameters import Uncertainty
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import jnp
@@ -308,7 +308,7 @@ def rig_with(rig: Rig, values: Mapping[str, float]) -> Rig:
 
     values: value of each parameter by name, as in `Axis`.
     """
-    camera = rig.camera.with_parameters({name: value for name, value in values.items() if name not in WIDTHS})
+    camera = camera_with(rig.camera, {name: value for name, value in values.items() if name not in WIDTHS})
     rig = eqx.tree_at(lambda r: r.camera, rig, camera)
     if LAMP in values:
         rig = eqx.tree_at(lambda r: r.lamp, rig, rig.lamp.with_angular_radius(float(values[LAMP])))
