@@ -1,4 +1,4 @@
-"""Tables whose negative noise was set to 0 state the same as those that keep it."""
+"""Fits of tables whose negative noise was set to 0 agree with fits of tables with negative noise."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ EVERY = 18
 
 @pytest.fixture(scope="module")
 def noisy():
-    """Cells of a metal without a diffuse part, of which most are darker than the noise."""
+    """Noisy cells of a metal without a diffuse part. Many cells are darker than the noise."""
     shot = recorded.pictures(EVERY)
     exact = shot.rule.directions(oracle.GGX(0.008))
     exact = exact * conductor(shot.cells.theta_d, *recorded.CHROMIUM)[:, None, None]
@@ -29,7 +29,7 @@ def test_clipped_noise_changes_no_result(noisy):
     kept, found = (fit(shot.table(one), recorded.rig(), diffuse=True, slice_step=EVERY) for one in (values, clipped))
     for name, std in kept.std.items():
         assert abs(found.params[name] - kept.params[name]) < 0.1 * std, name
-        assert 0.99 * std < found.std[name] < 1.2 * std, name  # dark cells state less than they did
+        assert 0.99 * std < found.std[name] < 1.2 * std, name  # a clipped cell contains less information
     assert found.noise.relative == pytest.approx(kept.noise.relative, rel=0.02)
     assert found.noise.floor == pytest.approx(kept.noise.floor, rel=0.1)
     assert found.misfit == pytest.approx(1, abs=0.1)

@@ -36,7 +36,7 @@ def test_equal_mirrored_cells_do_not_hide_the_noise(noisy):
 
 @pytest.mark.parametrize("channels", [[0, 1, 2], [0]])
 def test_clipped_noise_does_not_hide_the_floor(noisy, channels):
-    """The floor is that of a cell with both its pixels: 1e-4 times the root of 2 for a pixel."""
+    """The noise of a cell, the mean of two pixels, has a floor of 1e-4. That of a pixel is larger by the root of 2."""
     floor = 1e-4 * noisy.max(("theta_h", "phi_d")).values[:, None] * np.random.default_rng(5).normal(size=noisy.shape)
     table = noisy.copy(data=np.maximum(noisy.values + floor, 0)).isel(channel=channels)
     assert noise_of(table).floor == pytest.approx(1e-4 * np.sqrt(2), rel=0.2)

@@ -10,7 +10,7 @@ from matcam.inverse.operator.theta_nodes import NODES, ThetaRange
 def test_square_roots_are_integrated(root):
     """A root inside the range, at its ends, and outside."""
     low, high = np.array([0.0]), np.array([0.5])
-    theta, weight = ThetaRange(low, high).nodes(NODES, [np.array([root])] if root >= 0 else [])
+    theta, weight = ThetaRange(low, high).nodes(NODES, [np.array([root])])
     found = (weight * (1 + 3 * np.sqrt(np.maximum(theta - root, 0)))).sum()
     start = max(root, 0.0)
     truth = 0.5 + (2 * (np.maximum(0.5 - root, 0) ** 1.5 - (start - root) ** 1.5) if root < 0.5 else 0.0)

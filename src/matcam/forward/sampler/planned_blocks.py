@@ -17,7 +17,7 @@ from matcam.material.material import Material
 _POSITIONS = 3 << 20
 """Positions of a block for a lens of one Gaussian, whose plan occupies about 1 kB for each. More than any table has."""
 _KEPT_BYTES = 2e9
-"""Size of the kept plans, bytes. The plans of further blocks are computed again for each material."""
+"""Largest total size of the kept plans, bytes. The plans of further blocks are computed again for each material."""
 
 
 class PlannedBlocks:
@@ -28,15 +28,24 @@ class PlannedBlocks:
         positions: positions to record.
         finest: narrowest scale of the lobe, rad.
         elongation: elongation of the lobe, no unit, see `record_plan`. Default: 1, an isotropic lobe.
+        kept: True to keep plans for further materials. Default: True.
     """
 
-    def __init__(self, imaging: Imaging, positions: RecordPositions, finest: float, elongation: float = 1.0):
+    def __init__(
+        self,
+        imaging: Imaging,
+        positions: RecordPositions,
+        finest: float,
+        elongation: float = 1.0,
+        *,
+        kept: bool = True,
+    ):
         self._imaging = jax.lax.stop_gradient(imaging)
         self._positions, self._lobe = positions, (finest, elongation)
         # both the terms of a lens and the width of the widest of them grow with the number of its scales
         size = max(1, _POSITIONS // len(groups_of(self._imaging.blur, imaging.sample)) ** 2)
         self._starts = range(0, max(positions.x.size, 1), size)
-        self._kept = dict[int, RecordPlan]()
+        self._kept = dict[int, RecordPlan]() if kept else None
 
     def record(self, material: Material, imaging: Imaging, turning: jax.Array | float = 0.0) -> jax.Array:
         """Compute the record of a material, see `record`, 1/sr, (positions, channels)."""
@@ -44,14 +53,18 @@ class PlannedBlocks:
         return parts[0] if len(parts) == 1 else jnp.concatenate(parts)
 
     def _plan(self, start: int) -> RecordPlan:
-        if start in self._kept:
-            return self._kept[start]
+        kept = self._kept
+        if kept is not None and start in kept:
+            return kept[start]
         block = self._positions.at(np.arange(start, min(start + self._starts.step, self._positions.x.size)))
         plan = record_plan(self._imaging, block, *self._lobe)
-        if sum(map(_bytes, (*self._kept.values(), plan))) < _KEPT_BYTES or not self._kept:
-            self._kept[start] = plan
+        if kept is not None and (not kept or sum(map(_bytes, (*kept.values(), plan))) < _KEPT_BYTES):
+            kept[start] = plan
         return plan
 
 
 def _bytes(plan: RecordPlan) -> int:
-    return sum(np.asarray(leaf).nbytes for leaf in jax.tree.leaves([part[4:] for part in plan.parts]))
+    return sum(
+        np.asarray(leaf).nbytes
+        for leaf in jax.tree.leaves([(part.frames, part.arcs, part.even_arcs) for part in plan.parts])
+    )

@@ -82,7 +82,7 @@ def record_under_points(
         x, y = (np.tile(a, len(some)) for a in (positions.x, positions.y))
         every = RecordPositions(x, y, angle, azimuth if np.any(azimuth) else None)
         near = nearer(imaging, some[0].distance)
-        values = PlannedBlocks(near, every, finest, material.elongation).record(material, near, turning)
+        values = PlannedBlocks(near, every, finest, material.elongation, kept=False).record(material, near, turning)
         weights = np.array([point.weight for point in some])
         total += jnp.tensordot(weights, values.reshape(len(some), count, -1), axes=1)
     return jnp.asarray(total)

@@ -81,7 +81,9 @@ _REACH = 6.2
 value is required, because highlights are up to 1e6 times brighter than their surroundings.
 """
 _SEEN = 0.6
-"""Share of a window in which limb and terminator contribute to the accuracy of a record."""
+"""Share of the side of a window within which limb and terminator get circles of their own. Outside, the kernel of a lens of
+0.5 px with a pixel of 1 px is below 1e-3 of its maximum. With the whole window, records of turned rigs are not more accurate.
+"""
 _SLACK = 0.02
 """Share by which the range of angles is widened, because the border of a window is sampled at single points."""
 
