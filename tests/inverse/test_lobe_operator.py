@@ -51,8 +51,8 @@ def test_golden_cells():
         record = np.asarray(operator.directions(GGX(row["alpha"]), "smith", ()))[position, 0]
         truth = np.array([row["recorded_one_way"], row["recorded_other_way"]])
         grazing = min(cells.cos_i[position].min(), cells.cos_o[position].min())
-        # rough lobes bend within the last pixel of the limb, where their masking is taken at two azimuths
-        allowed = 2e-6 if grazing > 0.3 else 2e-5 if grazing > 0.15 else 1e-4
+        # masking is taken at two azimuths, which do not suffice within the last pixel of the limb
+        allowed = 2e-6 if grazing > 0.12 else 1e-5 if grazing > 0.09 else 1e-4
         np.testing.assert_allclose(record, truth, rtol=allowed, err_msg=f"{row}")
 
 
@@ -77,7 +77,7 @@ def test_against_the_oracle(radius, rms, worst):
         assert np.abs(error[there]).max() < worst
 
 
-@pytest.mark.parametrize(("alpha", "seen", "grazing"), [(0.03, 3e-4, 1e-2), (0.1, 1e-3, 2e-2), (0.3, 2e-3, 3e-2)])
+@pytest.mark.parametrize(("alpha", "seen", "grazing"), [(0.03, 2e-4, 2e-3), (0.1, 6e-4, 3e-3), (0.3, 4e-4, 4e-3)])
 def test_masking_on_a_small_sphere_up_to_its_limb(alpha, seen, grazing):
     """Where the kernel crosses the limb, against the integrals of `measure`. Errors of the value, or of 1e-3 of the peak."""
     small = replace(rigs.merl(), sample=Sphere(60.0))

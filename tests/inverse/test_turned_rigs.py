@@ -39,14 +39,15 @@ def test_many_cells_of_turned_rigs(camera, lamp, radius, azimuth):
 
 
 @pytest.mark.slow
-def test_broad_lobes_at_the_limb():
-    """Without masking, so that the whole surface sends light up to the limb: all chosen cells of five slices."""
-    rig, _ = made(np.inf, np.inf, 100.0, lamp_azimuth=-1.1)
-    cells, operator = lobe_operator(rig, "centre", 18, (), NEVER)
+@pytest.mark.parametrize(("azimuth", "worst"), [(0.0, 1e-5), (-1.1, 1e-4)])
+def test_broad_lobes_at_the_limb(azimuth, worst):
+    """Without masking, so that the whole surface sends light up to the limb: all chosen cells of all slices."""
+    rig, _ = made(np.inf, np.inf, 100.0, lamp_azimuth=azimuth)
+    cells, operator = lobe_operator(rig, "centre", 1, (), NEVER)
     found = np.asarray(operator.record(GGX(0.2), None, ()))
     table = measure(Microfacet(GGX(0.2), 1.0, masking=None), rig).values[..., 0]
     truth = table[cells.i_theta_h, cells.slices[:, None], cells.i_phi_d]
-    assert np.max(np.abs(found / truth - 1)[cells.valid]) < 1e-4
+    assert np.max(np.abs(found / truth - 1)[cells.valid]) < worst
 
 
 def test_a_quarter_turn_is_no_turn():

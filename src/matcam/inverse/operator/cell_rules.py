@@ -28,10 +28,9 @@ from matcam.inverse.operator.theta_nodes import (
     NODES,
     PIECE,
     PIECES,
-    SAMPLED,
     CircleSums,
     Scale,
-    masking_samples,
+    masking_angles,
     padded,
 )
 from matcam.inverse.rig.rig_axes import Axis
@@ -40,19 +39,19 @@ from matcam.rigs import Rig
 
 
 class _Found(NamedTuple):
-    """Nodes of pixels, their weights for each blur, and the arrays of the masking samples by name.
+    """Nodes of pixels, their weights for each blur, and the arrays for masking by name.
 
     The moments have the shape of the weights; they are empty for a distant rig.
     """
 
     theta: np.ndarray
     weights: Sequence[np.ndarray]
-    samples: dict[str, np.ndarray]
+    masked: dict[str, np.ndarray]
     moments: Sequence[np.ndarray] = ()
 
 
 def rule_arrays(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[str, np.ndarray]:
-    """Compute nodes, weights and masking samples of cells by name.
+    """Compute nodes, weights and the angles for masking of cells by name.
 
     The arrays along0, along1, ... are the changes of the weights along the axes. For a near rig, the result also contains the
     moments (moment) and the changes of the moments (moment_along0, moment_along1, ...). Changes have single precision, which
@@ -100,7 +99,7 @@ def rule_arrays(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[st
     scale = Scale.of(view.radius, float(np.min(widths[0].reaches[0])), single=len(widths) == 1)
     for some in together:
         for rules in _in_pieces(view, (x, y, theta_d, lamp_angle, factor), some, scale, count):
-            named = {"theta": rules.theta, **{name: a[:, None] for name, a in rules.samples.items()}}
+            named = {"theta": rules.theta, **rules.masked}
             named |= all_blurs.differences("weight", "along", rules.weights)
             if rules.moments:
                 named |= all_blurs.differences("moment", MOMENT_ALONG, rules.moments)
@@ -155,7 +154,7 @@ def _joined(parts: tuple[_Found, ...]) -> _Found:
     return _Found(
         np.concatenate([part.theta for part in parts]),
         [np.concatenate(weights) for weights in zip(*(part.weights for part in parts), strict=True)],
-        {name: np.concatenate([part.samples[name] for part in parts]) for name in parts[0].samples},
+        {name: np.concatenate([part.masked[name] for part in parts]) for name in parts[0].masked},
         tuple(np.concatenate(moments) for moments in zip(*(part.moments for part in parts), strict=True)),
     )
 
@@ -198,7 +197,6 @@ def _sphere_rules(
     sphere = view.on_sphere
     own = scale if np.min(widths[0].reaches[0]) > _SURROUNDINGS[0] else scale._replace(largest=np.inf)
     widest, onto = (one.scaled(scale) for one in sphere_range(sphere, windows))
-    more = bool(view.azimuth) or any(disc is not None for through in widths for disc in through.discs)
 
     def rules(through: PixelBlurs, numbers: Sequence[int], at: WindowArcs) -> list[SphereRule]:
         kernels = [
@@ -225,7 +223,7 @@ def _sphere_rules(
             seen_in = windows._replace(half=through.reaches[numbers[0]])
             seen = sphere_range(sphere, seen_in)[0]
             ranges = [seen.scaled(own)] if common is None else seen.parts()
-            of_ranges = [rules(through, numbers, WindowArcs.of(sphere, seen_in, one, more)) for one in ranges]
+            of_ranges = [rules(through, numbers, WindowArcs.of(sphere, seen_in, one)) for one in ranges]
             found |= {n: list(of_blur) for n, of_blur in zip(numbers, zip(*of_ranges, strict=True), strict=True)}
         return [found[n] if n in found else found[0] for n in range(len(through.blurs))]
 
@@ -245,12 +243,9 @@ def _sphere_rules(
         shown = first[0]  # its circles cover the whole range
     else:
         by = lens[0] if len(lens) == 1 else _standing_for(lens)
-        (shown,) = rules(by, [0], WindowArcs.of(sphere, windows._replace(half=lens[-1].reaches[0]), widest, more))
+        (shown,) = rules(by, [0], WindowArcs.of(sphere, windows._replace(half=lens[-1].reaches[0]), widest))
     theta = onto.nodes(NODES)[0]
-    # only the symmetry of an aligned, distant rig allows polynomials to represent G close to the limb
-    at = SAMPLED if view.distant and not view.azimuth else np.arange(NODES[0].size)
-    sampled = dict(zip(_MASKED, masking_samples(shown.circles, theta, at), strict=True))
-    return _Found(theta, list(weights), sampled, *(tuple(one) for one in moments))
+    return _Found(theta, list(weights), masking_angles(shown.circles), *(tuple(one) for one in moments))
 
 
 def _summed(rules: list[SphereRule]) -> tuple[np.ndarray, ...]:
@@ -283,8 +278,7 @@ def _line_rules(radius: float, pixels: ImagePositions, through: PixelBlurs, scal
             for blur, spread, reach in zip(blurs, spreads, reaches, strict=True)
         ]
         theta, cos_psi = np.asarray(rules[0].theta), np.asarray(rules[0].cos_psi)
-        samples = {"sample_theta": theta, "sample_cos_psi": cos_psi[:, :, None]}
-        arms.append(_Found(theta, [np.asarray(rule.weight) for rule in rules], samples))
+        arms.append(_Found(theta, [np.asarray(rule.weight) for rule in rules], {"cos_psi": cos_psi[:, :, None]}))
     return arms
 
 
@@ -327,9 +321,8 @@ def _cylinder_rules(
 def _found(rules: list[CylinderRule]) -> _Found:
     theta = np.asarray(rules[0].theta)
     circles = CircleSums(*(np.asarray(a) for a in rules[0].circles))
-    samples = dict(zip(_MASKED, masking_samples(circles, theta, np.arange(NODES[0].size)), strict=True))
     moments = tuple(np.asarray(rule.moment) for rule in rules if rule.moment is not None)
-    return _Found(theta, [np.asarray(rule.weight) for rule in rules], samples, moments)
+    return _Found(theta, [np.asarray(rule.weight) for rule in rules], masking_angles(circles), moments)
 
 
 def _pixel_nodes(blurs: list[Blur], n: int) -> int:
@@ -343,8 +336,6 @@ def _pixel_nodes(blurs: list[Blur], n: int) -> int:
 
 MOMENT_ALONG = "moment_along"
 """Prefix of the names of the changes of the moments along each axis. The index of the axis follows."""
-_MASKED = "sample_theta", "sample_cos_psi", "sample_theta_d", "sample_share"
-"""Names of the results of `masking_samples`."""
 _SURROUNDINGS = np.array([9.0, 45.0])
 """Largest support radii of the terms that form the core of a lens and its surroundings, px."""
 _RESOLVED = 10

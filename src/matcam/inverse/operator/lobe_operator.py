@@ -48,7 +48,7 @@ from matcam.inverse.operator.operator_nodes import (
     spline_parts,
 )
 from matcam.inverse.operator.sample_view import FAR_AWAY, SampleView, sample_view
-from matcam.inverse.operator.theta_nodes import NODE_RULE, RISE, SAMPLED, THROUGH_SAMPLES
+from matcam.inverse.operator.theta_nodes import NODE_RULE, RISE
 from matcam.inverse.rig.rig_axes import APERTURE, LAMP, Axis
 from matcam.material.lambda_table import TabulatedDirections
 from matcam.material.masking import Masking
@@ -180,32 +180,31 @@ class _Rules(NamedTuple):
 
     theta: np.ndarray
     weight: np.ndarray
-    sample_theta: np.ndarray
-    sample_cos_psi: np.ndarray
+    cos_psi: np.ndarray
     along: tuple[np.ndarray, ...]
-    sample_theta_d: np.ndarray | None = None
-    sample_share: np.ndarray | None = None
+    theta_d: np.ndarray | None = None
+    share: np.ndarray | None = None
     moment: np.ndarray | None = None
     moment_along: tuple[np.ndarray, ...] = ()
 
-    def operator(self, cells: ChosenCells, through: np.ndarray, axes: tuple[Axis, ...]) -> LobeOperator:
+    def operator(self, cells: ChosenCells, axes: tuple[Axis, ...]) -> LobeOperator:
         rules = self
-        if self.sample_theta_d is None:
+        if self.theta_d is None:
             theta_d = np.repeat(cells.theta_d, cells.valid.shape[1])
-            rules = self._replace(sample_theta_d=theta_d.reshape(-1, *[1] * self.sample_theta.ndim))
+            rules = self._replace(theta_d=theta_d.reshape(-1, *[1] * self.theta.ndim))
         # in blocks, whose intermediate arrays fit into the cache of a processor
-        blocks = tuple(OperatorNodes(one.nodes(), through, axes) for one in in_blocks(rules))
+        blocks = tuple(OperatorNodes(one.nodes(), axes) for one in in_blocks(rules))
         own = LobeOperator(blocks, cells.valid.shape)
         if self.moment is None:
             return own
         return dataclasses.replace(own, moment=own.with_weights(self.moment, self.moment_along))
 
     def nodes(self) -> NodeArrays:
-        theta, theta_d = self.sample_theta[..., None], self.sample_theta_d
+        theta, theta_d = self.theta[..., None], self.theta_d
         assert theta_d is not None
         mean = np.cos(theta) * np.cos(theta_d)
-        half = np.sin(theta) * np.sin(theta_d) * self.sample_cos_psi
-        azimuth = azimuth_difference(theta, theta_d, np.pi - np.arccos(self.sample_cos_psi))
+        half = np.sin(theta) * np.sin(theta_d) * self.cos_psi
+        azimuth = azimuth_difference(theta, theta_d, np.pi - np.arccos(self.cos_psi))
         cos_i, cos_o = (np.maximum(c, _LEAST_COSINE) for c in (mean + half, mean - half))
         return NodeArrays(
             slope2=np.tan(self.theta) ** 2,
@@ -213,7 +212,7 @@ class _Rules(NamedTuple):
             along=self.along,
             light_and_view=TabulatedDirections.of(np.stack([cos_i, cos_o], axis=1), COTS.size),
             azimuth=np.broadcast_to(azimuth, cos_i.shape),
-            share=self.sample_share,
+            share=self.share,
         )
 
 
@@ -329,7 +328,7 @@ def operator_in(
     if kernel_error(rig) > 0:
         description = f"{description}, rings by {RESIDUAL_RULE}"
     view = sample_view(rig)
-    description = f"{description}, masking at {'every node' if view.azimuth else f'{SAMPLED.size} nodes'}, {NODE_RULE}"
+    description = f"{description}, {NODE_RULE}"
     if not view.distant:
         description = f"{description}, moments of {RISE}"
     stored = workspace.store(description, lambda: rule_arrays(rig, cells, axes))
@@ -337,9 +336,7 @@ def operator_in(
         tuple(stored.pop(f"{name}{n}") for n in range(len(axes)) if f"{name}{n}" in stored)
         for name in ("along", MOMENT_ALONG)
     )
-    every_node = stored["sample_theta"].shape[-1] == THROUGH_SAMPLES.shape[0]
-    through = np.eye(THROUGH_SAMPLES.shape[0]) if every_node else THROUGH_SAMPLES
-    return _Rules(along=along, moment_along=moment_along, **stored).operator(cells, through, axes)
+    return _Rules(along=along, moment_along=moment_along, **stored).operator(cells, axes)
 
 
 def perfect_operator(
@@ -371,8 +368,7 @@ def point_operator(cells: ChosenCells) -> LobeOperator:
     weight = np.where(valid, cells.weight / (4 * np.where(valid, cells.cos_i * cells.cos_o, 1.0)), 0.0)
     if cells.real is None:
         theta = np.repeat(cells.theta_h.reshape(-1, 1, 1), 2, axis=1)
-        psi = np.pi - cells.phi_d.ravel()[:, None, None, None] + np.array([0.0, np.pi])[:, None, None]
+        psi = np.pi - cells.phi_d.ravel()[:, None, None] + np.array([0.0, np.pi])[:, None]
     else:
-        theta, psi = cells.real.theta.reshape(-1, count, 1), cells.real.psi.reshape(-1, count, 1, 1)
-    rules = _Rules(theta, weight.reshape(-1, count, 1), theta[:, :, None], np.cos(psi).reshape(-1, count, 1, 1, 1), ())
-    return rules.operator(cells, np.ones((1, 1)), ())
+        theta, psi = cells.real.theta.reshape(-1, count, 1), cells.real.psi.reshape(-1, count, 1)
+    return _Rules(theta, weight.reshape(-1, count, 1), np.cos(psi)[..., None], ()).operator(cells, ())

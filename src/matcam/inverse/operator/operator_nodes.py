@@ -31,15 +31,13 @@ CELLS = 5 * SLICE_CELLS
 class NodeArrays(NamedTuple):
     """Quantities at the quadrature nodes of cells. The first axis of every array is that of the cells.
 
-    Masking is evaluated at fewer samples than the lobe.
-
     Attributes:
         slope2: squared tangent of the angle between normal and half vector, (cells, directions, nodes).
         weight: weight of each node, (cells, directions, nodes).
         along: for each axis, differences between the weights at the points of the axis and `weight`, (cells, points,
             directions, nodes).
-        light_and_view: directions of light and view, (cells, 2, directions, groups of nodes, samples, azimuths).
-        azimuth: azimuth between light and view, rad, (cells, directions, groups of nodes, samples, azimuths).
+        light_and_view: directions of light and view, (cells, 2, directions, nodes, azimuths).
+        azimuth: azimuth between light and view, rad, (cells, directions, nodes, azimuths).
         share: shares of the azimuths at which masking is evaluated, in the shape of `azimuth`; None: equal shares.
     """
 
@@ -56,12 +54,10 @@ class OperatorNodes(NamedTuple):
 
     Attributes:
         at: quantities at the nodes.
-        through_samples: matrix that interpolates from the samples to the nodes of a group, (nodes of a group, samples).
         axes: parameters of the rig that may change.
     """
 
     at: NodeArrays
-    through_samples: np.ndarray
     axes: tuple[Axis, ...]
 
     def with_weights(self, weight: np.ndarray, along: Sequence[np.ndarray]) -> OperatorNodes:
@@ -137,8 +133,7 @@ class JointMasking(NamedTuple):
         at = self.nodes.at
         light, view = np.moveaxis(self.lambdas - 1, 1, 0)
         both = g2(self.masking, light, view, at.azimuth)
-        mean = both.mean(axis=-1) if at.share is None else (both * at.share).sum(axis=-1)
-        return (mean @ self.nodes.through_samples.T).reshape(at.slope2.shape)
+        return np.asarray(both.mean(axis=-1) if at.share is None else (both * at.share).sum(axis=-1))
 
     def by_tables(self, by_value: np.ndarray, tables: np.ndarray) -> np.ndarray:
         """Differentiate the sum over the nodes of each cell with respect to changes of the table of Lambda, (changes, cells).
@@ -147,9 +142,8 @@ class JointMasking(NamedTuple):
             by_value: derivatives of the sum with respect to G at the nodes, (cells, directions, nodes).
             tables: changes of the table, (changes, entries).
         """
-        at, through = self.nodes.at, self.nodes.through_samples
-        by_samples = by_value.reshape(*at.azimuth.shape[:3], len(through)) @ through
-        by_both = by_samples[..., None] * (1 / at.azimuth.shape[-1] if at.share is None else at.share)
+        at = self.nodes.at
+        by_both = by_value[..., None] * (1 / at.azimuth.shape[-1] if at.share is None else at.share)
         slopes = np.asarray(masking_slopes(self.masking, self.lambdas, at.azimuth))
         return at.light_and_view.by_tables(by_both[:, None] * slopes, tables)
 

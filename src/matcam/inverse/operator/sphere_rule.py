@@ -38,7 +38,6 @@ from matcam.forward.sampler.circles import (
     CircleLayout,
     Circles,
     about_highlight,
-    ends_inside,
     from_highlight,
     touching_angles,
 )
@@ -73,16 +72,16 @@ _CALL, _BLOCK = 16384, 256
 a processor.
 """
 _MORE_CIRCLES = np.polynomial.legendre.leggauss(2 * NODES[0].size)
-"""Rule for the circles in pixels whose rows are not in the plane of camera and lamp, and under a source disc. With 40 circles,
-the error of records at the limb is up to 4e-4.
+"""Rule for the circles on either side of a circle that touches limb or terminator. With 40 circles, the error of records at the
+limb is up to 4e-4.
+"""
+_STEEP = 0.5
+"""Ratio of the smallest to the largest cosine in a window below which its circles have the rule `_MORE_CIRCLES`. At larger
+ratios, 40 circles are accurate to 1e-5.
 """
 _REACH = 6.2
 """Support radius of a Gaussian, in standard deviations. At this distance the Gaussian is 5e-9 of its maximum. Such a small
 value is required, because highlights are up to 1e6 times brighter than their surroundings.
-"""
-_SEEN = 0.6
-"""Share of the side of a window within which limb and terminator get circles of their own. Outside, the kernel of a lens of
-0.5 px with a pixel of 1 px is below 1e-3 of its maximum. With the whole window, records of turned rigs are not more accurate.
 """
 _SLACK = 0.02
 """Share by which the range of angles is widened, because the border of a window is sampled at single points."""
@@ -216,43 +215,44 @@ class WindowArcs(NamedTuple):
     layout: CircleLayout
 
     @classmethod
-    def of(cls, view: SphereView, windows: Windows, circles: ThetaRange, more: bool) -> WindowArcs:
+    def of(cls, view: SphereView, windows: Windows, circles: ThetaRange) -> WindowArcs:
         """Find the arcs.
 
         Args:
             view: the sphere and the distances of camera and lamp.
             windows: windows of the pixels.
             circles: range of the angle from the normal of the highlight in which the circles lie.
-            more: True for twice as many circles, see `_MORE_CIRCLES`, and more of them behind circles that touch the limb. In
-                other rigs the error of two azimuths for masking at the limb is larger than that of the circles.
         """
-        angle, step = circles.nodes(_MORE_CIRCLES, _roots(view, windows, circles)) if more else circles.nodes(NODES)
+        angle, step = circles.nodes(NODES)
+        foreshortened = _foreshortened(view, windows)[:, None]
+        if np.any(foreshortened):
+            # the length of arcs varies with the square root of the distance to a circle that touches limb or terminator; in a
+            # distant rig both touch the same circle
+            touching = np.sort(touching_angles(view, windows, about_highlight(windows))[:, [0, 2]], axis=1)
+            divided = circles.nodes(_MORE_CIRCLES, list(touching.T[: 1 if view.distant else 2]))
+            wider = (0, 0), (0, divided[0].shape[1] - angle.shape[1])
+            angle = np.where(foreshortened, divided[0], np.pad(angle, wider, mode="edge"))
+            step = np.where(foreshortened, divided[1], np.pad(step, wider))
         found = []
         for begin in range(0, angle.shape[0], CHUNK):
             part = slice(begin, begin + CHUNK)
             own = windows.at(part)
             clips = Clips.of(own.half_spaces(view), about_highlight(own))
-            index = np.repeat(np.arange(own.x.size), angle.shape[1])
-            start, length = gaps_of(clips, index, angle[part].ravel())
-            found.append((start, np.where(step[part].ravel()[:, None] > 0, length, 0.0)))
+            index, _ = used = np.nonzero(step[part])
+            found.append(gaps_of(clips, index, angle[part][used]))
         arcs = Arcs.of(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
+        arcs = arcs._replace(circle=np.flatnonzero(step)[arcs.circle])
         window, everywhere = np.repeat(np.arange(windows.x.size), angle.shape[1]), np.full(windows.x.size, np.inf)
         circles_of = Circles(window, angle.ravel(), step.ravel())
         return cls(windows, CircleLayout(about_highlight(windows), everywhere, circles_of, arcs))
 
 
-def _roots(view: SphereView, windows: Windows, circles: ThetaRange) -> list[np.ndarray]:
-    """List the angles of circles that touch limb or terminator in a window, rad, (pixels,) each, in ascending order.
-
-    The length of the arcs behind such a circle varies with the square root of the distance. The angles are infinite for
-    windows without limb and terminator. The list is empty if no circle touches them. In a distant rig both angles are equal.
-    """
-    seen = windows._replace(half=_SEEN * windows.half)
-    limb, terminator = ends_inside(view, seen, seen.border(view))
-    touching = touching_angles(view, windows, about_highlight(windows))
-    angles = np.where((limb | terminator)[:, None], np.sort(touching[:, [0, 2]], axis=1), np.inf)
-    angles = np.where(angles < circles.high[:, None], angles, np.inf)
-    return [one for one in angles.T[: 1 if view.distant else 2] if np.isfinite(one).any()]
+def _foreshortened(view: SphereView, windows: Windows) -> np.ndarray:
+    """Check whether foreshortening varies strongly in each window: limb or terminator are inside, or close."""
+    normal = windows.border(view)
+    lit = np.sin(windows.lamp)[:, None] * normal[0] + np.cos(windows.lamp)[:, None] * normal[2]
+    cosines = normal[2] - view.camera, lit - view.lamp
+    return np.any([np.min(one, axis=1) < _STEEP * np.max(one, axis=1) for one in cosines], axis=0)
 
 
 def sphere_rules(

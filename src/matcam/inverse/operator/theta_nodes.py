@@ -1,8 +1,7 @@
 """Nodes in the angle theta_h between normal and half vector, at which the quadrature rule of a pixel evaluates a lobe.
 
 They are Gauss-Legendre nodes in asinh(theta_h / scale), which resolve lobes with a width of 1e-3 rad as well as broad
-lobes. The masking G varies slowly with theta_h. It is evaluated at fewer nodes and at two azimuths for each node. The two
-azimuths represent all azimuths in the window of the pixel.
+lobes. The masking G is evaluated at two azimuths for each node, which represent all azimuths in the window of the pixel.
 """
 
 from __future__ import annotations
@@ -16,7 +15,6 @@ import numpy as np
 from matcam.core.arrays import xp
 from matcam.core.arrays.elementary import arcsinh, sine
 from matcam.core.jax import jax, jit_plainly, jnp
-from matcam.numerics.approximation import lagrange_basis
 
 NODES = np.polynomial.legendre.leggauss(40)
 _LOCAL = 10
@@ -31,7 +29,7 @@ NARROWEST = 0.5
 records of such lobes differ by at most 1e-7 of the peak, and by 1e-4 at a fifth of this roughness.
 """
 NODE_RULE = (
-    f"weights of 40 or 80 circles between limb and highlight on {_LOCAL} nodes from the nearest point of a window, "
+    f"masking at every node, weights of 40 circles, or 160 or 240 at the limb, on {_LOCAL} nodes from the nearest point, "
     f"scale {_LARGEST_SCALE:g}"
 )
 """Name of the transfer of weights to nodes, in the description of a stored rule."""
@@ -51,12 +49,6 @@ cores.
 """
 PIECES = 4
 """Number of pieces of `PIECE` pixels of a sphere that are computed together, because fewer calls take less time."""
-SAMPLED = np.round(np.linspace(0, NODES[0].size - 1, 20)).astype(int)
-"""Indices of the nodes at which the masking of a distant rig is evaluated.
-
-Cubic polynomials through neighbouring nodes preserve the position of the kink of G at the limb.
-"""
-_CUBIC = 4
 _STEEPNESS = 7.0
 """Rate, 1/rad, of the exponential in theta_d by which F rises towards grazing angles."""
 RISE = f"exp({_STEEPNESS:g} theta_d)"
@@ -72,22 +64,6 @@ def _local_barycentric() -> np.ndarray:
 
 
 _BARYCENTRIC = _local_barycentric()
-
-
-def _sample_cubics() -> np.ndarray:
-    """Compute the matrix that interpolates from samples to nodes, (nodes, samples).
-
-    The interpolant is a cubic through four samples.
-    """
-    through = np.zeros((NODES[0].size, SAMPLED.size))
-    for node, position in enumerate(NODES[0]):
-        first = int(np.clip(np.searchsorted(SAMPLED, node, "right") - _CUBIC // 2, 0, SAMPLED.size - _CUBIC))
-        about = slice(first, first + _CUBIC)
-        through[node, about] = lagrange_basis(NODES[0][SAMPLED[about]], position)
-    return through
-
-
-THROUGH_SAMPLES = _sample_cubics()
 
 
 class Scale(NamedTuple):
@@ -326,20 +302,17 @@ class CircleSums(NamedTuple):
     product: np.ndarray
 
 
-def masking_samples(circles: CircleSums, theta: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Compute the angles at which masking is evaluated, and their shares.
+def masking_angles(circles: CircleSums) -> dict[str, np.ndarray]:
+    """Compute the angles at which masking is evaluated at the nodes, and their shares, by name.
 
     There are two azimuths at each node, which are interpolated between the circles next to the node. A circle outside the
     window is replaced by the nearest circle inside it.
 
     Args:
         circles: sums over circles.
-        theta: nodes, (pixels, nodes), rad.
-        at: indices of the nodes at which masking is evaluated.
 
     Returns:
-        Four arrays: theta, rad, of shape (pixels, samples); and cosine of the azimuth, theta_d, rad, and share, of shape
-        (pixels, samples, 2), for both azimuths.
+        Three arrays of shape (pixels, nodes, 2): `cos_psi`, the cosine of both azimuths; `theta_d`, rad; and `share`.
     """
     seen = circles.total != 0
     safe = np.where(seen, circles.total, 1.0)
@@ -353,7 +326,7 @@ def masking_samples(circles: CircleSums, theta: np.ndarray, at: np.ndarray) -> t
     nearest = nearest_seen(seen)
     position = np.take_along_axis(circles.position / safe, nearest, axis=1)
     sampled = [np.take_along_axis(a, nearest[..., None], axis=1) for a in (cosine, theta_d, shares)]
-    wanted = NODES[0][at]
+    wanted = NODES[0]
     low = np.clip((position[:, None] <= wanted[:, None]).sum(-1) - 1, 0, seen.shape[1] - 2)
     left, right = (np.take_along_axis(position, low + n, axis=1) for n in (0, 1))
     gap = right - left
@@ -363,7 +336,7 @@ def masking_samples(circles: CircleSums, theta: np.ndarray, at: np.ndarray) -> t
         one, other = (np.take_along_axis(values, (low + n)[..., None], axis=1) for n in (0, 1))
         return one + part * (other - one)
 
-    return theta[:, at], *map(between, sampled)
+    return dict(zip(("cos_psi", "theta_d", "share"), map(between, sampled), strict=True))
 
 
 def skewed_pair(skew: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
