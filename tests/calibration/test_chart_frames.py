@@ -138,6 +138,15 @@ def test_a_chart_too_small_to_be_measured_is_found_all_the_same(tmp_path):
         calibrate([frame.counts], chart=chart, tone="linear")
 
 
+def test_an_overexposed_chart_is_said_to_be_overexposed(tmp_path):
+    chart, frame = drawn(tmp_path, 620, 1, hand=False)
+    clipped = np.minimum(frame.counts, np.quantile(frame.counts, 0.2))
+    with pytest.raises(
+        FitError, match=r"the chart was found, but none of the edges .*: the region is saturated"
+    ):
+        calibrate([clipped], chart=chart, tone="linear")
+
+
 @pytest.mark.slow
 def test_frames_at_length(tmp_path):
     """200 frames, a page of 400 to 2000 px across."""

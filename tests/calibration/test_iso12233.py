@@ -7,6 +7,7 @@ from matcam import edge_mtf
 from matcam.calibration import iso12233_sfr, level_frequency, mtf_at, rise_distance
 from matcam.core.errors import ArgumentError, FitError
 from matcam.files.photographs import read_photograph
+from tests.oracle import processed_pictures as software
 from tests.oracle import slanted_edge as oracle
 
 ELECTRONS = 1e4
@@ -80,6 +81,8 @@ def test_numbers_off_an_edge():
     found = rise_distance(edge)
     assert abs(found.value - rise) < 3 * found.std < 0.05
     assert iso12233_sfr(oracle.picture(oracle.gaussian(sigma)) * ELECTRONS).rise == pytest.approx(rise, rel=0.06)
+    processed = edge_mtf(software.demosaiced(oracle.picture(oracle.gaussian(sigma)) * ELECTRONS))
+    assert rise_distance(processed).std / rise_distance(processed).value >= processed.mtf50_std / processed.mtf50
     with pytest.raises(ArgumentError, match="level must lie in"):
         level_frequency(edge, 1.5)
     with pytest.raises(ArgumentError, match="frequency must lie in"):

@@ -140,7 +140,12 @@ def test_bad_input_is_one_line_and_code_2(calibrate, chart, tmp_path):
         ("chart.tif", "--tone-patches", "patches.txt"): "patches.txt: a tone curve requires at least 3 patches",
         ("chart.tif", "--half-width", "0.7"): "--half-width must lie in",
         ("chart.tif", "--channel", "X"): "--channel must be one of",
-        ("chart.tif", "-o", "chart.tif"): "is the input itself",
+        ("chart.tif", "-o", "chart.tif"): "is a camera profile: its name must end in .json",
+        (
+            "chart.tif",
+            "--budget",
+            "camera.json",
+        ): "camera.json is given twice, or is also written beside another output",
         ("chart.tif", "--figure", "page.gif"): "must end in .png, .pdf, .svg",
         (): "Missing argument",
     }.items():

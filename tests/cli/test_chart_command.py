@@ -33,8 +33,9 @@ def test_page_and_description(chart, tmp_path, suffix, start):
     assert page.read_bytes().startswith(start)
     assert len(read_chart(tmp_path / "page.json").elements) == sum(found["elements"].values())
     assert "use --force" in chart("star", "-o", page, code=2).err
-    text = chart("squares", "star", "dots", "-o", page, "--force", "--dpi", 100).out
+    text, remark = chart("squares", "star", "dots", "-o", page, "--force", "--dpi", 100)
     assert "true size" in text
+    assert ("--dpi 514, or a .pdf file" in remark) == (suffix == "png")  # 3000 px on 297 mm, 2 dots each
     assert re.match(r"11 patches, 66 squares, 1 star, 1 dot grid on ", text)
 
 

@@ -37,7 +37,7 @@ def test_verdict_figure_and_columns(edge, photograph, tmp_path):
     assert "the gaussian lens explains the edge" in text
     assert [p.name for p in tmp_path.iterdir()] == ["chart.tif"]
     text = edge(photograph, *ROI, "-o", "chart-edge.png").stdout
-    assert "figure: chart-edge.png" in text
+    assert "written: chart-edge.png, chart-edge.csv" in text
     assert (tmp_path / "chart-edge.png").read_bytes().startswith(b"\x89PNG")
     header, *lines = (tmp_path / "chart-edge.csv").read_text().splitlines()
     assert header.startswith("frequency_cycles_per_px,mtf,mtf_std,core_mtf,")
@@ -137,7 +137,11 @@ def test_one_edge_has_a_figure_and_a_row_of_a_table(edge, photograph, tmp_path):
 
 
 BAD = [
-    (("chart.tif", *ROI, "--channel", "all", "-o", "a.png"), "-o needs one region of one image"),
+    (("chart.tif", *ROI, "--channel", "all", "-o", "a.png"), "-o needs one channel of one region of one image"),
+    (
+        ("chart.tif", *ROI, "-o", "a.png", "--table", "a.csv"),
+        "a.csv is given twice, or is also written beside another output",
+    ),
     (("chart.tif", *ROI, "--rois", "rois.csv"), "--roi and --rois both specify regions"),
     (("chart.tif", *ROI, "--at", 3), "--at must lie in [0, 1.25] cycles/px"),
     (("chart.tif", *ROI, "--method", "mtf"), "'mtf' is not one of"),
@@ -235,9 +239,10 @@ def test_a_series_without_a_best_focus_says_so(edge, tmp_path):
     ("given", "words"),
     [
         (("--focus", "1,2"), "--focus must have a finite position for each of the 4 photographs"),
+        (("--focus", "1,1,2,2"), "--focus must have at least 4 different positions"),
         (("--focus", "a,b,c,d"), "--focus must be numbers separated by commas"),
         (("--focus", "1,2,3,4", "--method", "iso12233"), "--focus needs --method likelihood"),
-        (("-o", "a.png"), "-o needs one region of one image"),
+        (("-o", "a.png"), "-o needs one channel of one region of one image"),
     ],
 )
 def test_wrong_focus_positions(edge, tmp_path, given, words):

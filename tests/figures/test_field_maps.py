@@ -24,12 +24,20 @@ def test_a_part_of_the_picture_has_its_own_edges_median():
 
 
 def test_parts_with_few_edges_stay_empty():
-    found = blur_map(
-        table(np.array([5.0, 6.0, 500.0]), np.array([5.0, 6.0, 5.0]), np.array([0.5, 0.7, 9.0])), (600, 800)
-    )
+    x = np.r_[np.full(288, 5.0), 500.0]
+    found = blur_map(table(x, np.full(289, 5.0), np.r_[np.full(144, 0.5), np.full(144, 0.7), 9.0]), (600, 800))
     assert np.isfinite(found.sigma).sum() == 1
     assert found.sigma[0, 0] == pytest.approx(0.6)
-    assert blur_map(table(np.array([5.0]), np.array([5.0]), np.ones(1)), (800, 600)).sigma.shape == (8, 6)
+    assert blur_map(table(x, x, x), (800, 600)).sigma.shape == (8, 6)
+
+
+def test_few_edges_have_few_parts():
+    rng = np.random.default_rng(1)
+    x, y = rng.uniform(0, 799, 43), rng.uniform(0, 599, 43)
+    found = blur_map(table(x, y, np.full(43, 0.5)), (600, 800))
+    assert found.sigma.shape == (2, 3)
+    assert np.isfinite(found.sigma).sum() >= 5
+    assert blur_map(table(x[:1], y[:1], np.ones(1)), (800, 600)).sigma.shape == (1, 1)
 
 
 def test_lateral_colour_is_what_was_fitted():

@@ -20,7 +20,7 @@ from matcam.cli.options import (
     option,
     use_caches,
 )
-from matcam.core.errors import ArgumentError, FileFormatError
+from matcam.core.errors import ArgumentError, FileFormatError, OutputError
 from matcam.core.io import check_outputs, check_picture, write_columns
 from matcam.core.readers.names import is_file, is_folder
 
@@ -105,7 +105,9 @@ def command(
         check_budget(budget, force=force, inputs=files)
     figure = figure or output.with_suffix(".png")
     table = output.with_name(f"{output.stem}-edges.csv")
-    check_outputs([output, table], force=force, inputs=files)
+    if output.suffix.lower() != ".json":
+        raise OutputError(f"output {output} is a camera profile: its name must end in .json")
+    check_outputs([output, table, figure, budget], force=force, inputs=files)
     check_picture(figure, force=force, inputs=files)
     electronics = _sensor(sensor)
     with show.working(f"measuring {len(files)} image{'s' * (len(files) > 1)}"):

@@ -52,14 +52,15 @@ def command(
         from matcam.figures.chart import chart_figure, check_raster
         from matcam.figures.style import save
 
-        if output.suffix.lower() == ".png":
-            check_raster(chart, dpi)
+        remarks = check_raster(chart, dpi, pixels) if output.suffix.lower() == ".png" else []
         save(chart_figure(chart), output, force=force, dpi=dpi)
         if not described:
             write_chart(description, chart, force=force)
     counts: dict[str, Any] = {}
     for element in chart.elements:
         counts[type(element).__name__.lower()] = counts.get(type(element).__name__.lower(), 0) + 1
+    for text in remarks:
+        show.remark(text)
     if json:
         show.as_json({"files": [str(output), str(description)], "page_mm": chart.page, "elements": counts})
         return

@@ -12,7 +12,7 @@ from matcam.cli import show
 from matcam.cli.edge_series import focus_positions, run_series
 from matcam.cli.options import AsJson, Budget, EdgeLens, Force, HalfWidth, Mosaic, Pitch, Wavelength, option
 from matcam.core.errors import ArgumentError, RegionError
-from matcam.core.io import check_output, check_outputs, check_picture, write_columns, write_text
+from matcam.core.io import check_outputs, check_picture, write_columns, write_text
 
 _DOUBTS = {"asymmetric", "compressed", "crushed", "demosaiced", "denoised", "filtered", "sharpened", "tone-curve"}
 """Codes of the remarks on images whose MTF is not that of the lens, in either estimate."""
@@ -104,19 +104,22 @@ def command(
     positions = None if focus is None else focus_positions(focus, len(pictures), method)
     for name, given in (("-o", output), ("--sfr", sfr), ("--budget", budget)):
         if given and not (positions and name == "-o") and (several or (method == "iso12233" and name != "--sfr")):
-            one = "one region of one image" if several else "--method likelihood"
-            instead = "give one image and one region" if several else "omit --method iso12233"
+            one = "one channel of one region of one image" if several else "--method likelihood"
+            instead = "give one image, one region and one channel" if several else "omit --method iso12233"
             raise ArgumentError(f"{name} needs {one}: omit this option, or {instead}")
     if roi is not None and rois is not None:
         raise ArgumentError("--roi and --rois both specify regions: give one of them")
     if output:
         check_picture(output, force=force, inputs=pictures)
-        check_output(output.with_suffix(".csv"), force=force, inputs=pictures)
     if pitch is not None:
         checks.positive("--pitch", pitch, "um")
-    check_outputs([sfr, table], force=force, inputs=pictures)
     if budget:
         check_budget(budget, force=force, inputs=pictures)
+    files = [
+        *([output, output.with_suffix(".csv")] if output else []),
+        *(path for path in (sfr, table, budget) if path),
+    ]
+    check_outputs(files, force=force, inputs=pictures)
     # the MTF of an edge is tabulated up to 1.25 cycles/px
     frequencies = tuple(float(checks.within("--at", f, 0, 1.25, "cycles/px")) for f in at or ())
 
@@ -163,10 +166,6 @@ def command(
                 raise
             whole = shlex.join(["matcam", "calibrate", str(picture)])
             raise RegionError(f"{error}; give the region with --roi, or measure all edges: {whole}") from error
-    files = [
-        *([output, output.with_suffix(".csv")] if output else []),
-        *(path for path in (sfr, table, budget) if path),
-    ]
     if json:
         show.as_json(document_of(result) | {"files": files})
     elif method == "iso12233":
@@ -181,15 +180,13 @@ def command(
 
         row = SeriesEdge(str(picture), region_name(roi), channel_name(photograph, channel), document_of(result), "")
         write_columns(table, series_columns([row]), force=force)
-        if not json:
-            show.say(f"table: {table}")
     if budget:
         _write_budget(result, budget, force)
     if output:
         with show.working(f"{output}: drawing"):
             _write(result, photograph.values, roi, picture.name, output, force)
-        if not json:
-            show.say(f"figure: {output}")
+    if files and not json:
+        show.written(files)
     return 0
 
 

@@ -25,6 +25,10 @@ def focus_positions(text: str, count: int, method: str) -> list[float]:
         raise ArgumentError(
             f"--focus must have a finite position for each of the {count} photographs, got {text!r:.60}"
         )
+    from matcam.calibration.readings.through_focus import FEWEST_POSITIONS
+
+    if len(set(positions)) < FEWEST_POSITIONS:
+        raise ArgumentError(f"--focus must have at least {FEWEST_POSITIONS} different positions, got {text!r:.60}")
     return positions
 
 

@@ -80,7 +80,7 @@ def command(
         )
     inputs = [*files, *rig.files]
     check_inputs(inputs, "a table")
-    check_outputs([output], force=force, inputs=inputs)
+    check_outputs([output, budget], force=force, inputs=inputs)
     if budget:
         check_budget(budget, force=force, inputs=inputs)
     workspace = use_caches()

@@ -80,7 +80,7 @@ def command(
     inputs = [file, *rig.files]
     check_inputs(inputs, "a table")
     check_picture(output, force=force, inputs=inputs)
-    check_outputs([output.with_suffix(".csv"), output.with_suffix(".nc")], force=force, inputs=inputs)
+    check_outputs([output, output.with_suffix(".csv"), output.with_suffix(".nc"), budget], force=force, inputs=inputs)
     if budget:
         check_budget(budget, force=force, inputs=inputs)
     with show.working(f"{file}: fitting the lobe through the camera"):

@@ -73,7 +73,7 @@ def command(
         "document": target.with_suffix(".json"),
         "page": target.with_suffix(".html"),
     }
-    check_outputs(files.values(), force=force)
+    check_outputs([*files.values(), budget], force=force)
     if budget:
         check_budget(budget, force=force)
     from matcam.files.capture import read_capture

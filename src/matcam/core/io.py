@@ -56,9 +56,16 @@ def check_output(path: str | Path, *, force: bool = False, inputs: Iterable[str 
 
 
 def check_outputs(paths: Iterable[Path | None], *, force: bool, inputs: Iterable[str | Path] = ()) -> None:
+    """Check all outputs of a command with `check_output`, and that no two are the same file. None: no output."""
+    checked: set[Path] = set()
     for path in paths:
-        if path is not None:
-            check_output(path, force=force, inputs=inputs)
+        if path is None:
+            continue
+        if path in checked:
+            raise OutputError(
+                f"output {path} is given twice, or is also written beside another output: choose another name"
+            )
+        checked.add(check_output(path, force=force, inputs=inputs))
 
 
 def _check_position(path: Path, inputs: Iterable[str | Path]) -> None:

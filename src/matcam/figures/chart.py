@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 import numpy as np
@@ -17,6 +18,7 @@ from matcam.files import tone_curve as srgb
 _STEPS = 24  # polygons per cycle of a sine; the lowest harmonic that differs from a sine is the 23rd
 _AROUND = 64  # corners of the polygon of a circle
 _INCH = 25.4
+_DOTS_PER_PIXEL = 2  # smallest number of dots of a raster in a pixel of the camera
 _Polygon = tuple[np.ndarray, float]
 """Corners of a polygon, mm (n, 2), and its luminance relative to that of the paper, in [0, 1] (no unit)."""
 _MOST = 2e8  # largest number of pixels of a raster, which takes 0.8 GB as RGBA
@@ -51,10 +53,12 @@ def chart_figure(chart: Chart) -> Figure:
     return figure
 
 
-def check_raster(chart: Chart, dpi: float) -> None:
+def check_raster(chart: Chart, dpi: float, pixels_across: float) -> list[str]:
     """Check the resolution of a raster of a chart.
 
-    An ArgumentError is raised if the raster is too coarse for a chart, or too large for memory.
+    An ArgumentError is raised if the raster is too coarse for a chart, or too large for memory. The result is a remark if
+    it is too coarse for the finest elements, whose size is one pixel of the camera. `pixels_across`: number of pixels of the
+    camera across the page.
     """
     checks.within("dpi", dpi, 50, 10_000)
     pixels = chart.page[0] * chart.page[1] * (dpi / _INCH) ** 2
@@ -63,6 +67,13 @@ def check_raster(chart: Chart, dpi: float) -> None:
             f"at {dpi:g} dpi this page has {pixels / 1e6:.0f} million pixels, but at most {_MOST / 1e6:.0f} can be drawn: "
             "reduce dpi"
         )
+    least = math.ceil(_DOTS_PER_PIXEL * pixels_across * _INCH / chart.page[0])
+    if dpi >= least:
+        return []
+    return [
+        f"at {dpi:g} dpi the finest elements of a chart for {pixels_across:g} px are not drawn correctly: use at least "
+        f"--dpi {least}, or a .pdf file"
+    ]
 
 
 def element_polygons(element: Element) -> Iterator[_Polygon]:

@@ -14,7 +14,8 @@ if TYPE_CHECKING:
     from matcam.calibration.camera.evidence import EdgeTable
     from matcam.calibration.camera.lateral_colour import LateralColour
 
-_LONGER, _SHORTER = 8, 6  # numbers of parts along the longer and the shorter side of the image
+_LONGER = 8  # largest number of parts along the longer side of the image; the shorter side has three quarters of it
+_IN_PART = 6  # average number of edges in a part, if they are fewer than those of the largest number of parts
 _FEWEST = 2  # smallest number of edges in a part, for robustness against one bad edge
 
 
@@ -38,10 +39,12 @@ class BlurMap(NamedTuple):
 def blur_map(edges: EdgeTable, shape: tuple[int, int]) -> BlurMap:
     """Compute the median blur of edges in parts of the image.
 
-    `shape` is (height, width) of the image, px.
+    Few edges have few parts. `shape` is (height, width) of the image, px.
     """
     height, width = shape
-    rows, columns = (_SHORTER, _LONGER) if width >= height else (_LONGER, _SHORTER)
+    longer = int(np.clip(np.round(np.sqrt(edges.x.size / _IN_PART * 4 / 3)), 1, _LONGER))
+    shorter = max(round(longer * 3 / 4), 1)
+    rows, columns = (shorter, longer) if width >= height else (longer, shorter)
     x, y = np.linspace(-0.5, width - 0.5, columns + 1), np.linspace(-0.5, height - 0.5, rows + 1)
     column = np.clip(np.searchsorted(x, edges.x) - 1, 0, columns - 1)
     row = np.clip(np.searchsorted(y, edges.y) - 1, 0, rows - 1)

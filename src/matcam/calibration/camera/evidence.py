@@ -21,7 +21,7 @@ from matcam.calibration.photograph.linear_image import LinearImage, planes_of, s
 from matcam.calibration.photograph.tone import Tone
 from matcam.calibration.photograph.unnamed_mosaic import refuse_unnamed_mosaic
 from matcam.calibration.search.edge_search import described_edges, find_edges
-from matcam.calibration.search.photograph_edges import edge_remarks, plane_edge_stack
+from matcam.calibration.search.photograph_edges import edge_remarks, plane_edge_stack, strips_along
 from matcam.calibration.targets.grid import DotGrid
 from matcam.calibration.targets.mtf_samples import MTFSamples
 from matcam.calibration.targets.targets import measure_targets
@@ -246,7 +246,8 @@ def measure_picture(
                 result = plane_edge_stack(plane, edges, half_width, accept_sharpened=accept_sharpened)
             except FitError as error:
                 if not samples and chart is not None and registration is not None:
-                    raise _nothing_measured(chart, registration) from error
+                    reason = str(error) if strips_along(edges, plane.shape).u.size else ""
+                    raise _nothing_measured(chart, registration, reason) from error
                 if not samples:
                     raise
                 remarks.append(Remark("edges-not-measured", f"no edge was measured: {error}").about(plane.channel))
@@ -269,14 +270,20 @@ def _without_waves(plane: LinearImage, chart: Chart, registration: Projection) -
     return replace(plane, values=values)
 
 
-def _nothing_measured(chart: Chart, registration: Projection) -> FitError:
+def _nothing_measured(chart: Chart, registration: Projection, reason: str) -> FitError:
+    """Explain why no target of a chart was measured. `reason`: why the edges were not measured; empty: not known."""
     width, height = chart.page
     ends = registration(np.array([[0.0, height / 2], [width, height / 2]]))
     across = float(np.hypot(*(ends[1] - ends[0])))
+    causes = (
+        "its targets cannot be measured: they are covered, their edges are along rows or columns, or they are too fine for a "
+        f"page of {across:.0f} px width"
+    )
+    if reason:
+        causes = f"{reason}; or its targets are too fine for a page of {across:.0f} px width"
     return FitError(
-        "the chart was found, but its targets cannot be measured: they are covered, their edges are along rows or columns, or "
-        f"they are too fine for a page of {across:.0f} px width; uncover them, level the page, and photograph the chart at a "
-        "larger scale, or print a chart for this width (matcam chart --pixels)"
+        f"the chart was found, but {causes}; uncover them, level the page, photograph the chart at a larger scale, print a "
+        "chart for this width (matcam chart --pixels), or give the description of this chart"
     )
 
 

@@ -206,8 +206,8 @@ def parametric_stack(
     """Convert the fits of a stack of edges to results.
 
     All arrays are NumPy arrays. If the lens model is rejected, the differences of MTF and MTF50 from the model-free
-    values are added in quadrature to the standard deviations. `free`: model-free MTF and MTF50. `bad`: mask (n,) of
-    edges whose values become NaN.
+    values are added in quadrature to the standard deviations, and the difference of MTF50 to that of the first
+    parameter. `free`: model-free MTF and MTF50. `bad`: mask (n,) of edges whose values become NaN.
     """
     probability = fit.misfit_probability
     wrong = ~(probability > IMPROBABLE)
@@ -216,9 +216,12 @@ def parametric_stack(
         off = own.value - other.value
         return np.hypot(own.std, np.where(wrong.reshape(-1, *[1] * (off.ndim - 1)), off, 0.0))
 
+    off = np.where(wrong & np.isfinite(free[1].value), np.abs(free[1].value / fit.mtf50.value - 1), 0.0)
     numbers: dict[str, Any] = {
         "values": fit.numbers,
-        "covariance": fit.numbers_covariance,
+        "covariance": with_scale_error(
+            np.asarray(fit.numbers_covariance), np.asarray(fit.numbers), lens.names, half_width, off
+        ),
         "mtf": fit.mtf.value,
         "mtf_std": std(fit.mtf, free[0]),
         "mtf50": fit.mtf50.value,
@@ -235,6 +238,26 @@ def parametric_stack(
         fitted=np.asarray(fit.profile),
         half_width=half_width,
     )
+
+
+def with_scale_error(
+    covariance: np.ndarray, values: np.ndarray, names: tuple[str, ...], half_width: float, share: np.ndarray
+) -> np.ndarray:
+    """Add an error of the frequency scale to the variance of the first parameter of a lens.
+
+    The scale applies to the combined blur of lens and pixel.
+
+    Args:
+        covariance: covariances of the parameters (n, k, k).
+        values: parameters (n, k).
+        names: names of the parameters.
+        half_width: half the side of the sensitive area of a pixel, px.
+        share: relative standard deviations of the scale (n,).
+    """
+    first, box = values[:, 0], half_width**2 / 3
+    wider = covariance.copy()
+    wider[:, 0, 0] += (share * (first + box / first if names[0].endswith("sigma_px") else first)) ** 2
+    return wider
 
 
 def with_nan(values: AnyArray | np.float64, bad: np.ndarray) -> np.ndarray:

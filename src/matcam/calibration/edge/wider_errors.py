@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from matcam.calibration.edge.edge_result import EdgeStack
+from matcam.calibration.edge.parametric_result import with_scale_error
 from matcam.numerics.crossing import first_fall
 
 
@@ -58,11 +59,7 @@ def widened(
         distances: standard deviations (n,) of the distances of these ghosts times their shares, px.
     """
     lens, shares = stack.parametric, by_part["lens"]
-    first, box = lens.values[:, 0], lens.half_width**2 / 3
-    # The scale applies to the combined blur of lens and pixel.
-    own = shares * (first + box / first if lens.names[0].endswith("sigma_px") else first)
-    covariance = lens.covariance.copy()
-    covariance[:, 0, 0] += own**2
+    covariance = with_scale_error(lens.covariance, lens.values, lens.names, lens.half_width, shares)
     core = np.hypot(shares, by_part["free"])
     # The effect of a ghost decreases below 0.05 cycles/px, the frequency of a ghost at a distance of 10 px.
     f = stack.frequency

@@ -114,7 +114,9 @@ def rise_distance(edge: EdgeMTF) -> EdgeNumber:
     checks.instance("edge", edge, EdgeMTF)
     extent = 6 * float(line_width(edge.fits.free.shape))
     distance = np.linspace(-extent, extent, 512)
-    return rise(distance, edge.esf(distance))
+    value, std = rise(distance, edge.esf(distance))
+    # causes other than noise, such as processing, change the scale of the rise distance and of MTF50 alike
+    return EdgeNumber(value, float(np.fmax(std, value * edge.mtf50_std / edge.mtf50)))
 
 
 def _passage(position: FloatArray, response: SampledCurve, level: float, side: int) -> EdgeNumber:

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from matcam.core import checks
 from matcam.core.errors import ArgumentError, FitError
 
-_FEWEST = 4
+FEWEST_POSITIONS = 4
 """Smallest number of positions. It exceeds the number of parameters of a parabola by one, to estimate the scatter."""
 _NEAR = 0.5
 """Smallest MTF50 of a fitted position, relative to the largest. A Gaussian does not approximate a larger defocus."""
@@ -95,9 +95,9 @@ def best_focus(position: ArrayLike, mtf50: ArrayLike, mtf50_std: ArrayLike) -> B
     for name, values in (("mtf50", m), ("mtf50_std", std)):
         checks.positive(name, values, "cycles/px")
     near = m >= _NEAR * np.max(m, initial=0.0)
-    if np.unique(z[near]).size < _FEWEST:
+    if np.unique(z[near]).size < FEWEST_POSITIONS:
         raise FitError(
-            f"the best focus requires at least {_FEWEST} different positions where MTF50 is at least half its largest "
+            f"the best focus requires at least {FEWEST_POSITIONS} different positions where MTF50 is at least half its largest "
             f"value, but the number of such positions is {np.unique(z[near]).size}: add positions near the best focus"
         )
     low, high = float(z[near].min()), float(z[near].max())
