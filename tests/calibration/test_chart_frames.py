@@ -141,9 +141,7 @@ def test_a_chart_too_small_to_be_measured_is_found_all_the_same(tmp_path):
 def test_an_overexposed_chart_is_said_to_be_overexposed(tmp_path):
     chart, frame = drawn(tmp_path, 620, 1, hand=False)
     clipped = np.minimum(frame.counts, np.quantile(frame.counts, 0.2))
-    with pytest.raises(
-        FitError, match=r"the chart was found, but none of the edges .*: the region is saturated"
-    ):
+    with pytest.raises(FitError, match=r"the chart was found, but none of the edges .*: the region is saturated"):
         calibrate([clipped], chart=chart, tone="linear")
 
 

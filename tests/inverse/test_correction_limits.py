@@ -116,7 +116,7 @@ def test_no_direction_reflects_more_than_it_gets():
     assert albedo(before).max() < 1 < albedo(wanted).max()
     limit, kept = limited(before, wanted, 0.4 * wanted)
     assert limit.acts
-    assert "albedo" not in limit.remark.text
+    assert "albedo" not in limit.remarks[-1].text
     assert limit.excess.max() == 0
     assert albedo(kept).max() <= 1 + 1e-9
     assert np.all((kept >= before - 1e-12) & (kept <= wanted + 1e-12))
@@ -136,7 +136,7 @@ def test_energy_does_not_lower_what_is_determined():
     limit, kept = limited(before, wanted, 0.005 * wanted)
     np.testing.assert_allclose(kept, wanted, rtol=0.011)
     assert limit.acts
-    assert "check the absolute scale" in limit.remark.text
+    assert "check the absolute scale" in limit.remarks[-1].text
 
 
 def test_noise_of_either_sign_does_not_look_like_added_light():

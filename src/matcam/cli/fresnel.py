@@ -247,7 +247,8 @@ def _print(result: Any, tables: Any, files: list[Path], channel: str) -> None:
         rms = tables.sel(channel=channel)
         for i in np.argsort(rms["rms_corrected"].values, kind="stable")[:4]:
             name, after, before = str(rms["table"].values[i]), float(rms["rms_corrected"][i]), float(rms["rms_raw"][i])
-            show.say(f"against {name}: rms difference {before:.1%} raw, {after:.1%} corrected")
+            raw = f"{before:.1%} raw, " if np.isfinite(before) else ""  # the peaks may be missing
+            show.say(f"against {name}: rms difference {raw}{after:.1%} corrected")
     else:
         show.say("not compared with published tables, because the wavelengths of the channels are unknown")
     show.written(files)

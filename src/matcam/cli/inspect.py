@@ -90,6 +90,7 @@ def _print_brdf(report: dict[str, Any]) -> None:
         _print_cells(report["cells"])
         if "supported_share" in report:
             show.say(f"supported: {report['supported_share']:.0%} of the entries that have a standard deviation")
+        show.notes(report["remarks"])
         if report["correction"]["reason"] and not report["corrected"]:
             show.say(f"correction: not possible; {report['correction']['reason']}")
     if "variables" in report:

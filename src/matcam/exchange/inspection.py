@@ -29,7 +29,9 @@ from matcam.core.grid import (
     sampling_of,
 )
 from matcam.exchange.contents import Contents
+from matcam.inverse.correction.correction_limits import albedo, albedo_remarks, largest_albedo
 from matcam.inverse.fit.fit_data import check_values
+from matcam.inverse.fit.saturated_values import without_saturated
 from matcam.inverse.operator.pixel_phase import cell_rule
 from matcam.material.material import albedo_and_missing, cell_values
 from matcam.material.measured import Adaptive, Tabulated
@@ -203,6 +205,7 @@ def inspect_table(table: xr.DataArray, radius: float = SPHERE_RADIUS) -> dict[st
           where there is no lobe. They refer to the mean of the channels.
         - `camera`: see `camera_trace`.
         - `correction`: `possible` is True if a correction accepts the table. Otherwise `reason` is the cause.
+        - `remarks`: texts about saturated highlights, and about an albedo above 1.
         - `cells`: `rule` by which cells were read from real pixels, "nearest", "bilinear" or "mean", or None if there is
           no evidence. `phase_px` is the phase of the pixel grid, or one phase for each slice, and `phase_std_px` its standard
           deviation. Both are None if no grid on a sphere of `radius_px` fits. Near the highlight, `repeated_share`
@@ -215,6 +218,7 @@ def inspect_table(table: xr.DataArray, radius: float = SPHERE_RADIUS) -> dict[st
     below = below_horizon(sampling)
     widths = lobe_widths(table)
     reported = merl_grid(sampling).index(theta_d=np.radians(REPORTED_ANGLES))[1]
+    remarks = (*without_saturated(table, None)[1], *albedo_remarks(largest_albedo(albedo(values, sampling), sampling)))
     return {
         "grid": dict(zip(("theta_h", "theta_d", "phi_d"), GRID_SHAPE, strict=True)),
         "channels": [str(c) for c in table["channel"].values],
@@ -238,6 +242,7 @@ def inspect_table(table: xr.DataArray, radius: float = SPHERE_RADIUS) -> dict[st
         "camera": camera_trace(table),
         "cells": _cells_report(table, radius),
         "correction": _correction_report(table),
+        "remarks": [remark.text for remark in remarks],
     }
 
 

@@ -25,6 +25,7 @@ from matcam.inverse.correction.explanation import explain, first_setup
 from matcam.inverse.fit.fit_data import SEARCH_STEP
 from matcam.inverse.fit.fit_setup import AUTO
 from matcam.inverse.fit.material_fit import MaterialFit
+from matcam.inverse.fit.saturated_values import without_saturated
 from matcam.inverse.normalised_fresnel import (
     NormalisedFresnel,
     averaged,
@@ -156,8 +157,9 @@ def fresnel(
     _check(rig, ndf, normalise)
     checks.choice("masking", masking, MASKINGS)
     checks.flag("force_correction", force_correction)
-    located, workspace = located_rig(rig, brdf), workspace or default_workspace()
     _check_highlight(brdf, normalise)
+    brdf, saturated = without_saturated(brdf, rig)
+    located, workspace = located_rig(rig, brdf), workspace or default_workspace()
     setup = first_setup(
         brdf, located.rig, masking=masking, noise=noise, workspace=workspace, slice_step=max(slice_step, SEARCH_STEP)
     )
@@ -187,7 +189,7 @@ def fresnel(
     term = averaged(terms, members, others, weight, held_back=held_back)
     gain = picture_gain(theta_d, term.normalised, term.relative)
     term = term.with_gain(gain)
-    remarks = (*explained.remarks, *gain_remarks(gain))
+    remarks = (*explained.remarks, *saturated, *gain_remarks(gain))
     if explained.no_blur:
         remarks = (*remarks, explained.no_blur_remark)
     angles = np.append(theta_d, 0.0)
@@ -284,7 +286,9 @@ def fresnel_of_peaks(
     hidden, highest = (np.asarray(a) for a in _mirror_masking(lobe, placed(theta_d), masking))
     raw = recorded_peak(brdf, theta_d) * (4 * np.cos(theta_d) ** 2 / (highest * hidden))
     corrected = raw / response
-    scale = np.nanmean(np.where(used, corrected, np.nan), axis=-1, keepdims=True)
+    known = used & np.isfinite(corrected)
+    count = known.sum(axis=-1, keepdims=True)
+    scale = np.where(known, corrected, 0.0).sum(axis=-1, keepdims=True) / np.where(count > 0, count, np.nan)
     return PeakFresnel(raw / scale, corrected / scale, hidden)
 
 

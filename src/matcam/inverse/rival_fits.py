@@ -21,6 +21,7 @@ from matcam.inverse.fit.fit_data import SEARCH_STEP
 from matcam.inverse.fit.fit_parameters import FAMILIES
 from matcam.inverse.fit.fit_setup import AUTO
 from matcam.inverse.fit.material_fit import MaterialFit
+from matcam.inverse.fit.saturated_values import without_saturated
 from matcam.inverse.operator.lobe_operator import check_rig
 from matcam.inverse.operator.pixel_phase import located_rig
 from matcam.rigs import Rig
@@ -143,6 +144,7 @@ def rivals(
     check_rig(rig)
     checks.choice("ndf", ndf, (AUTO, *FAMILIES))
     workspace = checks.instance("workspace", default_workspace() if workspace is None else workspace, Workspace)
+    brdf, _ = without_saturated(brdf, rig)
     located = located_rig(rig, brdf)
     setup = first_setup(brdf, located.rig, masking="smith", noise=None, workspace=workspace, slice_step=slice_step)
     explained = explain(setup, located, ndf)

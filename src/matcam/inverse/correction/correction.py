@@ -33,6 +33,7 @@ from matcam.inverse.correction.other_maskings import MOST_LINEAR, other_maskings
 from matcam.inverse.correction.rig_refits import RigRefit
 from matcam.inverse.fit.fit_setup import AUTO
 from matcam.inverse.fit.material_fit import MaterialFit
+from matcam.inverse.fit.saturated_values import without_saturated
 from matcam.inverse.normalised_fresnel import NO_CAMERA
 from matcam.inverse.operator.chosen_cells import noise_shares
 from matcam.inverse.operator.lobe_operator import check_rig
@@ -139,6 +140,7 @@ class Correction(Summarised):
         checks.within("glare", glare, 0, 0.5)
         checks.flag("force_correction", force_correction)
         workspace = checks.instance("workspace", default_workspace() if workspace is None else workspace, Workspace)
+        brdf, saturated = without_saturated(brdf, rig)
         sampling, located = sampling_of(brdf), located_rig(rig, brdf)
         setup = first_setup(brdf, located.rig, masking=masking, noise=noise, workspace=workspace)
         expected = setup.axes_with_refits
@@ -167,9 +169,7 @@ class Correction(Summarised):
         table, limit, parts = corrected_table(brdf, best, left, shares, ratio, scattered, glare)
         if said:  # the change that the rejected rig predicts is part of the uncertainty of all entries
             table["supported"].values[:] = False
-        remarks = found.remarks
-        if limit.acts:
-            remarks = (*remarks, limit.remark)
+        remarks = (*found.remarks, *saturated, *limit.remarks)
         if noise is None:
             remarks = (*remarks, *gain_remarks(left.picture_gain))
         if found.no_blur and _matters(fitted):

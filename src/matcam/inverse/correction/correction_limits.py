@@ -33,6 +33,8 @@ wrong absolute scale of the table is the more likely cause.
 _TRIED_STEPS = np.linspace(0, _MOST_STEPS, 41)[1:]
 _HALF_CELL = np.radians(0.5)
 """Half of a cell in theta_d and phi_d, rad."""
+_BEFORE_LIMB = np.radians(80.5)
+"""Largest angle to the normal, rad, at which the pixels of the MERL rig do not contain the limb."""
 
 
 class LobeRatio(NamedTuple):
@@ -147,22 +149,29 @@ class EnergyLimit(NamedTuple):
         excess: albedo above its limit that remains after the reduction, (directions, channels).
         light: index of the direction of the light for each entry, (90, 90, 180).
         view: index of the direction of the view for each entry, (90, 90, 180).
+        recorded: largest albedo of the recorded table up to 80 degrees, no unit.
     """
 
     steps: np.ndarray
     excess: np.ndarray
     light: np.ndarray
     view: np.ndarray
+    recorded: float
 
     @property
     def acts(self) -> bool:
         return bool((self.steps > 0).any())
 
     @property
-    def remark(self) -> Remark:
+    def remarks(self) -> tuple[Remark, ...]:
+        return (*albedo_remarks(self.recorded), *((self._limited,) if self.acts else ()))
+
+    @property
+    def _limited(self) -> Remark:
         limited = int((self.steps > 0).any(axis=1).sum())
+        most = "it receives" if self.recorded <= 1 else "it receives, and more than the recorded table,"
         text = (
-            f"the corrected table would reflect more light than it receives in {limited} of {len(self.steps)} directions: "
+            f"the corrected table would reflect more light than {most} in {limited} of {len(self.steps)} directions: "
             f"entries in these directions were reduced by up to {self.steps.max():.1f} standard deviations of the correction"
         )
         if self.excess.max() > 0:
@@ -213,7 +222,23 @@ def energy_limit(recorded: np.ndarray, corrected: np.ndarray, std: np.ndarray, s
         steps[better], left[better] = tried, np.maximum(now, 0)[better]
     # an entry lies between two directions, and the larger reduction of both is used
     steps = np.maximum(steps, np.maximum(np.r_[steps[1:], steps[-1:]], np.r_[steps[:1], steps[:-1]]))
-    return EnergyLimit(steps, left, *_directions(sampling))
+    return EnergyLimit(steps, left, *_directions(sampling), largest_albedo(sent, sampling))
+
+
+def largest_albedo(of_directions: np.ndarray, sampling: Sampling) -> float:
+    """Select the largest albedo of a table, (directions, channels), up to 80 degrees.
+
+    At larger angles, the pixels of a recorded table contain the limb, and the albedo may exceed 1 for this reason.
+    """
+    return float(of_directions[merl_grid(sampling).theta_d < _BEFORE_LIMB].max())
+
+
+def albedo_remarks(largest: float) -> tuple[Remark, ...]:
+    """Remark on a table whose largest directional albedo exceeds 1."""
+    if largest <= 1:
+        return ()
+    text = f"the recorded table reflects up to {largest:.3g} times the light that it receives: check its unit (1/sr) and scale"
+    return (Remark("albedo", text),)
 
 
 def albedo(table: np.ndarray, sampling: Sampling = "centre") -> np.ndarray:

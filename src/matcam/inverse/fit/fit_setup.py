@@ -28,6 +28,7 @@ from matcam.inverse.fit.fit_data import SEARCH_STEP, check_values, fit_data
 from matcam.inverse.fit.fit_parameters import STUDENT, TWO_LOBES, FresnelModel, Layout, LobeKind
 from matcam.inverse.fit.fit_problem import FitProblem, Prior
 from matcam.inverse.fit.material_fit import MaterialFit, material_fit
+from matcam.inverse.fit.saturated_values import without_saturated
 from matcam.inverse.fit.search import Search, Solution
 from matcam.inverse.operator.chosen_cells import ChosenCells
 from matcam.inverse.operator.lobe_operator import (
@@ -480,15 +481,20 @@ def fit(
         raise ArgumentError(
             f"free has an effect only with camera_parameters='free', got camera_parameters={camera_parameters!r}"
         )
+    if rig is not None:
+        check_rig(rig)
+    given = brdf if isinstance(brdf, list | tuple) else [brdf]
+    seen = [without_saturated(checked_table(table), rig) for table in given]  # type: ignore[arg-type]
     setup = FitSetup(
-        tables=tuple(brdf) if isinstance(brdf, list | tuple) else (brdf,), rig=rig,  # type: ignore[arg-type]
+        tables=tuple(table for table, _ in seen), rig=rig,
         ndf=ndf, fresnel=fresnel,
         diffuse=diffuse, per_channel=per_channel, masking=masking, camera_parameters=camera_parameters,
         free=tuple(free), spline=spline, noise=noise, slice_step=slice_step, workspace=workspace,
     )  # fmt: skip
     _ = setup.layout  # checks the arguments before the values
     check_values(setup.tables, setup.rig, slice_step)
-    return setup.solve()
+    found = setup.solve()
+    return dataclasses.replace(found, remarks=(*found.remarks, *(one for _, remarks in seen for one in remarks)))
 
 
 def free_setup(
