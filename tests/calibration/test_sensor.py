@@ -140,6 +140,21 @@ def test_a_series_that_ends_early_gives_a_lower_limit(tmp_path):
     assert part.saturation.value < exposures.WELL
 
 
+def test_saturation_does_not_depend_on_the_noise_of_saturated_exposures(tmp_path):
+    """The charge clips 14 % below the limit of the converter, in the last three exposures."""
+    for seed in range(12):
+        exposures.write_folder(
+            tmp_path / str(seed), seed, stack=2, times=exposures.TIMES[[0, 2, 4, 6, 9, 11, 13, 14, 15]]
+        )
+        grey, mosaic = (characterise_sensor(tmp_path / str(seed), cfa=cfa) for cfa in (None, "RGGB"))
+        for one in (grey, mosaic):
+            assert one.saturated, seed
+            assert abs(one.full_well.value - exposures.WELL) < 4 * one.full_well.std, (seed, one.full_well)
+            # the exposures before saturation have 10500 and 12600 e-
+            assert 10_000 < one.saturation.value < exposures.WELL, (seed, one.saturation)
+        assert mosaic.full_well.value == pytest.approx(grey.full_well.value, rel=0.02), seed
+
+
 def test_what_is_written(found, tmp_path):
     document = json.loads(json.dumps(found.to_dict(), allow_nan=True))
     assert document["gain_dn_per_electron"] == list(found.gain)

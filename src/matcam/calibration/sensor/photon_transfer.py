@@ -132,7 +132,7 @@ def measure_transfer(
     variance_std, dark_variance_std = variance * variance_error, dark_variance * dark_error
     signal = mean - dark_level
     clipped = np.array([is_clipped(one, lit) for one in lit])
-    saturation = _saturation(variance)
+    saturation = _saturation(variance, variance_std)
     falls = variance[saturation] - variance[-1] > SIGNIFICANT * math.hypot(variance_std[saturation], variance_std[-1])
     saturation = saturation if falls or clipped.any() else len(lit) - 1
     beyond = np.arange(len(lit)) > saturation
@@ -204,15 +204,19 @@ def fit_gain(planes: Sequence[Transfer]) -> Stated:
     return Stated(value, math.sqrt(own + shared) / square)
 
 
-def _saturation(variance: np.ndarray) -> int:
+def _saturation(variance: np.ndarray, std: np.ndarray) -> int:
     """Find the index of the exposure at saturation (EMVA 1288, 6.6).
 
-    It is the last exposure whose variance exceeds the variances of both preceding exposures.
+    It is the last exposure whose variance exceeds the variances of both preceding exposures. Beyond saturation, noise alone
+    causes such an increase in a third of all cases, because the variance is constant there. Therefore, exposures whose variance
+    is significantly below the maximum are skipped. `std`: standard deviations of the variances.
     """
+    highest = int(np.argmax(variance))
+    below = variance[highest] - variance > SIGNIFICANT * np.hypot(std[highest], std)
     for i in range(len(variance) - 1, 1, -1):
-        if variance[i] > max(variance[i - 1], variance[i - 2]):
+        if variance[i] > max(variance[i - 1], variance[i - 2]) and not below[i]:
             return i
-    return int(np.argmax(variance))
+    return highest
 
 
 def _departures(
