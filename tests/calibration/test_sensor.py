@@ -106,6 +106,17 @@ def test_a_tone_curve_is_refused(tmp_path):
         characterise_sensor(tmp_path)
 
 
+def test_exchanged_dark_and_lit_frames_are_refused(tmp_path):
+    exposures.write_folder(tmp_path, stack=2, times=exposures.TIMES[::3])
+    for kind, folder in (("flat", "dark"), ("dark", "flat")):
+        (tmp_path / folder).mkdir()
+        for file in tmp_path.glob(f"{kind}_*.tif"):
+            file.rename(tmp_path / folder / file.name)
+    message = r"dark/flat_56ms_0.tif: the dark frames are brighter than the lit frames .*flat/dark_56ms_0.tif: exchange"
+    with pytest.raises(FitError, match=message):
+        characterise_sensor(tmp_path)
+
+
 def test_each_colour_of_a_mosaic_saturates_by_itself(tmp_path):
     random = np.random.default_rng(3)
     tile = np.tile([[0.5, 1.0], [1.0, 0.3]], (45, 60))
@@ -188,6 +199,10 @@ def test_wrong_series_are_refused_by_name(tmp_path):
         characterise_sensor(tmp_path)
     with pytest.raises(ArgumentError, match="bits must be a whole number"):
         characterise_sensor(tmp_path, bits=40)
+    tifffile.imwrite(tmp_path / "dark_1ms_2.tif", frame)
+    tifffile.imwrite(tmp_path / "flat_1ms_2.tif", frame)
+    with pytest.raises(ArgumentError, match=r"bits must be at least 7, got 6: .*the exposure of .*_1ms_1.tif is 100"):
+        characterise_sensor(tmp_path, bits=6)
     described = tmp_path / "series.txt"
     for line in ("q 1", "b 10", "d -1", "i ../outside.png", "i early.png"):
         described.write_text(f"n 12 8 8\n{line}\n")

@@ -18,6 +18,7 @@ from matcam.calibration.sensor.exposure_statistics import (
 )
 from matcam.calibration.sensor.photon_transfer import Transfer, fit_gain, is_clipped, measure_transfer
 from matcam.core import checks
+from matcam.core.errors import ArgumentError
 from matcam.core.registry import CFAS
 from matcam.core.remark import Remark
 from matcam.files.capture_settings import Stated
@@ -63,8 +64,9 @@ def characterise_sensor(
 
     Raises:
         FileFormatError: the source contains no series, a frame is damaged, or frames differ in shape or data type.
-        ArgumentError: no lit exposure or no dark exposure has two frames, or an argument is invalid.
-        FitError: too few exposures can be used, or the codes of the frames are not linear.
+        ArgumentError: no lit exposure or no dark exposure has two frames, a code needs more than `bits`, or an argument is
+            invalid.
+        FitError: dark and lit frames are exchanged, too few exposures can be used, or the codes are not linear.
 
     Source:
         EMVA Standard 1288, release 4.0 linear (2021); docs/sensor.md.
@@ -84,7 +86,14 @@ def characterise_sensor(
     usual = _MANY * float(np.median([len(one.exposure.files) for one in found]))
     stacks = [one for one in found if one.exposure.lit and len(one.exposure.files) > usual]
     lit = [one for one in found if one.exposure.lit and len(one.exposure.files) <= usual]
-    bits = bits or series.bits or max(int(max(one.largest for one in lit)), 1).bit_length()
+    brightest = max(found, key=lambda one: one.largest)
+    needed = max(int(brightest.largest), 1).bit_length()
+    bits = bits or series.bits or needed
+    if bits < needed:
+        raise ArgumentError(
+            f"bits must be at least {needed}, got {bits}: the largest code of the exposure of "
+            f"{brightest.exposure.files[0]} is {brightest.largest:g}"
+        )
     planes: list[Transfer] = []
     for plane in range(len(lit[0].mean)):
         transfer, transfer_remarks = measure_transfer(lit, dark, plane)

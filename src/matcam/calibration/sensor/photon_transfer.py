@@ -115,7 +115,8 @@ def measure_transfer(
         The transfer, and remarks on the exposures that were not used.
 
     Raises:
-        FitError: fewer than three exposures can be used, most exposures are not linear, or a tone curve was applied.
+        FitError: dark and lit frames are exchanged, fewer than three exposures can be used, most exposures are not linear, or a
+            tone curve was applied.
     """
     # The exposures are sorted by signal, because the specified light of an exposure may be wrong.
     lit = sorted(lit, key=lambda one: (round(float(one.mean[plane])), one.light))
@@ -131,6 +132,15 @@ def measure_transfer(
     _, _, dark_level, dark_variance, dark_error = columns(own_dark)
     variance_std, dark_variance_std = variance * variance_error, dark_variance * dark_error
     signal = mean - dark_level
+    pixels = np.array([one.pixels for one in lit])
+    mean_std = np.sqrt(variance / pixels)
+    darker = signal < -SIGNIFICANT * np.hypot(mean_std, np.sqrt(dark_variance / pixels))
+    if darker.mean() > 0.5:
+        lit_file, dark_file = (of[int(np.argmin(signal))].exposure.files[0] for of in (lit, own_dark))
+        raise FitError(
+            f"{dark_file}: the dark frames are brighter than the lit frames of the same exposure time, such as {lit_file}: "
+            "exchange the dark frames and the lit frames"
+        )
     clipped = np.array([is_clipped(one, lit) for one in lit])
     saturation = _saturation(variance, variance_std)
     falls = variance[saturation] - variance[-1] > SIGNIFICANT * math.hypot(variance_std[saturation], variance_std[-1])
@@ -143,7 +153,6 @@ def measure_transfer(
             f"increases to {signal.max():.0f} DN: a tone curve was applied to the frames; give raw frames"
         )
     inside = (signal >= _LINEAR[0] * top) & (signal <= _LINEAR[1] * top) & ~beyond & ~clipped
-    mean_std = np.sqrt(variance / [one.pixels for one in lit])
     departure, outside = _departures(light, signal, mean_std, inside)
     used = (signal <= _FITTED * top) & ~beyond & ~clipped & ~outside
     remarks = _remarks(lit, beyond | clipped, outside, departure)
