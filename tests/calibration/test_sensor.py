@@ -186,6 +186,10 @@ def test_wrong_series_are_refused_by_name(tmp_path):
     tifffile.imwrite(tmp_path / "flat_1.tif", frame)
     with pytest.raises(FileFormatError, match=r"flat_1.tif: the image has no exposure time .* as in flat_20ms_1.tif"):
         characterise_sensor(tmp_path)
+    with pytest.raises(
+        FileFormatError, match=r"flat_1.tif: the input is an image, not a series: give the folder of the"
+    ):
+        characterise_sensor(tmp_path / "flat_1.tif")
     (tmp_path / "flat_1.tif").rename(tmp_path / "flat_1ms_1.tif")
     with pytest.raises(FileFormatError, match="contains no dark exposure"):
         characterise_sensor(tmp_path)

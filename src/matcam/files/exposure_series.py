@@ -90,13 +90,17 @@ def read_exposure_series(path: str | Path) -> ExposureSeries:
         path: folder of a series, or descriptor.
 
     Raises:
-        FileFormatError: the folder contains no series or several descriptors, a line of the descriptor is wrong, a
-            frame has no exposure time, or there are no lit or no dark frames.
+        FileFormatError: the path is an image, the folder contains no series or several descriptors, a line of the descriptor
+            is wrong, a frame has no exposure time, or there are no lit or no dark frames.
     """
     path = Path(path)
     with reading(path):
         folder = is_folder(path)
     if not folder:
+        if path.suffix.lower() in PICTURES:
+            raise FileFormatError(
+                f"{path}: the input is an image, not a series: give the folder of the frames, or a descriptor file"
+            )
         return _described(path)
     texts = [one for one in sorted(path.glob("*.txt")) if _is_descriptor(one)]
     if len(texts) > 1:
