@@ -145,7 +145,8 @@ BAD = [
     (("chart.tif", *ROI, "--rois", "rois.csv"), "--roi and --rois both specify regions"),
     (("chart.tif", *ROI, "--at", 3), "--at must lie in [0, 1.25] cycles/px"),
     (("chart.tif", *ROI, "--method", "mtf"), "'mtf' is not one of"),
-    (("chart.tif", *ROI, "--pitch", -1), "--pitch must lie in (0, inf) um"),
+    (("chart.tif", *ROI, "--pitch", -1), "--pitch must lie in [0.01, 10000] um, got -1"),
+    (("chart.tif", *ROI, "--pitch", 0.00345), "--pitch must lie in [0.01, 10000] um, got 0.00345"),
     (("none.tif",), "none.tif: no such file"),
     (("text.tif",), "neither TIFF, PNG, JPEG, OpenEXR nor camera raw"),
     (

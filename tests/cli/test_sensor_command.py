@@ -64,6 +64,7 @@ def test_sensor_prints_values_with_standard_deviations(matcam, folder, tmp_path)
 @pytest.mark.parametrize(
     ("words", "message"),
     [
+        (("--pitch", "3.45e-6"), "--pitch must lie in [0.01, 10000] um, got 3.45e-06"),
         (("--profile", "new.json"), "--profile writes the profile of --camera with this sensor: give both"),
         (("--camera", "gaussian.json", "--profile", "new.json"), "gaussian.json has no pixel pitch: give --pitch"),
         (

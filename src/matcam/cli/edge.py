@@ -111,8 +111,6 @@ def command(
         raise ArgumentError("--roi and --rois both specify regions: give one of them")
     if output:
         check_picture(output, force=force, inputs=pictures)
-    if pitch is not None:
-        checks.positive("--pitch", pitch, "um")
     if budget:
         check_budget(budget, force=force, inputs=pictures)
     files = [

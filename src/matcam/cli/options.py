@@ -140,10 +140,23 @@ Wavelength = Annotated[
     float | None,
     option("--wavelength", "NM", "Wavelength of the light for diffraction and defocus, nm."),
 ]
-Pitch = Annotated[
-    float | None,
-    option("--pitch", "UM", "Pixel pitch, um: for diffraction and defocus, and to print frequencies in lp/mm."),
-]
+
+
+def pitch_option(use: str) -> Any:
+    """Declare --pitch with the range of pixel pitches in the library.
+
+    `use` is the end of its help.
+    """
+
+    def checked(pitch: float | None) -> float | None:
+        from matcam.core import checks
+
+        return None if pitch is None else float(checks.within("--pitch", pitch, 1e-2, 1e4, "um"))
+
+    return option("--pitch", "UM", f"Pixel pitch, um{use}", callback=checked)
+
+
+Pitch = Annotated[float | None, pitch_option(": for diffraction and defocus, and to print frequencies in lp/mm.")]
 HalfWidth = Annotated[float, option("--half-width", "PX", "Half the width of a pixel's sensitive area, px.")]
 
 

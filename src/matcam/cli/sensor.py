@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from matcam.cli import show
-from matcam.cli.options import AsJson, Force, Mosaic, option
+from matcam.cli.options import AsJson, Force, Mosaic, option, pitch_option
 from matcam.core.errors import ArgumentError
 from matcam.core.io import check_outputs, check_picture, write_columns
 
@@ -37,7 +37,7 @@ def command(
     ] = None,
     pitch: Annotated[
         float | None,
-        option("--pitch", "UM", "Pixel pitch, um. Default: that of --camera, if it has one."),
+        pitch_option(". Default: that of --camera, if it has one."),
     ] = None,
     output: Annotated[
         Path | None,
