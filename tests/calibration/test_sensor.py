@@ -170,7 +170,7 @@ def test_what_is_written(found, tmp_path):
     document = json.loads(json.dumps(found.to_dict(), allow_nan=True))
     assert document["gain_dn_per_electron"] == list(found.gain)
     columns = found.columns()
-    assert {len(column) for column in columns.values()} == {len(exposures.TIMES) - 1}  # the stack is for the patterns
+    assert {len(column) for column in columns.values()} == {len(exposures.TIMES)}
     write_sensor_page(tmp_path / "page.html", found, "a <sensor>")
     text = (tmp_path / "page.html").read_text()
     assert "a &lt;sensor&gt;" in text
@@ -228,6 +228,15 @@ def test_public_data_sets_give_what_the_reference_package_gives():
         assert 100 * found.linearity_error[1] == pytest.approx(reference["LE_max"], rel=1e-3)
         if math.isfinite(found.dark_current.value):
             assert abs(found.dark_current.value - reference["u_I_mean"]) < found.dark_current.std
+
+
+def test_a_stack_of_a_descriptor_is_named_and_is_not_part_of_the_series(tmp_path):
+    """Its light may be that of another lamp."""
+    found = characterise_sensor(exposures.write_descriptor(tmp_path / "set"))
+    (text,) = [remark.text for remark in found.remarks if remark.code == "fixed-patterns-only"]
+    assert f"{exposures.TIMES[7] + 1e-6:g} s" in text
+    assert len(found.columns()["signal_dn"]) == len(exposures.TIMES)
+    assert found.prnu.value == pytest.approx(exposures.PRNU, rel=0.02)
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # it leaves the descriptor open

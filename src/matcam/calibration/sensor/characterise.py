@@ -20,7 +20,7 @@ from matcam.calibration.sensor.photon_transfer import Transfer, fit_gain, is_cli
 from matcam.core import checks
 from matcam.core.errors import ArgumentError
 from matcam.core.registry import CFAS
-from matcam.core.remark import Remark
+from matcam.core.remark import Remark, some_of
 from matcam.files.capture_settings import Stated
 from matcam.files.exposure_series import read_exposure_series
 from matcam.numerics.frame_noise import fixed_pattern_variance, fixed_pattern_variance_error
@@ -29,9 +29,10 @@ from matcam.numerics.normal import SIGNIFICANT
 _HIDDEN = 0.24
 """Temporal variance of dark codes below which rounding hides the noise, DN^2 (EMVA 1288, 6.6)."""
 _MANY = 2.0
-"""Multiple of the median number of frames above which an exposure is used for the fixed patterns only (EMVA 1288, 8.2).
+"""Multiple of the median number of frames above which an exposure is a stack.
 
-Such an exposure may have been taken under a different illumination from the series.
+A stack in a descriptor may have been taken under a different illumination from the series (EMVA 1288, 8.2). Therefore, it is
+used for the fixed patterns only. In a folder, the illumination is constant, and a stack is part of the series.
 """
 _TIMES = 3
 """Smallest number of exposure times for a dark current (EMVA 1288, 7.2)."""
@@ -83,9 +84,13 @@ def characterise_sensor(
     reader = FrameReader(cfa)
     found, remarks = measure_exposures(series, reader, progress or (lambda step, done, total: None))
     dark = [one for one in found if not one.exposure.lit]
-    usual = _MANY * float(np.median([len(one.exposure.files) for one in found]))
-    stacks = [one for one in found if one.exposure.lit and len(one.exposure.files) > usual]
-    lit = [one for one in found if one.exposure.lit and len(one.exposure.files) <= usual]
+    flat = [one for one in found if one.exposure.lit]
+    usual = _MANY * float(np.median([len(one.exposure.files) for one in flat]))
+    lit = [one for one in flat if series.light_unit == "s" or len(one.exposure.files) <= usual]
+    if len(lit) < len(flat):
+        names = some_of([one.exposure.name for one in flat if len(one.exposure.files) > usual], 3)
+        text = f"exposures with more than {usual:g} frames were used for the fixed patterns only: {names}"
+        remarks.append(Remark("fixed-patterns-only", text))
     brightest = max(found, key=lambda one: one.largest)
     needed = max(int(brightest.largest), 1).bit_length()
     bits = bits or series.bits or needed
@@ -125,7 +130,7 @@ def characterise_sensor(
                 "no exposure saturates: the saturation capacity is a lower limit; add a longer exposure",
             )
         )
-    bright = _chosen(stacks, planes) or _chosen(lit, planes) or lit[0]
+    bright = _chosen(flat, planes) or lit[0]
     shade = max(dark, key=lambda one: (-abs(one.exposure.time - bright.exposure.time), len(one.exposure.files)))
     patterns = _fixed_patterns(reader, bright, shade, gain)
     if patterns["dsnu"].value == 0:
