@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -74,8 +75,14 @@ def test_full_disk_is_said_in_one_line(tmp_path):
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
 def test_folder_without_permission(tmp_path):
     tmp_path.chmod(0o500)
-    with pytest.raises(OutputError, match="Permission denied"), replacing(tmp_path / "a.txt"):
-        pass
+    with pytest.raises(OutputError, match="no permission to write into"):
+        check_output(tmp_path / "new" / "a.txt")
+
+
+def test_a_folder_without_permission_is_found_before_the_work(tmp_path, monkeypatch):
+    monkeypatch.setattr(os, "access", lambda path, mode: Path(path) != tmp_path)
+    with pytest.raises(OutputError, match=f"no permission to write into {tmp_path}"):
+        check_output(tmp_path / "new" / "a.txt")
 
 
 def write(path, text="new", **options):

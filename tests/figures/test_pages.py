@@ -120,6 +120,9 @@ def test_an_index_says_of_what_a_share_is(tmp_path):
     page = (tmp_path / "index.html").read_text()
     assert "supported, of entries<br>with known uncertainty" in page
     assert "<h1>1 corrected material</h1>" in page
+    withheld = record("b") | {"withheld": True}
+    write_run_index(tmp_path / "index.html", [("a", record("a")), ("b", withheld)], [], force=True)
+    assert "<h1>1 corrected material, 1 withheld</h1>" in (tmp_path / "index.html").read_text()
 
 
 @pytest.mark.parametrize("layout", ["constrained", None])

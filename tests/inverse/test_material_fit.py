@@ -103,7 +103,7 @@ def test_free_reflectance_and_a_blind_fit():
     blind = fit(table, None, fresnel="free", noise=recorded.NOISE, slice_step=EVERY)
     assert blind.params["alpha"] > 1.3 * lobe.alpha
     assert blind.camera is None
-    assert blind.remarks[0].text == "no rig is given, so the fit assumes a perfect camera"
+    assert blind.remarks[0].text == "without a rig, the fit assumes a perfect camera"
 
 
 @pytest.mark.slow

@@ -125,8 +125,9 @@ def _after_inspect(values: dict[str, Any]) -> list[Any] | None:
     if report["corrected"]:
         stem = file.stem.removesuffix(".zarr")
         return ["matcam", "convert", file, _unused(file.with_name(f"{stem}.bsdf"))]
-    if not report["correction"]["possible"]:
-        return None
+    cells = report["cells"]
+    if not report["correction"]["possible"] or (cells["rule"] is not None and cells["phase_px"] is None):
+        return None  # the true radius of the sphere is not known
     return _correct(file, values | {"channels": len(report["channels"])})
 
 

@@ -78,6 +78,8 @@ def _check_position(path: Path, inputs: Iterable[str | Path]) -> None:
         if parent.exists():
             if not parent.is_dir():
                 raise OutputError(f"output {path} cannot be written: {parent} is a file, not a folder")
+            if not os.access(parent, os.W_OK | os.X_OK):
+                raise OutputError(f"output {path} cannot be written: no permission to write into {parent}")
             break
 
 

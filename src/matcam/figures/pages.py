@@ -211,12 +211,13 @@ def write_run_index(
         inline: True to embed thumbnails in the page, False to link to their files. Default: True.
         force: True to replace the file. Default: False.
     """
-    folder = Path(path).parent
+    folder, records = Path(path).parent, list(records)
     rows = [
         (name, _thumbnail(folder, name, inline), [cell({**record, "name": name}) for _, _, cell in _COLUMNS])
         for name, record in records
     ]
-    content = {"columns": _COLUMNS, "rows": rows, "failures": failures, "summary": summary}
+    withheld = sum(bool(record.get("withheld")) for _, record in records)
+    content = {"columns": _COLUMNS, "rows": rows, "failures": failures, "summary": summary, "withheld": withheld}
     write_page(path, "run_index.html", content, force=force)
 
 

@@ -294,9 +294,10 @@ class _Information:
 
         prior: prior standard deviation of the logarithm of the lens width; infinite for a free lens.
         """
-        by_lobe = ((self.slopes * self.root) * self.direction).sum(-1) / np.where(self.length > 0, self.length, np.inf)
+        length = np.where(self.length > 0, self.length, np.inf)
+        by_lobe = ((self.slopes * self.root) * self.direction).sum(-1) / length
         shared = np.einsum("ps,pq,qs->s", by_lobe, self._matrix(prior), by_lobe)
-        return np.sqrt(np.where(self.length > 0, 1 / np.maximum(self.length, 1e-300) ** 2 + shared, np.inf))
+        return np.where(self.length > 0, np.sqrt(1 / length**2 + shared), np.inf)
 
 
 def _exact_and_free(information: _Information) -> tuple[float, float]:

@@ -272,7 +272,7 @@ def fit_remarks(
     remarks = []
     prior, position, noise = solution.problem.prior, solution.problem.layout.rig, solution.noise
     if camera is None:
-        remarks.append(Remark("no-rig", "no rig is given, so the fit assumes a perfect camera"))
+        remarks.append(Remark("no-rig", "without a rig, the fit assumes a perfect camera"))
     elif not prior.axes:
         remarks.append(
             Remark("camera-exact", "the camera is assumed to be exact: the errors do not include its uncertainty")
