@@ -133,6 +133,9 @@ BAD_ROWS = {
     "twice": (ROWS[0], "a.tif: the file is listed twice", True),
     "angle": (row("frames/x.tif", "L3", "far", "0", "E1", "0.01"), "x.tif: angle_deg must be a number", True),
     "range": (row("frames/x.tif", "L3", "200", "0", "E1", "0.01"), "x.tif: angle_deg, from the axis", True),
+    "no angle": (row("frames/x.tif", "L1", "nan", "90", "E3", "1"), "x.tif: angle_deg must be finite, got nan", True),
+    "no azimuth": (row("frames/x.tif", "L3", "20", "NaN", "E1", "1"), "x.tif: azimuth_deg must be finite, got NaN", True),
+    "no time": (row("frames/x.tif", "L3", "20", "0", "E1", "nan"), "x.tif: time_s must be finite and above 0, got nan", True),
     "time": (row("frames/x.tif", "L3", "20", "0", "E1", "-1"), "x.tif: time_s must be", True),
     "no lamp": (row("frames/x.tif", "", "20", "0", "E1", "1"), "x.tif: a frame must have a lamp", True),
     "lamp moved": (

@@ -367,8 +367,11 @@ def _frame(
             values[column] = float(row[column]) if row[column] else math.nan
         except ValueError:
             raise FileFormatError(f"{path}: {column} must be a number, got {row[column]!r:.20}") from None
-        if math.isinf(values[column]) or (column == "time_s" and values[column] <= 0):
-            raise FileFormatError(f"{path}: {column} must be finite, and a time must be above 0, got {row[column]:.20}")
+        if row[column] and not (math.isfinite(values[column]) and (column != "time_s" or values[column] > 0)):
+            above = " and above 0" if column == "time_s" else ""
+            raise FileFormatError(
+                f"{path}: {column} must be finite{above}, got {row[column]:.20}: leave the cell empty if it is unknown"
+            )
     for column in ("lamp", "exposure"):
         if row[column] and not re.fullmatch(r"[\w.+-]{1,60}", row[column]):
             raise FileFormatError(
