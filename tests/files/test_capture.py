@@ -134,8 +134,16 @@ BAD_ROWS = {
     "angle": (row("frames/x.tif", "L3", "far", "0", "E1", "0.01"), "x.tif: angle_deg must be a number", True),
     "range": (row("frames/x.tif", "L3", "200", "0", "E1", "0.01"), "x.tif: angle_deg, from the axis", True),
     "no angle": (row("frames/x.tif", "L1", "nan", "90", "E3", "1"), "x.tif: angle_deg must be finite, got nan", True),
-    "no azimuth": (row("frames/x.tif", "L3", "20", "NaN", "E1", "1"), "x.tif: azimuth_deg must be finite, got NaN", True),
-    "no time": (row("frames/x.tif", "L3", "20", "0", "E1", "nan"), "x.tif: time_s must be finite and above 0, got nan", True),
+    "no azimuth": (
+        row("frames/x.tif", "L3", "20", "NaN", "E1", "1"),
+        "x.tif: azimuth_deg must be finite, got NaN",
+        True,
+    ),
+    "no time": (
+        row("frames/x.tif", "L3", "20", "0", "E1", "nan"),
+        "x.tif: time_s must be finite and above 0, got nan",
+        True,
+    ),
     "time": (row("frames/x.tif", "L3", "20", "0", "E1", "-1"), "x.tif: time_s must be", True),
     "no lamp": (row("frames/x.tif", "", "20", "0", "E1", "1"), "x.tif: a frame must have a lamp", True),
     "lamp moved": (
@@ -180,6 +188,20 @@ def test_many_files_of_one_fault_are_one_remark(tmp_path):
     assert "and 11 more: no such files" in missing
     assert "9 files are not listed" in extra
     assert "frames/extra0.tif" in extra
+
+
+@pytest.mark.parametrize(
+    ("azimuths", "exchanged"),
+    [((20, 60), True), ((20, 200), False), ((90, 90), False), (("", 60), False)],
+)
+def test_angles_out_of_range_are_one_remark_which_names_exchanged_columns(tmp_path, azimuths, exchanged):
+    frames = [row(f"frames/{k}{n}.tif", f"L{k}", "-0.2", azimuths[k], f"E{n}", "") for k in (0, 1) for n in range(4)]
+    (problem,) = read_capture(
+        write(tmp_path, rows=[row("frames/a.tif", "L3", "0.1", azimuths[1], "E1"), *frames])
+    ).problems
+    assert "must lie in [0, 180] degrees, got -0.2 (line 3 of frames.csv, the first of 8 such lines)" in str(problem)
+    assert ("valid if angle_deg and azimuth_deg are exchanged" in str(problem)) == exchanged
+    assert problem.code == ("table-exchanged" if exchanged else "bad-frame")
 
 
 @pytest.mark.parametrize("what", ["frame", "folder", "list"])

@@ -18,7 +18,6 @@ from __future__ import annotations
 import csv
 import math
 import re
-from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -220,9 +219,9 @@ def read_capture(folder: str | Path) -> Capture:
         _inside(folder, settings["camera"]["profile"])
     if settings["outline"]["mask"] is not None:
         _inside(folder, settings["outline"]["mask"])
-    frames, lamps, problems = _listed(folder)
+    frames, lamps, problems, named = _listed(folder)
     _check_light(folder, settings, lamps)
-    problems += _unlisted(folder, frames, problems)
+    problems += _unlisted(folder, named)
     if not any(frame.kind == "frames" for frame in frames):
         why = f": {problems[0]}" if problems else ": list the frames in this file"
         raise FileFormatError(f"{folder / LIST}: no frame of the sample can be used{why}")
@@ -279,8 +278,8 @@ def _inside(folder: Path, name: str) -> Path:
     return listed_file(folder, name, "the capture's folder")
 
 
-def _listed(folder: Path) -> tuple[list[CaptureFrame], dict[str, LampGuess], list[Remark]]:
-    """Read frames.csv: the existing frames, the lamps, and errors of the other frames."""
+def _listed(folder: Path) -> tuple[list[CaptureFrame], dict[str, LampGuess], list[Remark], set[str]]:
+    """Read frames.csv: the existing frames, the lamps, errors of the other frames, and the names of all files."""
     path = folder / LIST
     check_within(path, folder)
     reader = csv.reader(f"{line}\n" for line in read_lines(path, "the list of a capture"))
@@ -305,7 +304,9 @@ def _listed(folder: Path) -> tuple[list[CaptureFrame], dict[str, LampGuess], lis
     lamps: dict[str, LampGuess] = {}
     problems: list[Remark] = []
     seen: set[str] = set()
+    named: set[str] = set()
     absent: list[str] = []
+    wide: list[tuple[int, CaptureFrame, LampGuess]] = []
     header = lines[0][1]
     for number, cells in lines[1:]:
         if len(cells) != len(header):
@@ -314,6 +315,7 @@ def _listed(folder: Path) -> tuple[list[CaptureFrame], dict[str, LampGuess], lis
             )
             continue
         row = dict(zip(header, cells, strict=True))
+        named.add(str(PurePosixPath(row["file"])))
         try:
             found = _frame(folder, row, seen, lamps)
         except FileFormatError as error:
@@ -324,9 +326,13 @@ def _listed(folder: Path) -> tuple[list[CaptureFrame], dict[str, LampGuess], lis
             continue
         frame, guess = found
         seen.add(frame.file)
+        if guess is not None and not (math.isnan(guess.angle) or 0 <= guess.angle <= math.pi):
+            wide.append((number, frame, guess))
+            continue
         frames.append(frame)
         if frame.lamp and guess is not None:
             lamps[frame.lamp] = guess
+    problems += _wide_angles(folder, wide, lamps)
     if absent:
         where = folder / absent[0] if len(absent) == 1 else f"{folder}: {some_of(absent)}"
         files, entries, them = ("files", "lines", "them") if len(absent) > 1 else ("file", "line", "it")
@@ -340,7 +346,33 @@ def _listed(folder: Path) -> tuple[list[CaptureFrame], dict[str, LampGuess], lis
             text = f"{folder / frame.file}: exposure {frame.exposure} has {frame.time:g} s here and "
             text += f"{times[frame.exposure]:g} s in an earlier line: give each exposure its own name"
             problems.append(Remark("times-differ", text))
-    return frames, lamps, problems
+    return frames, lamps, problems, named
+
+
+def _wide_angles(
+    folder: Path, wide: list[tuple[int, CaptureFrame, LampGuess]], lamps: dict[str, LampGuess]
+) -> list[Remark]:
+    """Build one remark on all angles outside [0, 180] degrees.
+
+    The remark suggests an exchange if all azimuths are valid angles. Equal azimuths are those of lamps on an arc, whose
+    angles were measured with a sign.
+
+    Args:
+        folder: folder of the capture.
+        wide: number, frame and direction of each line with such an angle.
+        lamps: lamps of the other lines.
+    """
+    if not wide:
+        return []
+    number, frame, guess = wide[0]
+    where, line = folder / (frame.file if len(wide) == 1 else LIST), f"line {number} of {LIST}"
+    text = f"{where}: angle_deg, from the axis towards the camera, must lie in [0, 180] degrees, got "
+    text += f"{math.degrees(guess.angle):.6g} ({line if len(wide) == 1 else f'{line}, the first of {len(wide)} such lines'})"
+    azimuths = {one.azimuth for one in (*lamps.values(), *(guess for _, _, guess in wide))}
+    if len(azimuths) > 1 and all(0 <= one <= math.pi for one in azimuths):
+        text += "; all lines are valid if angle_deg and azimuth_deg are exchanged: check these columns"
+        return [Remark("table-exchanged", text)]
+    return [Remark("bad-frame", text)]
 
 
 def _frame(
@@ -381,10 +413,6 @@ def _frame(
     if kind == "frames":
         if not lamp or not row["exposure"]:
             raise FileFormatError(f"{path}: a frame must have a lamp and an exposure: fill them in")
-        if not (math.isnan(values["angle_deg"]) or 0 <= values["angle_deg"] <= 180):
-            raise FileFormatError(
-                f"{path}: angle_deg, from the axis towards the camera, must lie in [0, 180] degrees, got {row['angle_deg']:.20}"
-            )
         light = stated_intensity(path, row.get(INTENSITY, ""))
         guess = LampGuess(math.radians(values["angle_deg"]), math.radians(values["azimuth_deg"]), light)
         known = lamps.get(lamp)
@@ -400,9 +428,7 @@ def _frame(
     return CaptureFrame(name, kind, lamp, row["exposure"], values["time_s"]), guess
 
 
-def _unlisted(folder: Path, frames: Iterable[CaptureFrame], problems: Iterable[Remark]) -> list[Remark]:
-    listed = {frame.file for frame in frames}
-    named = {str(problem).partition(": ")[0] for problem in problems}
+def _unlisted(folder: Path, named: set[str]) -> list[Remark]:
     extra: list[str] = []
     for kind in KINDS:
         position = folder / kind
@@ -410,7 +436,7 @@ def _unlisted(folder: Path, frames: Iterable[CaptureFrame], problems: Iterable[R
             continue
         for path in sorted(position.iterdir()):
             name = f"{kind}/{path.name}"
-            if path.suffix.lower() in PICTURES and name not in listed and str(path) not in named:
+            if path.suffix.lower() in PICTURES and name not in named:
                 extra.append(name)
     if not extra:
         return []

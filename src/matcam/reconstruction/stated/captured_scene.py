@@ -50,6 +50,7 @@ INCOMPLETE = (
     "profile-left-out",
     "reference-left-out",
     "picture-left-out",
+    "table-exchanged",
 )
 """Codes of the remarks on unusable inputs."""
 
