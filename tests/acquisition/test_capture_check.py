@@ -114,6 +114,43 @@ def test_azimuths_that_run_the_wrong_way_are_found(good, tmp_path):
     assert "table-flipped" in codes(changed(drawn, rows=rows), tmp_path / "flipped")
 
 
+def with_angles(drawn, change):
+    """The capture with other angles and azimuths, degrees, in its list."""
+    lit = [row for row in drawn.rows if row["angle_deg"]]
+    table = change(np.array([[float(row["angle_deg"]), float(row["azimuth_deg"])] for row in lit]))
+    for row, (angle, azimuth) in zip(lit, table, strict=True):
+        row |= {"angle_deg": f"{angle:.5f}", "azimuth_deg": f"{azimuth:.5f}"}
+    return drawn
+
+
+TABLES = {
+    "radians": (lambda table: np.radians(table), "radians"),
+    "x flipped": (lambda table: [0, 180] + [1, -1] * table, "x axis points left"),
+    "reversed": (lambda table: table[::-1], "reverse order"),
+}
+
+
+@pytest.mark.parametrize(("change", "word"), TABLES.values(), ids=TABLES)
+@pytest.mark.parametrize("outline", [True, False])
+def test_nothing_is_judged_by_a_wrong_lamp_table(tmp_path, change, word, outline):
+    """Neither the radius, nor the range of angles, nor the light on a diffuse reference."""
+    angles = np.radians([6, 17, 28, 39, 50, 61, 72])
+    drawn = draw(surface(), VIEW, angles, exposures=2, step=5.0, azimuth=0.05, seed=4, reference="diffuse")
+    drawn = with_angles(changed(drawn), change)
+    drawn.rows[:] = [row for row in drawn.rows if outline or not row["file"].startswith("outline")]
+    found = check_capture(read_capture(drawn.write(tmp_path)))
+    texts = {one.code: one.text for one in found.findings}
+    assert not {"angles-missed", "lamp-drifts", "no-reference", "radius-mismatch"} & set(texts)
+    assert found.radiometry.lamp_output == {}
+    wrong = [text for code, text in texts.items() if code.startswith("table-")]
+    assert len(wrong) == 1
+    if outline:
+        assert word in wrong[0]
+        assert found.centre == pytest.approx((VIEW.column, VIEW.row, VIEW.radius), abs=1.5)
+    else:
+        assert np.isnan(found.centre).all()
+
+
 def test_clipping_in_the_shortest_exposure_is_found(tmp_path):
     assert "L03" in codes(small(peak_fill=4.0, clip="converter", cfa=None), tmp_path)["peak-clipped"]
 

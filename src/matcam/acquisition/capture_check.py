@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -51,11 +51,12 @@ class CaptureCheck:
         findings: remarks on faults; empty if no fault was found.
         notes: remarks that are not faults.
         radiometry: radiometric calibration from the lamp positions that were read completely; None if it is not
-            measurable.
+            measurable. `lamp_output` is empty if the reference is diffuse and the lamp table is wrong.
         highlights: (column, row) of the highlight, px, by lamp position; row is NaN for the bright line of a cylinder.
             Lamp positions without a highlight are omitted.
-        centre: column, row and radius of the sample, px, fitted to highlights, outline and specified directions; row is
-            NaN for a cylinder. All are NaN if the comparison with the lamp table is not possible.
+        centre: column, row and radius of the sample, px, from the outline. Without an outline they are fitted to highlights
+            and specified directions. Row is NaN for a cylinder. All are NaN without an outline if the lamp table is wrong or
+            cannot be compared.
         turn: rotation vector that aligns the lamp table with the highlights, rad (3,), about x (right), y (up) and z
             (to the camera).
         turn_std: standard deviations of `turn`, rad (3,); NaN for an axis about which no rotation was fitted.
@@ -106,7 +107,6 @@ def check_capture(capture: Capture) -> CaptureCheck:
     if capture.settings["sample"]["kind"] == "flat":
         found += flat_remarks(capture)
     else:
-        found += coverage_remarks(capture.lamps)
         outline, said = quick_outline(capture, black_level(radiometry), lens_sigma(profile))
         found += said
     camera = capture.camera_radii
@@ -114,15 +114,21 @@ def check_capture(capture: Capture) -> CaptureCheck:
     found += said
     table = check_table(capture, highlights, outline)
     found += table.remarks
-    position = table.centre if outline is None else (outline.column, outline.row, outline.radius)
-    found += _lamp_remarks(capture, radiometry, position)
+    centre = table.centre if outline is None else (outline.column, outline.row, outline.radius)
+    wrong = any(one.code.startswith("table-") for one in (*capture.problems, *table.remarks))
+    if capture.settings["sample"]["kind"] != "flat" and not wrong:
+        found += coverage_remarks(capture.lamps)
+    if wrong and radiometry is not None and (capture.settings["reference"] or {}).get("kind") == "diffuse":
+        radiometry = replace(radiometry, lamp_output={})  # it depends on the directions
+    else:
+        found += _lamp_remarks(capture, radiometry, centre)
     unique = list(dict.fromkeys(found))
     return CaptureCheck(
         tuple(one for one in unique if one.code not in HARMLESS),
         tuple(one for one in unique if one.code in HARMLESS),
         radiometry,
         {lamp: (one.column, one.row) for lamp, one in highlights.items()},
-        table.centre,
+        centre,
         table.turn,
         table.turn_std,
     )

@@ -30,6 +30,17 @@ def origin_of(region: Region | None) -> tuple[int, int]:
     return (0, 0) if region is None else (region[1], region[0])
 
 
+def frame_size(capture: Capture) -> tuple[int, int] | None:
+    """Return width and height of the first readable frame of the sample, px; None if no frame is readable."""
+    for frame in capture.of("frames"):
+        try:
+            height, width = capture.read(frame).values.shape[:2]
+        except FileFormatError:
+            continue
+        return int(width), int(height)
+    return None
+
+
 @dataclass
 class MosaicReader:
     """Reader of the frames of a capture as mosaics. It requires that all frames are of one kind.

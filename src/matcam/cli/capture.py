@@ -114,7 +114,7 @@ def check(
     if math.isfinite(found.centre[2]):
         column, row, radius = found.centre
         where = f"column {column:.1f}" + (f", row {row:.1f}" if math.isfinite(row) else "")
-        show.say(f"approximate outline, from highlights and outline frames: {where}, radius {radius:.1f} px")
+        show.say(f"approximate outline: {where}, radius {radius:.1f} px")
     show.notes(found.notes)
     for remark in found.findings:
         show.say(f"found: {remark}")

@@ -22,6 +22,7 @@ from matcam.acquisition.check.quick_outline import QuickOutline
 from matcam.acquisition.check.unmeasured_lens import GUESSED_NEARNESS
 from matcam.acquisition.lamps.lamp_table import explain_lamp_table
 from matcam.acquisition.mirror_ball import MirrorBall, cylinder_line
+from matcam.acquisition.mosaic_frames import frame_size
 from matcam.core.remark import Remark
 from matcam.files.capture import Capture, Stated
 from matcam.numerics.normal import robust_std
@@ -49,7 +50,8 @@ class TableCheck(NamedTuple):
     """Result of the comparison of a lamp table with the highlights.
 
     Attributes:
-        centre: column, row and radius of the sample from highlights, table and outline, px; NaN if they were not fitted.
+        centre: column, row and radius of the sample from highlights, table and outline, px; NaN if they were not fitted,
+            or if the table is wrong.
         turn: rotation vector from the table to the highlights, about x (right), y (up) and z (to the camera), rad (3,);
             0 for an axis about which no rotation was fitted.
         turn_std: standard deviations of `turn`, rad (3,); NaN for an axis about which no rotation was fitted.
@@ -112,7 +114,15 @@ def check_table(capture: Capture, seen: dict[str, Seen], outline: QuickOutline |
     highlights = [seen[name] for name in names]
     if capture.settings["sample"]["kind"] == "cylinder":
         return _NOTHING if outline is None else _of_cylinder(capture, names, directions, highlights, outline)
-    return _of_sphere(capture, names, directions, highlights, outline)
+    found = _of_sphere(capture, names, directions, highlights, outline)
+    size = frame_size(capture) if outline is None else None
+    if size is not None and found.centre[2] > math.hypot(*size):
+        # the circle surrounds the frame, so the camera would see no limb
+        text = f"the highlights and the lamp table indicate a radius of {found.centre[2]:.0f} px, larger than the frame: check "
+        return _NOTHING._replace(
+            remarks=(Remark("table-contradicts", f"{text}angle_deg and azimuth_deg in frames.csv"),)
+        )
+    return found
 
 
 def _of_sphere(
@@ -144,7 +154,7 @@ def _of_sphere(
         text = (
             "the highlights move opposite to the specified lamp directions: measure azimuths from +x (right) to +y (up)"
         )
-        return _NOTHING._replace(centre=_sphere(right), remarks=(Remark("table-flipped", text),))
+        return _NOTHING._replace(centre=_sphere(flipped), remarks=(Remark("table-flipped", text),))
     if outline is not None:
         ball = MirrorBall(outline.row, outline.column, outline.radius, rig.camera)
         lamps = ball.lamp_seen_at(ball.normals(positions[:, 1], positions[:, 0]), rig.lamp)
@@ -152,9 +162,11 @@ def _of_sphere(
         if good.sum() >= _FEWEST:
             verdict = explain_lamp_table(lamps[good], directions[good])
             if verdict.mistake not in ("none", "unexplained"):
-                return _NOTHING._replace(centre=_sphere(right), remarks=verdict.remarks)
+                return _NOTHING._replace(remarks=verdict.remarks)
             start[:3] = Rotation.align_vectors(lamps[good], directions[good])[0].as_rotvec()
     fit = _fitted(expected, start, std, positions, errors)
+    if wrong := _whole_remarks(fit, errors):
+        return _NOTHING._replace(remarks=wrong)
     remarks = _turn_remarks(fit, std, "sphere's")
     if outline is not None:
         remarks += _radius_remarks(fit, outline, std[5])
@@ -181,7 +193,10 @@ def _of_cylinder(
     start = np.array([0, 0, 0, outline.column, 0.0, outline.radius])
     radius_std = math.hypot(outline.std[2], outline.radius * rig.growth_std)
     std = np.array([0, np.inf, 0, outline.std[0], 0, radius_std])
-    fit = _fitted(expected, start, std, columns, _errors(capture, seen, outline.radius))
+    errors = _errors(capture, seen, outline.radius)
+    fit = _fitted(expected, start, std, columns, errors)
+    if wrong := _whole_remarks(fit, errors):
+        return _NOTHING._replace(remarks=wrong)
     remarks = _turn_remarks(fit, std, "cylinder's")
     remarks += _radius_remarks(fit, outline, std[5])
     remarks += _single_remarks(capture, names, fit)
@@ -230,6 +245,19 @@ def _fitted(
 
 def _sphere(fit: _Fit) -> tuple[float, float, float]:
     return float(fit.p[3]), float(fit.p[4]), float(abs(fit.p[5]))
+
+
+def _whole_remarks(fit: _Fit, errors: np.ndarray) -> tuple[Remark, ...]:
+    """Report a table that no rotation aligns with the highlights. Its fitted radius and rotation are meaningless.
+
+    Single wrong lamps do not change the median. If the table is right, half of four highlights are further off than
+    `_SIGNIFICANT` standard deviations once in 10^6 captures.
+    """
+    off = float(np.median(fit.off))
+    if off < max(_OFF, _SIGNIFICANT * float(np.median(errors))):
+        return ()
+    text = f"the highlights are {off:.0f} px (median) from the positions that the lamp table predicts: check angle_deg and "
+    return (Remark("table-contradicts", f"{text}azimuth_deg in frames.csv, and the distances"),)
 
 
 def _turn_remarks(fit: _Fit, std: np.ndarray, whose: str) -> list[Remark]:

@@ -13,7 +13,7 @@ from matcam.acquisition.limb.clipped_field import hidden_by_clipping
 from matcam.acquisition.limb.straight_outline import StraightOutline, straight_outline
 from matcam.acquisition.merging import merge
 from matcam.acquisition.mirror_ball import MirrorBall
-from matcam.acquisition.mosaic_frames import MosaicReader, origin_of
+from matcam.acquisition.mosaic_frames import MosaicReader, frame_size, origin_of
 from matcam.acquisition.radiometry import Progress
 from matcam.core.errors import ArgumentError, FitError
 from matcam.core.remark import Remark
@@ -26,7 +26,6 @@ from matcam.reconstruction.stated.outline_frames import mean_outline_frame
 from matcam.reconstruction.stated.stated_rig import (
     FEWEST,
     captured_lens,
-    frame_size,
     known_nearness,
     known_radius,
     lamp_radius_of,

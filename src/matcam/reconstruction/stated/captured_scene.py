@@ -12,6 +12,7 @@ from matcam.acquisition.highlights import find_highlights, lamp_from_highlight
 from matcam.acquisition.light.kept_work import KeptWork
 from matcam.acquisition.merged_picture import MergedPicture
 from matcam.acquisition.merging import merge
+from matcam.acquisition.mosaic_frames import frame_size
 from matcam.acquisition.outline import Outline, Sighting, find_outline, stacked
 from matcam.acquisition.radiometry import Progress, Radiometry
 from matcam.core.errors import ArgumentError, FitError
@@ -26,7 +27,6 @@ from matcam.reconstruction.stated.stated_lamps import first_lamps, stated_lamps
 from matcam.reconstruction.stated.stated_rig import (
     FEWEST,
     captured_lens,
-    frame_size,
     known_nearness,
     known_radius,
     lamp_radius_of,

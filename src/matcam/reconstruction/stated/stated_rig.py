@@ -37,17 +37,6 @@ def captured_lens(capture: Capture, remarks: list[Remark]) -> tuple[Camera, floa
     return Camera(GaussianOptics(value)), std / value
 
 
-def frame_size(capture: Capture) -> tuple[int, int] | None:
-    """Return width and height of the first readable frame of the sample, px; None if no frame is readable."""
-    for frame in capture.of("frames"):
-        try:
-            height, width = capture.read(frame).values.shape[:2]
-        except FileFormatError:
-            continue
-        return int(width), int(height)
-    return None
-
-
 def without_field(camera: Camera, sample: str, remarks: list[Remark]) -> Camera:
     """Remove the lens field from a camera, and add a remark. The models of flat samples and cylinders support no field."""
     if camera.field is None:
