@@ -72,7 +72,11 @@ def test_one_exposure_that_clips_below_the_files_largest_code(tmp_path, clip):
         surface(alpha=0.03), VIEW, np.radians([10, 35, 55, 75]), exposures=1, peak_fill=8.0, reference=None,
         sensor=Sensor(clip=clip, cfa=None), seed=5,
     )  # fmt: skip
-    pictures, radiometry = merge(read_capture(drawn.write(tmp_path)))
+    capture = read_capture(drawn.write(tmp_path))
+    some = measure_radiometry(capture, lamps=["L00", "L02", "L03"])
+    note = next(one.text for one in some.remarks if one.code == "clip-by-pile-up")
+    assert "of the 3 frames that were read for this test" in note
+    pictures, radiometry = merge(capture)
     assert radiometry.clip.level == pytest.approx(drawn.truth["clip_dn"], abs=2)
     assert {"clip-by-pile-up", "peak-clipped"} <= {one.code for one in radiometry.remarks}
     for picture in pictures:

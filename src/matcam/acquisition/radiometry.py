@@ -302,12 +302,12 @@ def _clip_level(
     if found is None:
         return (clip if largest < saturation else ClipLevel(largest, 0.29, 0.0, 1)), []
     where = [f"lamp {sample.lamp}, exposure {names[k]}" for sample in samples for k in sample.exposures]
-    frames = f"{len(found.frames)} frame{'s' * (len(found.frames) > 1)}"
     remarks = [
         Remark(
             "clip-by-pile-up",
-            f"{found.clip.pixels} pixels of {frames} have the largest code, {found.clip.level:.0f} DN, within the read noise: "
-            "this code is used as the clip level, because noise would distribute unclipped pixels over several codes",
+            f"{found.clip.pixels} pixels in {len(found.frames)} of the {len(tops)} frames that were read for this test have "
+            f"the largest code, {found.clip.level:.0f} DN, within the read noise: this code is used as the clip level, because "
+            "noise would distribute unclipped pixels over several codes",
         )
     ]
     if found.apart:
