@@ -20,7 +20,8 @@ def test_progress_states_round_pictures_and_the_time_left():
     rounds.end(0.21)
     rounds.begin()
     assert said[0] == "round 1 of at most 4, 12 images"
-    assert re.fullmatch(r"round 2 of at most 4, 12 images, 21\.0% unexplained so far, at most \d+ s left", said[1])
+    limit = r"at most \d+ s left for this explanation; others may follow"
+    assert re.fullmatch(rf"round 2 of at most 4, 12 images, 21\.0% unexplained so far, {limit}", said[1])
 
 
 def test_rounds_end_where_much_is_unexplained_and_more_from_round_to_round():

@@ -169,7 +169,7 @@ class _Search:
                 shaped=one.shaped,
                 lamps=self.lamps,
                 rivals=rivals,
-                progress=lambda line: self.say(f"{name}: {line}"),
+                progress=lambda line: self.say(f"explanation {name}: {line}"),
                 **more,
             )
             one = one._replace(family=found.kind.family)

@@ -19,7 +19,9 @@ If the ratio is larger, the model does not describe the images.
 
 
 class Rounds:
-    """Progress of the rounds of one joint fit.
+    """Progress of the rounds of one joint fit, which is that of one explanation.
+
+    The number of explanations that follow is unknown, because it depends on the result.
 
     Args:
         most: largest number of rounds.
@@ -37,7 +39,8 @@ class Rounds:
         line = f"round {done + 1} of at most {self.most}, {self.pictures} images"
         if done:
             left = (time.monotonic() - self._started) / done * (self.most - done)
-            line += f", {self.shares[-1]:.1%} unexplained so far, at most {left:.0f} s left"
+            line += f", {self.shares[-1]:.1%} unexplained so far, at most {left:.0f} s left for this explanation; others may "
+            line += "follow"
         self.say(line)
 
     def end(self, share: float) -> None:
