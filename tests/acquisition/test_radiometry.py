@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from matcam.acquisition.bracket_sample import noise_correlation
+from matcam.acquisition.capture_check import check_capture
 from matcam.acquisition.darkness import dark_of, pair_correlation
 from matcam.acquisition.exposure_ratios import ExposureRatios
 from matcam.acquisition.merging import bracket_misfit, merge, misfit_remark
@@ -13,6 +14,7 @@ from matcam.acquisition.radiometry import capture_camera, measure_radiometry
 from matcam.acquisition.radiometry_remarks import processing_remarks, tone_curve_proof, tone_exponent
 from matcam.core.errors import FileFormatError, FitError
 from matcam.files.capture import read_capture
+from matcam.reconstruction.from_capture import reconstruct
 from tests.acquisition.drawn import changed, small
 from tests.oracle.capture import noiseless
 
@@ -322,6 +324,26 @@ def test_the_profile_belongs_to_the_camera(tmp_path):
     settings = {**drawn.settings, "camera": {**drawn.settings["camera"], "cfa": "BGGR"}}
     with pytest.raises(FileFormatError, match="give the profile of the camera"):
         capture_camera(read_capture(changed(drawn, settings=settings).write(tmp_path / "b")))
+
+
+def test_a_mosaic_that_is_read_as_grey_is_refused(tmp_path):
+    """By the profile, which states it, or by alternate pixels. Grey frames of the same sphere are not refused."""
+    drawn = small()
+    without = changed(drawn, settings={**drawn.settings, "camera": {"profile": "camera.json"}})
+    capture = read_capture(without.write(tmp_path / "a"))
+    with pytest.raises(FitError, match=r"camera with the mosaic RGGB, but capture.toml has no camera.cfa.*: specify"):
+        capture_camera(capture)
+    assert {"bad-profile", "no-radiometry"} <= {one.code for one in check_capture(capture).findings}
+    steps = []
+    with pytest.raises(FitError, match=r"capture.toml has no camera.cfa"):
+        reconstruct(capture, "ggx", progress=lambda *step: steps.append(step))
+    assert not steps
+    without = changed(drawn, settings={**drawn.settings, "camera": {}})
+    with pytest.raises(FitError, match=r"frames/L00_E3.tif: alternate pixels differ .*: .* specify camera.cfa"):
+        measure_radiometry(read_capture(without.write(tmp_path / "b")))
+    grey = read_capture(small(cfa=None).write(tmp_path / "c"))
+    assert capture_camera(grey) is not None
+    assert measure_radiometry(grey).channels == ("grey",)
 
 
 def test_fixed_pattern_and_hot_pixels_of_dark_frames():

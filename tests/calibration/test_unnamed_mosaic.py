@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from matcam.calibration.photograph.unnamed_mosaic import alternation
+from matcam.numerics.alternation import alternation
 from tests.oracle import real_edges as oracle
 from tests.oracle import slanted_squares
 

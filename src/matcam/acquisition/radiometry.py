@@ -35,11 +35,12 @@ from matcam.acquisition.light.reference_light import lamp_output, reference_ligh
 from matcam.acquisition.mosaic_frames import MosaicReader
 from matcam.acquisition.radiometry_remarks import clip_remarks, exposure_remarks, linearity_remarks, tone_exponent
 from matcam.camera.camera import Camera
-from matcam.core.errors import FileFormatError, FitError
+from matcam.core.errors import FileFormatError, FitError, MatcamError
 from matcam.core.remark import Remark, some_of
 from matcam.core.threads import in_order
 from matcam.files.capture import Capture, Region, Stated
 from matcam.files.capture_frames import CaptureFrame
+from matcam.numerics.alternation import alternation
 
 Progress = Callable[[str, int, int], None]
 """Function that receives the name of a step, the number of finished parts, and the total number of parts."""
@@ -127,7 +128,8 @@ class Radiometry:
 def capture_camera(capture: Capture) -> Camera | None:
     """Load the camera profile of a capture; None without a profile.
 
-    A FileFormatError is raised if the profile is invalid, or if the mosaic of its sensor is not that of the capture.
+    A FileFormatError is raised if the profile is invalid, or if the mosaic of its sensor is not that of the capture. A
+    FitError is raised if the sensor has a mosaic, but neither the capture nor its frames specify one.
     """
     if capture.profile is None:
         return None
@@ -138,6 +140,16 @@ def capture_camera(capture: Capture) -> Camera | None:
             f"{capture.profile}: the profile is of a camera with the mosaic {camera.sensor.cfa}, but capture.toml has {cfa}: "
             "give the profile of the camera of the capture"
         )
+    if not cfa and camera.sensor is not None and camera.sensor.cfa:
+        reader = MosaicReader(capture)
+        # a part of 2 x 2 px suffices to determine the kind of the frames
+        part = next(reader.readable(capture.of("frames"), (0, 0, 2, 2)), None)
+        if part is not None and reader.cfa is None:
+            raise FitError(
+                f"{capture.profile}: the profile is of a camera with the mosaic {camera.sensor.cfa}, but capture.toml has no "
+                "camera.cfa, so the frames are read as grey: specify camera.cfa, or give the profile of the camera of the "
+                "capture"
+            )
     return camera
 
 
@@ -165,7 +177,8 @@ def measure_radiometry(
         The radiometry; its remarks name unusable frames.
 
     Raises:
-        FitError: no lamp position has a frame that can be read, or every frame is dark or clipped.
+        FitError: no lamp position has a frame that can be read, every frame is dark or clipped, or the frames are read as
+            grey but their pixels alternate as in a mosaic.
     """
     region = capture.region if region is None else region
     reader, remarks = MosaicReader(capture), list(capture.problems)
@@ -383,11 +396,19 @@ def _between(
 def _frame_levels(
     capture: Capture, reader: MosaicReader, region: Region | None, names: Sequence[str]
 ) -> dict[str, float]:
-    """Compute a low code (5 % quantile) of one frame of each exposure, DN."""
+    """Compute a low code (5 % quantile) of one frame of each exposure, DN.
+
+    A FitError is raised if such a frame is read as grey, but its pixels alternate as in a mosaic.
+    """
     found = {}
     for name in names:
-        for _, codes in reader.readable(capture.of("frames", exposure=name), region):
+        for frame, codes in reader.readable(capture.of("frames", exposure=name), region):
             found[name] = float(np.quantile(codes[::3, ::3], 0.05))
+            if reader.cfa is None and (share := alternation(codes - found[name])) > 0:
+                raise FitError(
+                    f"{capture.folder / frame.file}: alternate pixels differ by {share:.0%}, as in a colour mosaic that is "
+                    "read as grey: if the frames are mosaics, specify camera.cfa (the colours of the first 2 x 2 px)"
+                )
             break
     return found
 
@@ -421,7 +442,7 @@ def _gain_without_brackets(
 ) -> Stated:
     try:
         camera = capture_camera(capture)
-    except FileFormatError:  # errors of the profile are reported where the lens is used
+    except MatcamError:  # errors of the profile are reported where the lens is used
         camera = None
     if camera is not None and camera.sensor is not None:
         text = "the frames do not determine the gain, so that of the profile was used: take several exposures to measure it"

@@ -23,7 +23,8 @@ that a wrong length can be detected.
 def captured_lens(capture: Capture, remarks: list[Remark]) -> tuple[Camera, float]:
     """Determine the camera of a capture, and the relative standard deviation of the width of its lens.
 
-    If the profile is missing, unreadable or of another camera, both results are guesses, and a remark is added.
+    If the profile is missing, unreadable or of another camera, both results are guesses, and a remark is added. A FitError is
+    raised if mosaics are read as grey images, see `capture_camera`.
     """
     value, std = GUESSED_LENS
     try:
