@@ -46,6 +46,13 @@ def test_a_logarithmic_picture_keeps_order_and_colour():
     assert (np.diff(row[-1]) < 0).all()
 
 
+def test_noise_is_drawn_black():
+    rng = np.random.default_rng(1)
+    picture = np.maximum(rng.standard_normal((64, 64, 3)), 0)  # negative noise was set to 0
+    picture[32, 32] = 1e4
+    assert 0.8 < logarithmic_range(picture)[0] < 3
+
+
 def test_nothing_lit_is_drawn(mirror):
     dark = table_sphere(np.zeros_like(mirror.values), 16)
     assert np.isfinite(logarithmic(dark, *logarithmic_range(dark))).all()

@@ -96,15 +96,16 @@ def logarithmic_range(*pictures: np.ndarray) -> tuple[float, float]:
         pictures: radiances (height, width, channel), any number of them.
 
     Returns:
-        Black and white. White is the largest value. Black is the 5 % quantile of lit pixels, limited to the range from
-        2 to 8 decades below white.
+        Black and white. White is the largest value. Black is the 5 % quantile of the positive values, limited to the range
+        from 2 to 8 decades below white. If negative noise was set to 0, black is the level of the noise.
     """
     lit = np.concatenate([picture[picture > 0] for picture in pictures])
     if not lit.size:
         return 1e-2, 1.0
     white = float(lit.max())
-    # the dimmest 5 % of the lit pixels are drawn black, if this gives 2 to 8 decades
-    decades = np.clip(np.log10(white / np.quantile(lit, 0.05)), 2.0, 8.0)
+    # half of the noise is negative, so there are as many positive values of noise as zeros in pixels with another colour
+    dark = sum(int((picture[(picture > 0).any(axis=-1)] <= 0).sum()) for picture in pictures)
+    decades = np.clip(np.log10(white / np.quantile(lit, np.clip(dark / lit.size, 0.05, 0.98))), 2.0, 8.0)
     return white * 10.0 ** -float(decades), white
 
 
