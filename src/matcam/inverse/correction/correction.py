@@ -291,14 +291,13 @@ class Correction(Summarised):
         known = "well determined" if self._determined else "NOT determined by these images"
         rows = self._grid.index(theta_h=0.0, theta_d=np.radians(np.arange(_ANGLES[0], _ANGLES[-1] + 1)))
         supported, recorded = self.table["supported"].values[rows], np.isfinite(self.recorded.values[rows])
-        peaks = (
-            f"{supported[recorded].mean():.0%} of the peaks"
-            if recorded.any()
-            else "none of the peaks, which are missing,"
-        )
+        peaks = f"none of the peaks up to {_ANGLES[-1]}°, which are missing,"
+        if recorded.any():
+            some = "" if recorded.all() else " that are not missing"
+            peaks = f"{supported[recorded].mean():.0%} of the peaks up to {_ANGLES[-1]}°{some}"
         return (
             f"The camera reduced the peak of the highlight by {', '.join(lost)}. The roughness of the surface is {known}. "
-            f"After correction {peaks} up to {_ANGLES[-1]}° are supported (the correction is known to 5 %), and "
+            f"After correction {peaks} are supported (the correction is known to 5 %), and "
             f"{self.supported_share:.0%} of the entries with known uncertainty."
         )
 

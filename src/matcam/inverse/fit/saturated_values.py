@@ -48,9 +48,9 @@ def without_saturated(table: xr.DataArray, rig: Rig | None) -> tuple[xr.DataArra
     saturated = table.values >= _BELOW * levels.T[None, :, None]
     if not saturated.any():
         return table, ()
-    slices = int(np.isfinite(levels).any(0).sum())
+    slices = int(saturated.any((0, 2, 3)).sum())
     text = (
-        f"in {slices} of {levels.shape[1]} slices many pixels have exactly the largest value, so the highlight was saturated; "
+        f"many pixels have exactly the largest value, so the highlight was saturated in {slices} of {levels.shape[1]} slices; "
         f"{saturated.sum()} entries at or near this value are treated as missing: record the highlight with a shorter exposure"
     )
     return table.copy(data=np.where(saturated, np.nan, table.values)), (Remark("saturated", text),)
