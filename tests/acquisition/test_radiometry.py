@@ -1,6 +1,7 @@
 """What codes mean, judged by captures whose truth is known (tests/oracle/capture.py)."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from matcam.acquisition.capture_check import check_capture
 from matcam.acquisition.darkness import dark_of, pair_correlation
 from matcam.acquisition.exposure_ratios import ExposureRatios
 from matcam.acquisition.merging import bracket_misfit, merge, misfit_remark
+from matcam.acquisition.mosaic_frames import MosaicReader
 from matcam.acquisition.radiometry import capture_camera, measure_radiometry
 from matcam.acquisition.radiometry_remarks import processing_remarks, tone_curve_proof, tone_exponent
 from matcam.core.errors import FileFormatError, FitError
@@ -324,6 +326,16 @@ def test_the_profile_belongs_to_the_camera(tmp_path):
     settings = {**drawn.settings, "camera": {**drawn.settings["camera"], "cfa": "BGGR"}}
     with pytest.raises(FileFormatError, match="give the profile of the camera"):
         capture_camera(read_capture(changed(drawn, settings=settings).write(tmp_path / "b")))
+
+
+def test_every_frame_of_another_mosaic_is_refused(tmp_path):
+    capture = read_capture(small().write(tmp_path))
+    frames = capture.of("frames")[:3]
+    reader = MosaicReader(replace(capture, settings={"camera": {**capture.settings["camera"], "cfa": "BGGR"}}))
+    photograph = capture.read(frames[0])._replace(cfa="RGGB")  # as a raw file states it
+    for frame in frames:
+        with pytest.raises(FileFormatError, match="the mosaic of the frame is RGGB, but capture"):
+            reader._check(frame, photograph)
 
 
 def test_a_mosaic_that_is_read_as_grey_is_refused(tmp_path):

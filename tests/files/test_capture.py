@@ -170,6 +170,14 @@ def test_bad_lines_are_listed_and_the_rest_is_used(tmp_path, bad, message, there
     assert all("\n" not in str(problem) for problem in capture.problems)
 
 
+def test_an_empty_angle_is_that_of_another_line_of_the_lamp(tmp_path):
+    angles = ("20", "", "20")
+    rows = [row(f"frames/{n}.tif", "L1", angle, "90", f"E{n}", f"{n + 1}") for n, angle in enumerate(angles)]
+    capture = read_capture(write(tmp_path, rows=rows))
+    assert not capture.problems
+    assert np.degrees(capture.lamps["L1"].angle) == pytest.approx(20)
+
+
 def test_extra_pictures_are_named(tmp_path):
     folder = write(tmp_path)
     write_tiff(folder / "frames/extra.tif", np.zeros((6, 8), np.uint16))

@@ -122,13 +122,13 @@ class MosaicReader:
         values, camera = photograph.values, self.capture.settings["camera"]
         colour = values.ndim == 3
         kind = (str(values.dtype), photograph.cfa, photograph.exif.camera, colour)
+        if camera["cfa"] and photograph.cfa and camera["cfa"] != photograph.cfa:
+            raise FileFormatError(
+                f"{path}: the mosaic of the frame is {photograph.cfa}, but capture.toml has {camera['cfa']}: correct "
+                "camera.cfa"
+            )
         if self._first is None:
             self._first, self.saturation = kind, photograph.saturation
-            if camera["cfa"] and photograph.cfa and camera["cfa"] != photograph.cfa:
-                raise FileFormatError(
-                    f"{path}: the mosaic of the frame is {photograph.cfa}, but capture.toml has {camera['cfa']}: correct "
-                    "camera.cfa"
-                )
         elif kind != self._first:
             what = [
                 f"{name} {new} instead of {old}"

@@ -22,8 +22,6 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-import numpy as np
-
 from matcam.core.errors import FileFormatError
 from matcam.core.readers.names import check_folder, check_within, is_file, is_folder, is_there, listed_file
 from matcam.core.readers.schemas import validated
@@ -416,7 +414,7 @@ def _frame(
         light = stated_intensity(path, row.get(INTENSITY, ""))
         guess = LampGuess(math.radians(values["angle_deg"]), math.radians(values["azimuth_deg"]), light)
         known = lamps.get(lamp)
-        if known is not None and not np.allclose(known[:2], guess[:2], atol=1e-9, rtol=0, equal_nan=True):
+        if known is not None and any(abs(a - b) > 1e-9 for a, b in zip(known[:2], guess[:2], strict=True)):
             raise FileFormatError(
                 f"{path}: lamp {lamp} has a different position from that in an earlier line: use a different lamp "
                 "name for each position"
@@ -425,6 +423,9 @@ def _frame(
             raise FileFormatError(
                 f"{path}: lamp {lamp} has a different intensity from that in an earlier line: give one value for each lamp"
             )
+        if known is not None:  # an empty cell does not replace a value
+            angle, azimuth = (new if math.isfinite(new) else old for old, new in zip(known[:2], guess[:2], strict=True))
+            guess = guess._replace(angle=angle, azimuth=azimuth)
     return CaptureFrame(name, kind, lamp, row["exposure"], values["time_s"]), guess
 
 
