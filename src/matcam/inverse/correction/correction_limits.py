@@ -147,15 +147,13 @@ class EnergyLimit(NamedTuple):
     Attributes:
         steps: reduction for each direction, in standard deviations of the correction, (directions, channels).
         excess: albedo above its limit that remains after the reduction, (directions, channels).
-        light: index of the direction of the light for each entry, (90, 90, 180).
-        view: index of the direction of the view for each entry, (90, 90, 180).
+        sampling: sampling of the table.
         recorded: largest albedo of the recorded table up to 80 degrees, no unit.
     """
 
     steps: np.ndarray
     excess: np.ndarray
-    light: np.ndarray
-    view: np.ndarray
+    sampling: Sampling
     recorded: float
 
     @property
@@ -190,7 +188,8 @@ class EnergyLimit(NamedTuple):
             corrected: corrected values in these rows, 1/sr, (rows, 90, 180, channels).
             std: standard deviation of the correction, 1/sr, (rows, 90, 180, channels).
         """
-        steps = np.maximum(self.steps[self.light[rows]], self.steps[self.view[rows]])
+        light, view = _directions(self.sampling)
+        steps = np.maximum(self.steps[light[rows]], self.steps[view[rows]])
         return np.where(corrected > recorded, np.maximum(corrected - steps * std, recorded), corrected)
 
 
@@ -222,7 +221,7 @@ def energy_limit(recorded: np.ndarray, corrected: np.ndarray, std: np.ndarray, s
         steps[better], left[better] = tried, np.maximum(now, 0)[better]
     # an entry lies between two directions, and the larger reduction of both is used
     steps = np.maximum(steps, np.maximum(np.r_[steps[1:], steps[-1:]], np.r_[steps[:1], steps[:-1]]))
-    return EnergyLimit(steps, left, *_directions(sampling), largest_albedo(sent, sampling))
+    return EnergyLimit(steps, left, sampling, largest_albedo(sent, sampling))
 
 
 def largest_albedo(of_directions: np.ndarray, sampling: Sampling) -> float:
