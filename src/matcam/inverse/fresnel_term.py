@@ -157,9 +157,9 @@ def fresnel(
     _check(rig, ndf, normalise)
     checks.choice("masking", masking, MASKINGS)
     checks.flag("force_correction", force_correction)
-    _check_highlight(brdf, normalise)
-    brdf, saturated = without_saturated(brdf, rig)
+    given, (brdf, saturated) = brdf, without_saturated(brdf, rig)
     located, workspace = located_rig(rig, brdf), workspace or default_workspace()
+    _check_highlight(given, normalise)  # a saturated peak is a highlight, too
     setup = first_setup(
         brdf, located.rig, masking=masking, noise=noise, workspace=workspace, slice_step=max(slice_step, SEARCH_STEP)
     )
