@@ -39,7 +39,7 @@ def test_many_cells_of_turned_rigs(camera, lamp, radius, azimuth):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("azimuth", "worst"), [(0.0, 1e-5), (-1.1, 1e-4)])
+@pytest.mark.parametrize(("azimuth", "worst"), [(0.0, 2e-4), (-1.1, 2e-4)])
 def test_broad_lobes_at_the_limb(azimuth, worst):
     """Without masking, so that the whole surface sends light up to the limb: all chosen cells of all slices."""
     rig, _ = made(np.inf, np.inf, 100.0, lamp_azimuth=azimuth)

@@ -38,6 +38,7 @@ from matcam.forward.sampler.circles import (
     CircleLayout,
     Circles,
     about_highlight,
+    ends_inside,
     from_highlight,
     touching_angles,
 )
@@ -224,7 +225,7 @@ class WindowArcs(NamedTuple):
             circles: range of the angle from the normal of the highlight in which the circles lie.
         """
         angle, step = circles.nodes(NODES)
-        foreshortened = _foreshortened(view, windows)[:, None]
+        foreshortened = _foreshortened(view, windows, circles.low > 0)[:, None]
         if np.any(foreshortened):
             # the length of arcs varies with the square root of the distance to a circle that touches limb or terminator; in a
             # distant rig both touch the same circle
@@ -247,12 +248,17 @@ class WindowArcs(NamedTuple):
         return cls(windows, CircleLayout(about_highlight(windows), everywhere, circles_of, arcs))
 
 
-def _foreshortened(view: SphereView, windows: Windows) -> np.ndarray:
-    """Check whether foreshortening varies strongly in each window: limb or terminator are inside, or close."""
+def _foreshortened(view: SphereView, windows: Windows, outside: np.ndarray) -> np.ndarray:
+    """Check whether foreshortening varies strongly in each window: limb or terminator are inside, or close.
+
+    Close is sufficient only for windows whose highlight is `outside`. In other windows the circles of `NODES` are more
+    accurate, because they are at the nodes, so that the weights of narrow lobes are not transferred.
+    """
     normal = windows.border(view)
     lit = np.sin(windows.lamp)[:, None] * normal[0] + np.cos(windows.lamp)[:, None] * normal[2]
     cosines = normal[2] - view.camera, lit - view.lamp
-    return np.any([np.min(one, axis=1) < _STEEP * np.max(one, axis=1) for one in cosines], axis=0)
+    steep = np.any([np.min(one, axis=1) < _STEEP * np.max(one, axis=1) for one in cosines], axis=0)
+    return np.logical_or.reduce([*ends_inside(view, windows, normal), steep & outside])
 
 
 def sphere_rules(
