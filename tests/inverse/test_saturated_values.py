@@ -5,7 +5,7 @@ import pytest
 
 from matcam import fit, fresnel
 from matcam.inverse import Correction
-from matcam.inverse.fit.saturated_values import without_saturated
+from matcam.inverse.saturated_values import without_saturated
 from tests.inverse import recorded
 from tests.oracle import sphere_cells as oracle
 from tests.oracle.merl_lobe import conductor

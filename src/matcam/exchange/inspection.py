@@ -29,11 +29,10 @@ from matcam.core.grid import (
     sampling_of,
 )
 from matcam.exchange.contents import Contents
-from matcam.inverse.correction.correction_limits import albedo, albedo_remarks, largest_albedo
 from matcam.inverse.fit.fit_data import check_values
-from matcam.inverse.fit.saturated_values import without_saturated
 from matcam.inverse.operator.pixel_phase import cell_rule
-from matcam.material.material import albedo_and_missing, cell_values
+from matcam.inverse.saturated_values import without_saturated
+from matcam.material.material import albedo_and_missing, albedo_remarks, cell_values
 from matcam.material.measured import Adaptive, Tabulated
 
 SPHERE_RADIUS = 256.0
@@ -218,7 +217,9 @@ def inspect_table(table: xr.DataArray, radius: float = SPHERE_RADIUS) -> dict[st
     below = below_horizon(sampling)
     widths = lobe_widths(table)
     reported = merl_grid(sampling).index(theta_d=np.radians(REPORTED_ANGLES))[1]
-    remarks = (*without_saturated(table, None)[1], *albedo_remarks(largest_albedo(albedo(values, sampling), sampling)))
+    albedo = _albedo(Tabulated(table), [str(c) for c in table["channel"].values])
+    largest = max((row[str(c)] or 0.0 for row in albedo for c in table["channel"].values), default=0.0)
+    remarks = (*without_saturated(table, None)[1], *albedo_remarks(largest))
     return {
         "grid": dict(zip(("theta_h", "theta_d", "phi_d"), GRID_SHAPE, strict=True)),
         "channels": [str(c) for c in table["channel"].values],
@@ -230,7 +231,7 @@ def inspect_table(table: xr.DataArray, radius: float = SPHERE_RADIUS) -> dict[st
         "valid_below_horizon_share": float((~missing[below]).mean()),
         "range_per_sr": [float(np.nanmin(values)), float(np.nanmax(values))],
         "reciprocity_rms": _reciprocity(values, sampling),
-        "albedo": _albedo(Tabulated(table), [str(c) for c in table["channel"].values]),
+        "albedo": albedo,
         "lobe": [
             {
                 "theta_d_deg": angle,

@@ -25,7 +25,6 @@ from matcam.inverse.correction.explanation import explain, first_setup
 from matcam.inverse.fit.fit_data import SEARCH_STEP
 from matcam.inverse.fit.fit_setup import AUTO
 from matcam.inverse.fit.material_fit import MaterialFit
-from matcam.inverse.fit.saturated_values import without_saturated
 from matcam.inverse.normalised_fresnel import (
     NormalisedFresnel,
     averaged,
@@ -40,6 +39,7 @@ from matcam.inverse.operator.sample_view import sample_view
 from matcam.inverse.peak_curve import NORMALISED_OVER, recorded_peak
 from matcam.inverse.picture_gain import gain_remarks, picture_gain
 from matcam.inverse.rig.rig_axes import known_lens
+from matcam.inverse.saturated_values import without_saturated
 from matcam.material.masking import MASKINGS, Masking, g2
 from matcam.material.ndf.distribution import NDF
 from matcam.numerics.budget import UncertaintyBudget

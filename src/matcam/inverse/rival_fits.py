@@ -21,9 +21,9 @@ from matcam.inverse.fit.fit_data import SEARCH_STEP
 from matcam.inverse.fit.fit_parameters import FAMILIES
 from matcam.inverse.fit.fit_setup import AUTO
 from matcam.inverse.fit.material_fit import MaterialFit
-from matcam.inverse.fit.saturated_values import without_saturated
 from matcam.inverse.operator.lobe_operator import check_rig
 from matcam.inverse.operator.pixel_phase import located_rig
+from matcam.inverse.saturated_values import without_saturated
 from matcam.rigs import Rig
 
 

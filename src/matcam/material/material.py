@@ -12,6 +12,7 @@ from matcam.core.arrays import xp
 from matcam.core.arrays.module import Module
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import Sampling, below_horizon, cosines, merl_grid
+from matcam.core.remark import Remark
 from matcam.core.shading import Shading, local_shading, vector
 
 if TYPE_CHECKING:
@@ -197,3 +198,11 @@ def albedo_and_missing(material: Material, theta: ArrayLike) -> tuple[np.ndarray
         albedos.append(np.where((unknown | (diffuse == 0)[..., None]).all(axis=(0, 1)), np.nan, known))
         missing.append(share)
     return np.stack(albedos), np.stack(missing)
+
+
+def albedo_remarks(largest: float) -> tuple[Remark, ...]:
+    """Remark on a table whose largest directional albedo exceeds 1."""
+    if largest <= 1:
+        return ()
+    text = f"the recorded table reflects up to {largest:.3g} times the light that it receives: check its unit (1/sr) and scale"
+    return (Remark("albedo", text),)

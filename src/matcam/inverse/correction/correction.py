@@ -33,13 +33,13 @@ from matcam.inverse.correction.other_maskings import MOST_LINEAR, other_maskings
 from matcam.inverse.correction.rig_refits import RigRefit
 from matcam.inverse.fit.fit_setup import AUTO
 from matcam.inverse.fit.material_fit import MaterialFit
-from matcam.inverse.fit.saturated_values import without_saturated
 from matcam.inverse.normalised_fresnel import NO_CAMERA
 from matcam.inverse.operator.chosen_cells import noise_shares
 from matcam.inverse.operator.lobe_operator import check_rig
 from matcam.inverse.operator.pixel_phase import located_rig
 from matcam.inverse.picture_gain import gain_remarks, strengths_gain
 from matcam.inverse.rig.rig_axes import known_lens
+from matcam.inverse.saturated_values import without_saturated
 from matcam.material.masking import MASKINGS, Masking
 from matcam.numerics.budget import UncertaintyBudget
 from matcam.numerics.fit_budget import VariancePart, parts_budget

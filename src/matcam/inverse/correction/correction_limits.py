@@ -19,6 +19,7 @@ from scipy.sparse import csr_matrix
 from matcam.core.grid import GRID_SHAPE, Sampling, merl_grid
 from matcam.core.remark import Remark
 from matcam.inverse.normalised_fresnel import CHANNELS, NO_CAMERA
+from matcam.material.material import albedo_remarks
 from matcam.numerics.fit_budget import VariancePart, scaled_parts
 
 ROWS = tuple(slice(start, start + 10) for start in range(0, GRID_SHAPE[0], 10))
@@ -230,14 +231,6 @@ def largest_albedo(of_directions: np.ndarray, sampling: Sampling) -> float:
     At larger angles, the pixels of a recorded table contain the limb, and the albedo may exceed 1 for this reason.
     """
     return float(of_directions[merl_grid(sampling).theta_d < _BEFORE_LIMB].max())
-
-
-def albedo_remarks(largest: float) -> tuple[Remark, ...]:
-    """Remark on a table whose largest directional albedo exceeds 1."""
-    if largest <= 1:
-        return ()
-    text = f"the recorded table reflects up to {largest:.3g} times the light that it receives: check its unit (1/sr) and scale"
-    return (Remark("albedo", text),)
 
 
 def albedo(table: np.ndarray, sampling: Sampling = "centre") -> np.ndarray:

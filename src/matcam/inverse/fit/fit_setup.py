@@ -28,7 +28,6 @@ from matcam.inverse.fit.fit_data import SEARCH_STEP, check_values, fit_data
 from matcam.inverse.fit.fit_parameters import STUDENT, TWO_LOBES, FresnelModel, Layout, LobeKind
 from matcam.inverse.fit.fit_problem import FitProblem, Prior
 from matcam.inverse.fit.material_fit import MaterialFit, material_fit
-from matcam.inverse.fit.saturated_values import without_saturated
 from matcam.inverse.fit.search import Search, Solution
 from matcam.inverse.operator.chosen_cells import ChosenCells
 from matcam.inverse.operator.lobe_operator import (
@@ -52,6 +51,7 @@ from matcam.inverse.rig.rig_axes import (
     prior_axis,
     shape_axes,
 )
+from matcam.inverse.saturated_values import without_saturated
 from matcam.material.masking import MASKINGS, Masking
 from matcam.material.ndf.free_lobe import KNOTS, SHADOWS
 from matcam.rigs import Rig
