@@ -75,7 +75,8 @@ def _print(found: Any) -> None:
     show.table(
         ["roughness", "camera exact", "camera as specified", "lens free", "F known to 5 % up to"],
         rows,
-        f"Smallest standard deviations of ln roughness, from {found.sizes['theta_d']} of 90 slices of theta_d and one channel",
+        f"Smallest standard deviations of ln roughness, from {found.sizes['theta_d']} of 90 slices of theta_d, one channel, "
+        f"and a noise of the gain of an image of {found.attrs['picture_gain']:.0%}",
     )
     rows = []
     for r in found["roughness"].values:

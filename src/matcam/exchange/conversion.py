@@ -20,7 +20,7 @@ from matcam.core.shading import Vector, local_shading, vector
 from matcam.exchange.contents import Contents, material_of, read_contents, write_contents
 from matcam.exchange.materialx import fit_openpbr, write_openpbr
 from matcam.exchange.parameterisation import GRID_SIZES, SQUARE, adaptive_grid, resampled_grid
-from matcam.files.formats import MEASUREMENTS, Format, format_for
+from matcam.files.formats import MEASUREMENTS, Format, format_for, suffixes_for
 from matcam.files.sidecar import read_sidecar, sidecar_path
 from matcam.forward.measurement import true_table
 from matcam.material.material import Material, cell_values
@@ -98,6 +98,11 @@ def convert(
     }
     if form.name == "materialx":
         return {**report, **_write_surface(target, contents, force)}
+    if contents.content == "result" and "brdf" in contents.data and "result" not in form.written:
+        raise ArgumentError(
+            f"{source} contains a table and its standard deviations, which cannot be stored in {form.suffixes[0]}: convert the "
+            f".binary file that `matcam correct` writes, or use {', '.join(suffixes_for('result'))}"
+        )
     contents, details = _resample(contents, form, sampling, square, error)
     form.writer(contents.content)
     if contents.content == "picture":

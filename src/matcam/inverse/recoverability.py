@@ -188,7 +188,9 @@ def limits(
         },
         attrs={
             "ndf": ndf,
-            "noise": str(tuple(view.noise)),
+            "noise_relative": view.noise.relative,
+            "noise_floor": view.noise.floor,
+            "picture_gain": view.noise.picture_gain,
             "slice_step": slice_step,
             "lens_std_stated": float(relative),
         },

@@ -306,8 +306,8 @@ class ExploreView:
         table = self._read.get(self._index(self._chosen[0]))
         self._looked_at.visible = table is not None and bool(table.pictures)
         self._turn()
+        self._curves.data = found.get("slice") or {name: [] for name in self._curves.data}
         if "slice" in found:
-            self._curves.data = found["slice"]
             self._slice.y_range.update(start=found["range"][0], end=found["range"][1])
         self._besides.data = found.get("beside") or {name: [] for name in self._besides.data}
         self._terms.data = found["fresnel"]
