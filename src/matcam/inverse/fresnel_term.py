@@ -157,7 +157,8 @@ def fresnel(
     _check(rig, ndf, normalise)
     checks.choice("masking", masking, MASKINGS)
     checks.flag("force_correction", force_correction)
-    given, (brdf, saturated) = brdf, without_saturated(brdf, rig)
+    given = brdf
+    brdf, saturated = without_saturated(given, rig)
     located, workspace = located_rig(rig, brdf), workspace or default_workspace()
     _check_highlight(given, normalise)  # a saturated peak is a highlight, too
     setup = first_setup(

@@ -18,16 +18,21 @@ from matcam.rigs import Rig
 _NEXT = 10
 """Number of values below the largest one that show how many pixels see the same radiance."""
 _FLAT = 3
-"""Smallest ratio of the number of pixels with the largest value to that of any of the `_NEXT` values below."""
+"""Smallest ratio of the number of pixels with the largest value to that of any of the `_NEXT` values below.
+
+Without saturation it is at most 2: a pixel and its mirror image may have the largest value, while all values below differ.
+"""
 _DIFFERENT = 0.4
 """Smallest share of different values among the pixels below the largest values. It is 1/2 for a symmetric lobe without noise,
 and small for values that were rounded to few digits, which may also have a flat top.
 """
-_FLAT_AS_WELL = 2
-"""The same ratio for the other images of a channel with a saturated image. Without saturation it is about 1."""
+_FLAT_BESIDE = 2
+"""The same ratio for the other images of a channel in which one image is saturated: the others probably are, too, but narrow
+highlights cover only two pixels.
+"""
 _BELOW = 0.9
-"""Share of a saturation level from which entries are treated as missing. An entry is the mean of two directions, of which only
-one may be saturated, and the response of a sensor may flatten below its saturation.
+"""Smallest value of a missing entry, divided by the saturation level. An entry is the mean of two directions. If only one of
+them is saturated, the mean is below the level. The response of a sensor may also flatten just below its saturation.
 """
 
 
@@ -66,7 +71,7 @@ def _levels(values: np.ndarray) -> np.ndarray:
     if np.unique(below).size < _DIFFERENT * below.size:
         return np.full(tops.shape, np.inf)
     top, flat = _top(values)  # all images may have one level
-    least = _FLAT if max(flat, flatness.max()) < _FLAT else _FLAT_AS_WELL
+    least = _FLAT if max(flat, flatness.max()) < _FLAT else _FLAT_BESIDE
     levels = np.where(flatness >= least, tops, np.inf)
     return np.minimum(levels, top if flat >= _FLAT else np.inf)
 

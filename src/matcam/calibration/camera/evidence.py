@@ -275,15 +275,11 @@ def _nothing_measured(chart: Chart, registration: Projection, reason: str) -> Fi
     width, height = chart.page
     ends = registration(np.array([[0.0, height / 2], [width, height / 2]]))
     across = float(np.hypot(*(ends[1] - ends[0])))
-    causes = (
-        "its targets cannot be measured: they are covered, their edges are along rows or columns, or they are too fine for a "
-        f"page of {across:.0f} px width"
-    )
-    if reason:
-        causes = f"{reason}; or its targets are too fine for a page of {across:.0f} px width"
+    cause = reason or "its targets cannot be measured: they are covered, or their edges are along rows or columns"
     return FitError(
-        f"the chart was found, but {causes}; uncover them, level the page, photograph the chart at a larger scale, print a "
-        "chart for this width (matcam chart --pixels), or give the description of this chart"
+        f"the chart was found, but {cause}; or its targets are too fine for a page of {across:.0f} px width; uncover them, "
+        "level the page, photograph the chart at a larger scale, print a chart for this width (matcam chart --pixels), or give "
+        "the description of this chart"
     )
 
 

@@ -169,8 +169,14 @@ def lay_circles(view: SphereView, windows: Windows, finest: float, fineness: flo
 
 def ends_inside(view: SphereView, windows: Windows, border: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Check whether limb and terminator may be in each window. border: normals along the borders of the windows."""
-    lit = np.sin(windows.lamp)[:, None] * border[0] + np.cos(windows.lamp)[:, None] * border[2]
-    return np.any(border[2] < view.camera + _AT_END, axis=1), np.any(lit < view.lamp + _AT_END, axis=1)
+    limb, terminator = (np.any(above < _AT_END, axis=1) for above in above_ends(view, windows, border))
+    return limb, terminator
+
+
+def above_ends(view: SphereView, windows: Windows, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Compute cosines of normals to camera and lamp, minus those at limb and terminator, (windows, points) each."""
+    lit = np.sin(windows.lamp)[:, None] * normals[0] + np.cos(windows.lamp)[:, None] * normals[2]
+    return normals[2] - view.camera, lit - view.lamp
 
 
 def about_highlight(windows: Windows) -> Frame:

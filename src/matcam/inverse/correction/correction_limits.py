@@ -35,7 +35,9 @@ _TRIED_STEPS = np.linspace(0, _MOST_STEPS, 41)[1:]
 _HALF_CELL = np.radians(0.5)
 """Half of a cell in theta_d and phi_d, rad."""
 _BEFORE_LIMB = np.radians(80.5)
-"""Largest angle to the normal, rad, at which the pixels of the MERL rig do not contain the limb."""
+"""Largest angle to the normal, rad, up to which the albedo of a recorded table is judged. At larger angles its pixels contain
+the limb, and the albedo may exceed 1 for this reason.
+"""
 
 
 class LobeRatio(NamedTuple):
@@ -222,15 +224,8 @@ def energy_limit(recorded: np.ndarray, corrected: np.ndarray, std: np.ndarray, s
         steps[better], left[better] = tried, np.maximum(now, 0)[better]
     # an entry lies between two directions, and the larger reduction of both is used
     steps = np.maximum(steps, np.maximum(np.r_[steps[1:], steps[-1:]], np.r_[steps[:1], steps[:-1]]))
-    return EnergyLimit(steps, left, sampling, largest_albedo(sent, sampling))
-
-
-def largest_albedo(of_directions: np.ndarray, sampling: Sampling) -> float:
-    """Select the largest albedo of a table, (directions, channels), up to 80 degrees.
-
-    At larger angles, the pixels of a recorded table contain the limb, and the albedo may exceed 1 for this reason.
-    """
-    return float(of_directions[merl_grid(sampling).theta_d < _BEFORE_LIMB].max())
+    judged = sent[merl_grid(sampling).theta_d < _BEFORE_LIMB]
+    return EnergyLimit(steps, left, sampling, float(judged.max()))
 
 
 def albedo(table: np.ndarray, sampling: Sampling = "centre") -> np.ndarray:

@@ -38,6 +38,7 @@ from matcam.forward.sampler.circles import (
     CircleLayout,
     Circles,
     about_highlight,
+    above_ends,
     ends_inside,
     from_highlight,
     touching_angles,
@@ -254,11 +255,10 @@ def _foreshortened(view: SphereView, windows: Windows, outside: np.ndarray) -> n
     Close is sufficient only for windows whose highlight is `outside`. In other windows the circles of `NODES` are more
     accurate, because they are at the nodes, so that the weights of narrow lobes are not transferred.
     """
-    normal = windows.border(view)
-    lit = np.sin(windows.lamp)[:, None] * normal[0] + np.cos(windows.lamp)[:, None] * normal[2]
-    cosines = normal[2] - view.camera, lit - view.lamp
+    border = windows.border(view)
+    cosines = above_ends(view, windows, border)
     steep = np.any([np.min(one, axis=1) < _STEEP * np.max(one, axis=1) for one in cosines], axis=0)
-    return np.logical_or.reduce([*ends_inside(view, windows, normal), steep & outside])
+    return np.logical_or.reduce([*ends_inside(view, windows, border), steep & outside])
 
 
 def sphere_rules(
