@@ -89,6 +89,7 @@ class PlanView:
 
     def refresh(self) -> None:
         planned = self.planned
+        self._copy.text = ""  # until the values rest: commands of the previous rig would be wrong
         if self._warm:
             self._fast.ask(lambda: _fast(planned), self._show, **DRAINED)
             self._rest()
@@ -282,10 +283,11 @@ class PlanView:
     def _at_rest(self, planned: Planned) -> None:
         from matcam.forward.prediction import predicted
 
-        rig = planned.rig()
-        found = {"planned": planned, "curves": predicted(rig, planned.lobes())}
         copies = self._copies(planned)
-        self._exact.show(lambda: self._if_still(planned, found, copies))
+        self._exact.show(lambda: self._show_copies(planned, copies))
+        rig = planned.rig()
+        curves = predicted(rig, planned.lobes())
+        self._exact.show(lambda: self._show_exact_curves(planned, curves))
         if self._exact.overtaken():
             return
         bounds = _limits(planned)
@@ -299,10 +301,13 @@ class PlanView:
         exact = picture(planned.material(), rig, angle, error=0.01)
         self._exact.show(lambda: self._show_exact(planned, exact))
 
-    def _if_still(self, planned: Planned, found: dict[str, Any], copies: str) -> None:
+    def _show_copies(self, planned: Planned, text: str) -> None:
         if planned == self.planned:
-            self._show_curves(planned, found["curves"])
-            self._copy.text = copies
+            self._copy.text = text
+
+    def _show_exact_curves(self, planned: Planned, data: Any) -> None:
+        if planned == self.planned:
+            self._show_curves(planned, data)
 
     def _show_limits(self, planned: Planned, text: str) -> None:
         if planned == self.planned:
