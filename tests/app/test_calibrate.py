@@ -63,3 +63,52 @@ def test_the_profile_is_the_commands(real_data, tmp_path, monkeypatch):
     columns = edges_in(found, open_picture(path))
     assert len(columns["x"]) == found.channels[found.channel].edges.x.size > 8
     np.testing.assert_allclose(np.hypot(columns["x1"] - columns["x0"], columns["y1"] - columns["y0"]), 40)
+
+
+class _AtOnce:
+    """Queue that does each job when it is requested."""
+
+    def __init__(self, document, complain):
+        pass
+
+    def ask(self, work, show):
+        show(work())
+
+    def close(self):
+        pass
+
+
+def test_results_of_other_settings_are_removed(tmp_path, monkeypatch):
+    from bokeh.document import Document
+    from bokeh.events import ButtonClick
+
+    from matcam.app import calibrate_view
+    from matcam.app.transfers import Downloads
+
+    monkeypatch.setattr(calibrate_view, "Newest", _AtOnce)
+    document, complaints = Document(), []
+    files = [edge_picture(tmp_path / name) for name in ("a.tif", "b.tif")]
+    view = calibrate_view.CalibrateView(document, Downloads(), complaints.append, files)
+    document.add_root(view.layout)
+    view.start()
+    result, saved, curves, measure, picture = (
+        document.get_model_by_name(name) for name in ("result", "profiles", "mtf", "measure", "picture")
+    )
+
+    def change(attribute, value):
+        measure._trigger_event(ButtonClick(measure))
+        saved.text = "save the profile: camera.json"
+        assert "MTF50" in result.text
+        assert len(curves.data["mtf"])
+        document.select_one({"title": attribute}).value = value
+        assert result.text == ""
+        assert [len(column) for column in curves.data.values()] == [0] * 5
+
+    for title, value in (("tone curve", "linear"), ("lens", "halo"), ("pixel half width [px]", 0.3)):
+        change(title, value)
+        assert saved.text == ""
+    change("image", "0")
+    assert saved.text  # the calibration of all images is that of the image shown, too
+    assert picture.options == [("0", "a.tif"), ("1", "b.tif")]
+    assert set(complaints) <= {""}
+    view.close()

@@ -158,7 +158,7 @@ def test_a_corrected_table_is_not_taken_as_recorded(tmp_path):
     write(tmp_path / "recorded.nc", table())
     assert read_recorded_table(tmp_path / "recorded.nc").shape == (90, 90, 180, 3)
     write(tmp_path / "corrected.nc", table().assign_attrs({CORRECTED: 1, "long_name": "corrected BRDF"}))
-    for command in (["fit"], ["fresnel"], ["correct"]):
+    for command in (["fit"], ["fresnel"], ["correct"], ["figures"]):
         with pytest.raises(
             ArgumentError, match=r"corrected\.nc: the table is already a corrected BRDF: give the table as"
         ):

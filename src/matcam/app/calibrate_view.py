@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -78,6 +78,8 @@ class CalibrateView:
         self._edge.on_click(self._measure)
         self._all.on_click(self._calibrate)
         watch(self._picture, self._draw)
+        for setting in (self._tone, self._model, self._half):
+            watch(setting, self._forget)
         self._targets_of = Div(
             text="no chart is open; edges are measured", name="chart", width=WIDTH - 16, margin=(2, 8, 2, 8)
         )
@@ -93,7 +95,7 @@ class CalibrateView:
         self.layout = row(self._knobs(), self._plots(), sizing_mode="stretch_width", spacing=8, name="calibrate-view")
 
     def start(self) -> None:
-        for path in self._files:
+        for path in self._files[:1]:  # the others are read with it
             self._dropped(path)
 
     def close(self) -> None:
@@ -228,11 +230,40 @@ class CalibrateView:
                 self._targets_of.text = escape(f"chart: {self._chart.name}: {words}")
             else:
                 self._pictures.append(one)
+        if any(not isinstance(one, MatcamError) for one in opened):
+            self._forget()
         self._files = []
         self._picture.options = [(str(index), one.path.name) for index, one in enumerate(self._pictures)]
         if self._pictures:
             self._picture.value = str(len(self._pictures) - 1)
             self._draw()
+
+    @property
+    def _settings(self) -> tuple[Any, ...]:
+        """Everything on which results depend: images, chart, tone curve, lens and pixel."""
+        paths = tuple(picture.path for picture in self._pictures)
+        return paths, self._chart, self._tone.value, self._model.value, float(self._half.value or 0.5)
+
+    def _forget(self) -> None:
+        """Remove the results, because they belong to other images or settings."""
+        self._found, self._samples = None, {}
+        self._saved.text = ""
+        self._show_found()
+
+    def _clear_curves(self) -> None:
+        self._mtf.data = {key: [] for key in self._mtf.data}
+        self._result.text = ""
+
+    def _ask(self, work: Callable[[], Any], show: Callable[[Any], None]) -> None:
+        """Start work, and show its result unless the settings have changed meanwhile."""
+        settings = self._settings
+
+        def show_if_current(result: Any) -> None:
+            self._status.text = ""
+            if settings == self._settings:
+                show(result)
+
+        self._work.ask(work, show_if_current)
 
     @property
     def _current(self) -> OpenedPicture | None:
@@ -248,8 +279,7 @@ class CalibrateView:
         side = max(height, width)
         self._plot.x_range.update(start=-0.5, end=side - 0.5, reset_start=-0.5, reset_end=side - 0.5)
         self._plot.y_range.update(start=side - 0.5, end=-0.5, reset_start=side - 0.5, reset_end=-0.5)
-        self._say_about(picture, ())
-        self._overlay()
+        self._show_found()  # results of a region belong to the image that was shown before
 
     def _say_about(self, picture: OpenedPicture, remarks: Sequence[Any]) -> None:
         lines = [
@@ -280,13 +310,13 @@ class CalibrateView:
         if region:
             self._box.data = {"x": [x + width / 2], "y": [y + height / 2], "width": [width], "height": [height]}
         tone, half = self._tone.value, float(self._half.value or 0.5)
+        self._clear_curves()
         self._begin("measuring the edge ... (slow the first time after an installation)")
-        self._work.ask(
-            lambda: measured_edge(picture, region, tone, half), lambda result: self._show_edge(picture, result)
-        )
+        self._ask(lambda: measured_edge(picture, region, tone, half), lambda result: self._show_edge(picture, result))
 
     def _show_edge(self, picture: OpenedPicture, result: Any) -> None:
-        self._status.text = ""
+        if picture is not self._current:
+            return
         self._curves(result.frequency, result.mtf, result.mtf_std, result.parametric.mtf)
         fit = result.parametric
         self._result.text = (
@@ -303,6 +333,7 @@ class CalibrateView:
         pictures, chart = list(self._pictures), self._chart
         paths = [picture.path for picture in pictures]
         model, tone, half = self._model.value, self._tone.value, float(self._half.value or 0.5)
+        self._forget()
         self._begin(f"finding and measuring all {'edges' if chart is None else 'targets'} of {len(paths)} image(s) ...")
 
         def measure() -> tuple[Any, dict[Path, list[Any]]]:
@@ -311,7 +342,7 @@ class CalibrateView:
                 return found, {}
             return found, {one.path: targets_in(one, chart, tone, half, found.channel) for one in pictures}
 
-        self._work.ask(measure, lambda result: self._show_camera(*result))
+        self._ask(measure, lambda result: self._show_camera(*result))
 
     def _begin(self, words: str) -> None:
         self._complain("")
@@ -322,8 +353,20 @@ class CalibrateView:
         self._complain(line)
 
     def _show_camera(self, found: Any, samples: dict[Path, list[Any]]) -> None:
-        self._status.text = ""
         self._found, self._samples = found, samples
+        links = " · ".join(self._downloads.offer(name, content) for name, content in profiles(found).items())
+        self._saved.text = f"save the profile: {links}"
+        self._show_found()
+
+    def _show_found(self) -> None:
+        """Show the calibration of all images, or nothing if there is none."""
+        found = self._found
+        if self._current is not None:
+            self._say_about(self._current, () if found is None else found.remarks)
+        self._overlay()
+        if found is None:
+            self._clear_curves()
+            return
         fit = found.channels[found.channel]
         curve = fit.curve
         self._curves(curve.frequency, curve.mtf, curve.mtf_std, curve.camera_mtf)
@@ -339,11 +382,6 @@ class CalibrateView:
             )
         lines += [f"left out: {name}: {why}" for name, why in found.failed.items()]
         self._result.text = "<br>".join(escape(line) for line in lines)
-        links = " · ".join(self._downloads.offer(name, content) for name, content in profiles(found).items())
-        self._saved.text = f"save the profile: {links}"
-        if self._current is not None:
-            self._say_about(self._current, found.remarks)
-        self._overlay()
 
     def _overlay(self) -> None:
         samples = [] if self._current is None else self._samples.get(self._current.path, [])
@@ -351,11 +389,12 @@ class CalibrateView:
         self._points.data = {
             name: [float(v) for one in samples for v in getattr(one, name)] for name in ("frequency", "mtf")
         }
+        columns: dict[str, Any] = {key: [] for key in self._edges.data}
         if self._found is not None and self._current is not None:
             columns = edges_in(self._found, self._current)
-            self._edges.data = columns
             if len(columns["x"]):
                 self._colours.update(low=float(np.nanmin(columns["mtf50"])), high=float(np.nanmax(columns["mtf50"])))
+        self._edges.data = columns
 
     def _curves(self, frequency: Any, mtf: Any, std: Any, lens: Any) -> None:
         self._mtf.data = {"frequency": frequency, "mtf": mtf, "low": mtf - std, "high": mtf + std, "lens": lens}

@@ -16,7 +16,7 @@ from matcam.core.io import check_outputs, write_columns
 
 def command(
     measured: Annotated[
-        list[Path] | None, typer.Argument(help="MERL files to read for Figure 6. Default: a simulated chromium sphere.")
+        list[Path] | None, typer.Argument(help="Tables to read for Figure 6. Default: a simulated chromium sphere.")
     ] = None,
     output: Annotated[Path, option("--output -o", "FOLDER", "Folder to write to.")] = Path("figures"),
     vector: Annotated[Literal["pdf", "svg"], typer.Option("--vector", help="Vector format beside PNG.")] = "pdf",
@@ -84,10 +84,10 @@ def _draw(stem: str, source: Any) -> tuple[Any, Any]:
 
     if source is not None and not isinstance(source, Path):
         return source, fresnel_figure(source, tabulated_fresnel(source, "Cr"))
-    from matcam.files.merl import read_merl
+    from matcam.exchange.contents import read_recorded_table
     from matcam.forward.measurement import simulated_chromium
 
-    result = fresnel(simulated_chromium() if source is None else read_merl(source), rigs.merl())
+    result = fresnel(simulated_chromium() if source is None else read_recorded_table(source), rigs.merl())
     return result, fresnel_figure(result, tabulated_fresnel(result, "Cr" if source is None else None))
 
 
