@@ -5,7 +5,7 @@ reflectance of n and k, a Lambertian part; a Gaussian lens and a box pixel. The 
 Vectors: x right, y up, z to the camera; row 0 on top. Lengths are in radii of the cylinder, the origin is on its axis.
 
 Imports nothing of the package. Across the cylinder: Gauss-Legendre panels in the angle of the normal, each node through the
-kernel's closed form. Along it the light changes little: a few rows of a strip, and the polynomial through them.
+kernel's closed form. Along it the light changes smoothly: some rows of a strip, and the polynomial through them.
 """
 
 from typing import NamedTuple
@@ -15,8 +15,6 @@ from scipy.special import erf, ndtr
 
 from tests.oracle.capture import Drawn, Sensor, _channels, _expose, _of_channel, _row
 from tests.oracle.sphere_picture import direction, fresnel
-
-_ROWS = 6
 
 
 class Bent(NamedTuple):
@@ -31,7 +29,8 @@ class Bent(NamedTuple):
 class Stand(NamedTuple):
     """radius: half the width of the outline, px; distances of camera and lamp from the axis, radii; lens and half pixel, px;
     column of the axis; row that camera and lamp are seen at from the axis; shape of the picture; strips: first and last row,
-    the angle of the material's x axis from the direction round the cylinder (to the right) towards up, rad."""
+    the angle of the material's x axis from the direction round the cylinder (to the right) towards up, rad; drawn: number of
+    rows of a strip that are computed."""
 
     radius: float = 200.0
     camera: float = np.inf
@@ -42,6 +41,7 @@ class Stand(NamedTuple):
     row: float = 60.0
     shape: tuple = (120, 460)
     strips: tuple = ((0, 119, 0.0),)
+    drawn: int = 6
 
 
 def picture(surface, stand, towards, shift=0.0, fine=1):
@@ -59,7 +59,9 @@ def picture(surface, stand, towards, shift=0.0, fine=1):
     rows = np.arange(stand.shape[0])
     image = np.zeros((*stand.shape, max(len(surface.n), len(surface.diffuse))))
     for first, last, turn in stand.strips:
-        at = (first + last) / 2 + max(last - first, 1) / 2 * np.cos(np.pi * (np.arange(_ROWS) + 0.5) / _ROWS)
+        at = (first + last) / 2 + max(last - first, 1) / 2 * np.cos(
+            np.pi * (np.arange(stand.drawn) + 0.5) / stand.drawn
+        )
         profiles = [
             _profile(surface, stand, towards, turn, u, (stand.row - row) / stretch * depth, kernel) for row in at
         ]

@@ -13,6 +13,9 @@ from matcam.figures.style import CYCLE, drawing
 if TYPE_CHECKING:
     from matcam.reconstruction.reconstruction import Reconstruction
 
+_FAINTEST = 1e-5
+"""Smallest value shown, divided by the largest modelled value of the image."""
+
 
 def profile_figure(result: Reconstruction) -> Figure:
     """Draw the recorded and the fitted profiles about the highlight, and their residuals, in up to six images.
@@ -39,13 +42,16 @@ def profile_figure(result: Reconstruction) -> Figure:
                 grid[0, position].plot(at, model[of][used], "-", color=colour, lw=0.9)
                 left = np.where(pixels.clipped, np.nan, (pixels.values - model) / std)[of][used]
                 grid[1, position].plot(at, left, ".", color=colour, ms=3)
+            brightest = float(np.max(model[pixels.used], initial=0.0))
             grid[0, position].set_yscale("log")
+            if brightest > 0:  # a narrow lobe decreases to values that no image shows
+                grid[0, position].set_ylim(_FAINTEST * brightest, 2 * brightest)
             grid[0, position].set_title(
                 f"{fit.names[k]}, {np.degrees(solution.theta_d[k]):.0f}°", loc="left", fontsize=8
             )
             grid[1, position].set_ylim(-5, 5)
             grid[1, position].set_xlabel("column [px]")
         grid[0, 0].set_ylabel("radiance [unit of the merged images]")
-        grid[1, 0].set_ylabel("recorded - fitted [standard deviations]")
+        grid[1, 0].set_ylabel("residual [std]")
         grid[0, 0].legend(loc="lower left", fontsize=7)
     return figure

@@ -13,7 +13,7 @@ from matcam.core.errors import ArgumentError
 from matcam.forward.integral.blur import blur_of
 from matcam.inverse.fit.fit_parameters import LobeKind
 from matcam.reconstruction.cylinder.profile_model import ProfileModel
-from matcam.reconstruction.cylinder.profile_rule import chosen_columns
+from matcam.reconstruction.cylinder.profile_rule import RowRule, chosen_columns, row_count
 from matcam.reconstruction.cylinder.strips import Strip, StripProfiles, strip_profiles
 from matcam.reconstruction.joint.field_change import FieldChange
 from matcam.reconstruction.joint.joint_problem import JointLayout, PixelModel
@@ -24,9 +24,6 @@ from matcam.reconstruction.sphere_fit import SphereFit, fit_sphere
 from matcam.reconstruction.sphere_scene import SphereScene, mirror_ball
 from matcam.rigs import Rig
 from matcam.sample.curved import Sphere
-
-_ROW_RULE = 3
-"""Number of Gauss-Legendre rows of a strip at which the model is evaluated."""
 
 
 def fit_cylinder(
@@ -85,8 +82,8 @@ def cylinder_pixels(
     width = float(np.exp(p[0]))
     alphas = (width, float(np.exp(p[1])) if kind.stretched else width)
     turns, weights, plateau = lamp_positions(scene.lamp_radius if disc else 0.0, min(alphas))
-    nodes, row_weights = np.polynomial.legendre.leggauss(_ROW_RULE)
-    rows = np.array([np.add(*strip.read) / 2 + (strip.read[1] - strip.read[0] + 1) / 2 * nodes for strip in strips])
+    balls = [mirror_ball(layout, p, k) for k in range(len(pictures))]
+    count = max(row_count(strips, ball, one.base, far, alphas) for (ball, far), one in zip(balls, frames, strict=True))
     model = ProfileModel(
         kind=kind,
         channels=layout.channels,
@@ -94,12 +91,11 @@ def cylinder_pixels(
         positions=turns,
         weights=weights,
         turns=np.array([strip.turn for strip in strips]),
-        rows=rows,
-        row_weights=row_weights / 2,
+        rule=RowRule.of(strips, count),
     )
     pixels = []
     for k, picture in enumerate(pictures):
-        ball, far = mirror_ball(layout, p, k)
+        ball, far = balls[k]
         last = None if keep is None else keep[k]
         pixels.append(
             chosen_columns(

@@ -18,7 +18,7 @@ from matcam.core.jax import jax, jit_plainly, jnp
 from matcam.core.shading import Vector
 from matcam.forward.integral.blur import Blur
 from matcam.inverse.fit.fit_parameters import LobeKind
-from matcam.reconstruction.cylinder.profile_rule import ProfileWindow
+from matcam.reconstruction.cylinder.profile_rule import ProfileWindow, RowRule
 from matcam.reconstruction.picture_model import (
     OWN,
     SCENE,
@@ -41,8 +41,7 @@ class ProfileModel(eqx.Module):
         positions: positions on the source disc, as rotations of the direction to the lamp, rad, (points, 2).
         weights: weights of these positions, (points,); their sum is 1.
         turns: angle from the direction around the cylinder to the x axis of the material, for each strip, rad, (strips,).
-        rows: rows of each strip at which the model is evaluated, px, (strips, rule).
-        row_weights: weights of these rows, (rule,); their sum is 1.
+        rule: rows of each strip at which the model is evaluated.
     """
 
     kind: LobeKind = eqx.field(static=True)
@@ -51,8 +50,7 @@ class ProfileModel(eqx.Module):
     positions: np.ndarray
     weights: np.ndarray
     turns: np.ndarray
-    rows: np.ndarray
-    row_weights: np.ndarray
+    rule: RowRule
 
     def window(
         self, p: np.ndarray, frame: LampFrame, window: ProfileWindow, *, slopes: bool
@@ -68,29 +66,43 @@ class ProfileModel(eqx.Module):
     ) -> tuple[Recorded, Recorded | None]:
         """Compute the records of single columns, (columns,), and their derivatives.
 
-        `row` is the index of the strip of each column. The derivatives have an additional last axis over the parameters,
-        (size,).
+        `row` is the mean row of the pixels of each column, px, which determines the strip. The derivatives have an additional
+        last axis over the parameters, (size,).
         """
-        return _compiled("_of_columns", slopes)(self, p, frame, column, row.astype(int))
+        return _compiled("_of_columns", slopes)(self, p, frame, column, row)
 
     def _of_window(self, p: jax.Array, frame: LampFrame, window: ProfileWindow) -> Recorded:
         lens, radius, axis = self._kernel_parameters(p)
-        turns, rows = jnp.asarray(self.turns), jnp.asarray(self.rows)
         out, depth = jnp.sin(window.u), jnp.cos(window.u)
-        emitted = self._mean_over_rows(p, frame, out, depth, turns[:, None], rows[:, None])
+        turns, rows = jnp.asarray(self.turns), jnp.asarray(self.rule.rows)
+        emitted = self._radiance(p, frame, out[..., None], depth[..., None], turns[:, None, None], rows[:, None])
         offset = window.column[:, :, None] - (axis + radius * out)[:, None, :]
-        kernel = sum(
-            self.blur.weights[term] * self.blur.pixel.of_gaussian(offset, self.blur.stds[term] * jnp.exp(lens))
-            for term in range(self.blur.stds.size)
+        kernel = (
+            sum(
+                self.blur.weights[term] * self.blur.pixel.of_gaussian(offset, self.blur.stds[term] * jnp.exp(lens))
+                for term in range(self.blur.stds.size)
+            )
+            * (window.weight * radius)[:, None]
         )
-        lobe, lambert = (jnp.einsum("swn,sn->sw", kernel, part * window.weight * radius) for part in emitted)
-        theta_d = self._theta_d(p, frame, (jnp.asarray(window.column) - axis) / radius, rows.mean(axis=1)[:, None])
-        return Recorded(*(jnp.tile(part, (self.channels, 1)) for part in (lobe, lambert, theta_d)))
+        # mean over the rows of a strip, and its change with the mean row of the pixels that are read
+        sums = jnp.stack([jnp.broadcast_to(self.rule.weight, rows.shape), self.rule.slope])
+        away = window.row - rows.mean(axis=1)[:, None]
 
-    def _of_columns(self, p: jax.Array, frame: LampFrame, column: jax.Array, strip: jax.Array) -> Recorded:
+        def recorded(part: jax.Array) -> jax.Array:
+            mean, slope = jnp.einsum("swn,ksn->ksw", kernel, jnp.einsum("snr,ksr->ksn", part, sums))
+            return mean + away * slope
+
+        lobe, lambert = (recorded(part) for part in emitted)
+        theta_d = self._theta_d(p, frame, (jnp.asarray(window.column) - axis) / radius, jnp.asarray(window.row))
+        return Recorded(*(part.reshape(-1, part.shape[-1]) for part in (lobe, lambert, theta_d)))
+
+    def _of_columns(self, p: jax.Array, frame: LampFrame, column: jax.Array, row: jax.Array) -> Recorded:
         lens, radius, axis = self._kernel_parameters(p)
         centre = (column - axis) / radius
-        turns, rows = jnp.asarray(self.turns)[strip], jnp.asarray(self.rows)[strip]
+        middle = jnp.asarray(self.rule.rows.mean(axis=1))
+        strip = jnp.argmin(jnp.abs(row[:, None] - middle), axis=1)
+        turns, rows = jnp.asarray(self.turns)[strip], jnp.asarray(self.rule.rows)[strip]
+        rows += (row - middle[strip])[:, None]
         lobe, lambert = jnp.zeros_like(centre), jnp.zeros_like(centre)
         scaled = widened(self.blur, lens)
         for term in range(self.blur.stds.size):
@@ -98,26 +110,16 @@ class ProfileModel(eqx.Module):
             out = centre[:, None] + offset / radius
             inside = out**2 < 1
             out = jnp.where(inside, out, 0.0)
-            parts = self._mean_over_rows(p, frame, out, jnp.sqrt(1 - out**2), turns[:, None], rows[:, None])
-            share = jnp.where(inside, self.blur.weights[term] * weight, 0.0)
-            lobe += jnp.sum(parts[0] * share, axis=1)
-            lambert += jnp.sum(parts[1] * share, axis=1)
-        return Recorded(lobe, lambert, self._theta_d(p, frame, centre, rows.mean(axis=1)))
+            depth = jnp.sqrt(1 - out**2)
+            parts = self._radiance(p, frame, out[..., None], depth[..., None], turns[:, None, None], rows[:, None])
+            share = jnp.where(inside, self.blur.weights[term] * weight, 0.0)[..., None] * self.rule.weight
+            lobe += jnp.sum(parts[0] * share, axis=(1, 2))
+            lambert += jnp.sum(parts[1] * share, axis=(1, 2))
+        return Recorded(lobe, lambert, self._theta_d(p, frame, centre, row))
 
     def _kernel_parameters(self, p: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
         n = self.kind.size
         return p[n + SCENE.index("lens")], p[n + SCENE.index("radius")], p[-len(OWN)]
-
-    def _mean_over_rows(
-        self, p: jax.Array, frame: LampFrame, out: jax.Array, depth: jax.Array, turn: jax.Array, rows: jax.Array
-    ) -> tuple[jax.Array, jax.Array]:
-        """Average the radiance of lobe and diffuse part over the rows of a strip.
-
-        `rows` are the positions of the rows, px, (..., rule).
-        """
-        parts = self._radiance(p, frame, out[..., None], depth[..., None], turn[..., None], rows)
-        lobe, lambert = (jnp.sum(part * self.row_weights, axis=-1) for part in parts)
-        return lobe, lambert
 
     def _radiance(
         self, p: jax.Array, frame: LampFrame, out: jax.Array, depth: jax.Array, turn: jax.Array, row: jax.Array

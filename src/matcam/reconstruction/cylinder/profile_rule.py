@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from matcam.acquisition.mirror_ball import MirrorBall, cylinder_line
+from matcam.acquisition.mirror_ball import MirrorBall, cylinder_line, unit
 from matcam.reconstruction.cylinder.strips import Strip, StripProfiles
 from matcam.reconstruction.observed_pixels import LIMB, LIT, OUTSIDE, ObservedPixels
 from matcam.reconstruction.picture_rule import MARGIN, WINDOW, graded_nodes
@@ -18,6 +18,10 @@ from matcam.reconstruction.picture_rule import MARGIN, WINDOW, graded_nodes
 _MOST = 2048
 """Largest number of fitted columns outside the windows, summed over all strips and colours."""
 _NODES = 224
+_ROW_COUNTS = 4, 8, 16, 32, 64, 128
+"""Numbers of rows of a strip. There are few, because a program is compiled for each."""
+_ROW_ERROR = 1e-5
+"""Relative error of the mean over the rows of a strip."""
 
 
 class ProfileWindow(NamedTuple):
@@ -27,11 +31,66 @@ class ProfileWindow(NamedTuple):
         u: nodes, rad, (strips, nodes).
         weight: weights of the nodes for integration over p = sin u, (strips, nodes).
         column: columns that are read, px, (strips, WINDOW).
+        row: mean row of the pixels that are read in each column, px, (channels, strips, WINDOW).
     """
 
     u: np.ndarray
     weight: np.ndarray
     column: np.ndarray
+    row: np.ndarray
+
+
+class RowRule(NamedTuple):
+    """Quadrature rule for the mean over the rows of each strip.
+
+    Attributes:
+        rows: rows, px, (strips, rule).
+        weight: weights of the rows, no unit, (rule,); their sum is 1.
+        slope: weights for the derivative of the mean with respect to the position of the strip, 1/px, (strips, rule).
+    """
+
+    rows: np.ndarray
+    weight: np.ndarray
+    slope: np.ndarray
+
+    @classmethod
+    def of(cls, strips: Sequence[Strip], count: int) -> RowRule:
+        """Compute a Gauss-Legendre rule with `count` rows."""
+        nodes, weight = np.polynomial.legendre.leggauss(count)
+        first, last = np.array([strip.read for strip in strips]).T
+        half = (last - first + 1)[:, None] / 2
+        # the mean changes by the difference of the values at both ends, divided by the length
+        difference = 1.0 - (-1.0) ** np.arange(count)
+        of_ends = np.linalg.solve(np.polynomial.legendre.legvander(nodes, count - 1).T, difference)
+        return cls((first + last)[:, None] / 2 + half * nodes, weight / 2, of_ends / (2 * half))
+
+
+def row_count(
+    strips: Sequence[Strip], ball: MirrorBall, lamp: np.ndarray, lamp_distance: float, alphas: tuple[float, float]
+) -> int:
+    """Choose the number of rows of the strips at which the model of an image is evaluated.
+
+    The arguments are those of `chosen_columns`.
+    """
+    camera, source = 1 / ball.distance, 1 / lamp_distance
+    tilts = []
+    for strip in strips:
+        sin = _brightest(strip, ball, lamp, lamp_distance, alphas)
+        depth = np.sqrt(max(1 - sin**2, 0.0))
+        points = [np.array([sin, _height(ball, row, depth), depth]) for row in strip.read]
+        first, last = (unit(unit(np.array([0, 0, 1]) - camera * at) + unit(lamp - source * at)) for at in points)
+        tilts.append(np.arccos(np.clip(first @ last, -1, 1)) / 2)
+    # along a strip, the lobe has poles where the slope is an imaginary number of the size of the roughness; the error of a
+    # Gauss-Legendre rule is a power of the size of the ellipse through the poles
+    ratio = min(alphas) / max(*tilts, 1e-6)
+    needed = np.log(1 / _ROW_ERROR) / (2 * np.arcsinh(ratio))
+    return next((count for count in _ROW_COUNTS if count >= needed), _ROW_COUNTS[-1])
+
+
+def _height(ball: MirrorBall, row: float, depth: float) -> float:
+    """Compute the height of a point above the centre, radii. depth: depth of the point, radii."""
+    camera = 1 / ball.distance
+    return (ball.row - row) / (ball.radius * np.sqrt(1 - camera**2)) * (1 - camera * depth)
 
 
 def _brightest(
@@ -41,9 +100,8 @@ def _brightest(
     cos, sin = np.cos(strip.turn), np.sin(strip.turn)
     along, across = 1 / alphas[0] ** 2, 1 / alphas[1] ** 2
     lean = -sin * cos * (along - across) / (cos**2 * along + sin**2 * across)
-    camera = 1 / ball.distance
-    above = (ball.row - (strip.first + strip.last) / 2) / (ball.radius * np.sqrt(1 - camera**2))
-    return cylinder_line(lamp, ball.distance, lamp_distance, lambda depth: above * (1 - camera * depth), lean)
+    middle = (strip.first + strip.last) / 2
+    return cylinder_line(lamp, ball.distance, lamp_distance, lambda depth: _height(ball, middle, depth), lean)
 
 
 def chosen_columns(
@@ -72,7 +130,7 @@ def chosen_columns(
 
     Returns:
         Columns of the windows, ordered by colour, strip and position, followed by the other columns. The field `row` is
-        the index of the strip.
+        the mean row of the pixels of a column.
     """
     windows = [
         _window(
@@ -85,13 +143,13 @@ def chosen_columns(
         )
         for s, strip in enumerate(strips)
     ]
-    window = ProfileWindow(*map(np.stack, zip(*windows, strict=True)))
+    u, weight, columns = map(np.stack, zip(*windows, strict=True))
     count, rows, width = profiles.values.shape
-    first = profiles.column[0]
-    at = window.column - first
+    at = columns - profiles.column[0]
     inside = (at >= 0) & (at < width)
     near = np.where(inside, at, 0).astype(int)
     strip_index = np.arange(rows)[:, None]
+    window = ProfileWindow(u, weight, columns, profiles.row[:, strip_index, near])
     outside = np.abs(window.column - ball.column) > ball.radius + OUTSIDE
 
     def of_window(array: np.ndarray) -> np.ndarray:
@@ -116,18 +174,13 @@ def chosen_columns(
         return np.where(everything, values, empty)
 
     everything = np.concatenate([used, far])
-    strips_of_window = np.broadcast_to(strip_index, window.column.shape)
+    row = profiles.row.ravel()[candidates]
+    all_columns = np.concatenate([np.tile(window.column.ravel(), count), profiles.column[column]])
     return ObservedPixels(
         window=window,
         column=profiles.column[column],
-        row=strip_of.astype(float),
-        positions=np.concatenate(
-            [
-                np.tile([window.column.ravel(), strips_of_window.ravel()], count),
-                np.stack([profiles.column[column], strip_of.astype(float)]),
-            ],
-            axis=1,
-        ),
+        row=row,
+        positions=np.stack([all_columns, np.concatenate([window.row.ravel(), row])]),
         values=both(profiles.values, 0.0),
         std=both(profiles.std, 1.0),
         clipped=both(profiles.clipped, False).astype(bool),

@@ -1,7 +1,7 @@
 """Strips of material around a cylinder, one above the other, and their profiles.
 
-The light is nearly constant along the cylinder. The rows of a strip are therefore averaged, separately for each colour,
-to give a profile across the cylinder.
+The light changes slowly along the cylinder. The rows of a strip are therefore averaged, separately for each colour, to give
+a profile across the cylinder. In a mosaic, the averaged rows of a colour depend on the column.
 """
 
 from __future__ import annotations
@@ -51,6 +51,7 @@ class StripProfiles(NamedTuple):
         std: standard deviation of the noise of the values, in their unit; 1 where `used` is False.
         clipped: True where at least one of the averaged pixels is clipped.
         used: True where the column of the strip has a valid pixel of the colour.
+        row: mean row of the averaged pixels in the frame, px; the middle of the strip where `used` is False.
     """
 
     column: np.ndarray
@@ -58,6 +59,7 @@ class StripProfiles(NamedTuple):
     std: np.ndarray
     clipped: np.ndarray
     used: np.ndarray
+    row: np.ndarray
 
 
 def strip_profiles(picture: MergedPicture, strips: Sequence[Strip]) -> StripProfiles:
@@ -73,6 +75,7 @@ def strip_profiles(picture: MergedPicture, strips: Sequence[Strip]) -> StripProf
     width, count = picture.values.shape[1], len(picture.channels)
     shape = (count, len(strips), width)
     values, std, clipped, used = np.zeros(shape), np.ones(shape), np.zeros(shape, bool), np.zeros(shape, bool)
+    row = np.zeros(shape)
     for s, strip in enumerate(strips):
         first, last = (row - picture.origin[0] for row in strip.read)
         if first < 0 or last >= picture.values.shape[0] or last - first + 1 < _FEWEST:
@@ -82,7 +85,7 @@ def strip_profiles(picture: MergedPicture, strips: Sequence[Strip]) -> StripProf
             )
         rows = slice(first, last + 1)
         light, noise = picture.values[rows].astype(float), picture.std[rows].astype(float)
-        good = np.isfinite(light) & (noise > 0)
+        good, numbers = np.isfinite(light) & (noise > 0), np.arange(strip.read[0], strip.read[1] + 1.0)
         for c in range(count):
             of = good & (picture.channel[rows] == c)
             number = of.sum(axis=0)
@@ -91,4 +94,5 @@ def strip_profiles(picture: MergedPicture, strips: Sequence[Strip]) -> StripProf
             std[c, s] = np.where(number > 0, np.sqrt((np.where(of, noise, 0.0) ** 2).sum(axis=0)) / some, 1.0)
             clipped[c, s] = (of & picture.clipped[rows]).any(axis=0)
             used[c, s] = number > 0
-    return StripProfiles(np.arange(width) + float(picture.origin[1]), values, std, clipped, used)
+            row[c, s] = np.where(number > 0, numbers @ of / some, numbers.mean())
+    return StripProfiles(np.arange(width) + float(picture.origin[1]), values, std, clipped, used, row)
