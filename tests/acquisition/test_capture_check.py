@@ -231,7 +231,9 @@ def test_a_stated_circle_is_compared_with_the_highlights(good, tmp_path):
 
 
 def of_cylinder(**more):
-    stand = cylinder_picture.Stand(radius=70.0, camera=40.0, lamp=25.0, column=82.4, row=24.0, shape=(48, 166))
+    stand = cylinder_picture.Stand(
+        radius=70.0, camera=40.0, lamp=25.0, column=82.4, row=24.0, shape=(48, 166), strips=((0, 47, 0.0),)
+    )
     angles = 2 * np.radians([8, 19, 30, 41, 52, 63, 74])
     return cylinder_picture.draw(
         cylinder_picture.Bent((0.1, 0.1), (3.18,), (3.33,)), stand, angles, np.radians([3, 178, -4, 175, 6, 3, -3]),
@@ -249,6 +251,22 @@ def test_a_cylinder_is_judged_as_a_cylinder(tmp_path):
     sample = drawn.settings["sample"] | {"outline_radius_px": [70.0, 0.1], "axis_column_px": [82.4, 0.1]}
     stated = turned(changed(drawn, frames=frames, settings=drawn.settings | {"sample": sample}), (0, 5, 0))
     assert {"no-stripe", "table-turned"} <= set(codes(stated, tmp_path / "stated"))
+
+
+def test_what_a_cylinder_requires_is_checked(tmp_path):
+    drawn = of_cylinder()
+    rows = [row | {"angle_deg": "", "azimuth_deg": ""} for row in drawn.rows]
+    assert "L00" in codes(changed(drawn, rows=rows), tmp_path / "directions")["no-direction"]
+    sample = drawn.settings["sample"] | {"strip_rows_px": [[0, 20], [24, 60]], "strip_turn_deg": [0, 90]}
+    outside = changed(drawn, settings=drawn.settings | {"sample": sample})
+    assert "rows 24 to 60" in codes(outside, tmp_path / "rows")["strip-outside"]
+
+
+def test_dark_frames_of_another_size_are_not_used(good, tmp_path):
+    frames = {name: v[:-8] if name.startswith("dark") else v for name, v in good.frames.items()}
+    found = codes(changed(good, frames=frames), tmp_path)
+    assert "differs in size" in found["no-radiometry"]
+    assert "camera.black_level_dn" in found["no-radiometry"]
 
 
 def test_a_clipped_field_behind_a_cylinder_is_found(tmp_path):

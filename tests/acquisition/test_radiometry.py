@@ -276,10 +276,11 @@ def test_one_exposure_is_merged_with_what_noise_it_shows(tmp_path):
             codes_ = (drawn.frames[row["file"]].astype(int) - 256) * 4  # 2 DN per electron
             frames[row["file"]] = np.where(codes_ > 39_000, 65535, np.clip(codes_, 0, None)).astype(np.uint16)
             rows.append(row)
-    settings = {name: v for name, v in drawn.settings.items() if name != "camera"}
-    pictures, radiometry = merge(
-        read_capture(changed(drawn, frames=frames, rows=rows, settings=settings).write(tmp_path))
-    )
+    unstated = changed(drawn, frames=frames, rows=rows, settings=drawn.settings | {"camera": {}})
+    with pytest.raises(FitError, match=r"no usable dark frames: .* or specify camera\.black_level_dn"):
+        measure_radiometry(read_capture(unstated.write(tmp_path / "unstated")))
+    settings = drawn.settings | {"camera": {"black_level_dn": 0}}
+    pictures, radiometry = merge(read_capture(changed(unstated, settings=settings).write(tmp_path / "stated")))
     assert len(pictures) == 4
     assert radiometry.exposures == {"E3": (1.0, 0.0)}
     assert "gain-bound" in codes(radiometry)

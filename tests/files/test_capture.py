@@ -107,6 +107,14 @@ BAD_SETTINGS = {
         {**SETTINGS, "sample": {"kind": "cylinder", "strip_rows_px": [[9, 0]]}},
         "field sample: .*first row, last row",
     ),
+    "strips overlap": (
+        {**SETTINGS, "sample": {"kind": "cylinder", "strip_rows_px": [[0, 40], [60, 99], [40, 59]]}},
+        r"the strips \[0, 40\] and \[40, 59\] of strip_rows_px overlap",
+    ),
+    "narrow strip": (
+        {**SETTINGS, "sample": {"kind": "cylinder", "strip_rows_px": [[0, 9]]}},
+        r"must have at least 12 rows, got \[0, 9\]",
+    ),
     "not TOML": ("format = matcam capture", "not TOML"),
     "lamp inside": ({**SETTINGS, "distances": {"lamp_mm": 24}}, "field distances.lamp_mm: must exceed the radius"),
     "too many digits": ("format = 'matcam capture'\nversion = " + "9" * 900, "version 9999"),

@@ -16,6 +16,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.special import chdtrc
 
+from matcam.acquisition.check.cylinder_check import cylinder_remarks
 from matcam.acquisition.check.flat_check import flat_remarks
 from matcam.acquisition.check.quick_highlights import black_level, quick_highlights
 from matcam.acquisition.check.quick_outline import quick_outline
@@ -107,6 +108,8 @@ def check_capture(capture: Capture) -> CaptureCheck:
     if capture.settings["sample"]["kind"] == "flat":
         found += flat_remarks(capture)
     else:
+        if capture.settings["sample"]["kind"] == "cylinder":
+            found += cylinder_remarks(capture)
         outline, said = quick_outline(capture, black_level(radiometry), lens_sigma(profile))
         found += said
     camera = capture.camera_radii
@@ -184,6 +187,8 @@ def _lamp_remarks(capture: Capture, radiometry: Radiometry | None, sample: tuple
     known = all(np.isfinite(capture.lamps[lamp].direction).all() for lamp in radiometry.lamp_output)
     if capture.settings["reference"]["kind"] == "diffuse" and not known:
         return []  # the light on the reference depends on directions that `reconstruct` measures
+    if capture.settings["reference"]["kind"] == "diffuse" and capture.lamp_radii and not math.isfinite(sample[0]):
+        return []  # under a near lamp it depends on the position of the reference relative to the sample
     seen = {lamp: out for lamp, out in radiometry.lamp_output.items() if math.isfinite(out.value)}
     if len(seen) < 2:
         text = "fewer than two lamp positions show a usable reference, so lamp drift is not measured: expose the reference "

@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
 from matcam.acquisition.mosaic_frames import MosaicReader
 from matcam.acquisition.radiometry_remarks import processing_remarks
+from matcam.core.errors import FitError
 from matcam.core.remark import Remark
 from matcam.files.capture import Capture, Region
 from matcam.numerics.frame_noise import clipped_variance, fixed_pattern_variance, pair_variance
@@ -17,6 +19,18 @@ from matcam.numerics.normal import robust_std
 
 _HOT = 12.0
 """Number of standard deviations from the dark level above which a pixel is hot."""
+
+
+class FrameLevel(NamedTuple):
+    """Dark parts of a frame of the sample, and its size.
+
+    Attributes:
+        low: low code (5 % quantile), DN.
+        shape: height and width, px.
+    """
+
+    low: float
+    shape: tuple[int, ...]
 
 
 @dataclass(frozen=True)
@@ -81,7 +95,7 @@ def measure_darkness(
     capture: Capture,
     region: Region | None,
     exposures: Sequence[str],
-    frame_levels: dict[str, float],
+    frame_levels: dict[str, FrameLevel],
 ) -> tuple[dict[str, Darkness], list[Remark]]:
     """Measure the dark signal of every exposure, and collect remarks.
 
@@ -90,28 +104,31 @@ def measure_darkness(
         capture: the capture.
         region: part of the frames that is used; None: the entire frame.
         exposures: names of the exposures, in the order of their times.
-        frame_levels: low code (5 % quantile) of one frame of each exposure, DN.
+        frame_levels: level of one frame of each exposure.
 
     Returns:
         Dark signal of each exposure, and the remarks. An exposure without usable dark frames has the dark signal of the
-        nearest exposure. If no dark frame is usable, the dark level is camera.black_level_dn. If this value is not
-        specified, the dark level is that of `frame_levels`.
+        nearest exposure. If no dark frame is usable, the dark level is camera.black_level_dn.
+
+    Raises:
+        FitError: no dark frame is usable, and camera.black_level_dn is not specified. A low code of the frames would
+            contain light of the sample, so all results would be wrong by an unknown amount.
     """
     found: dict[str, Darkness] = {}
     remarks: list[Remark] = []
     pairs: list[np.ndarray] = []
     for exposure in exposures:
         stack: list[np.ndarray] = []
+        lit = frame_levels.get(exposure)
         for frame, one in reader.readable(capture.of("dark", exposure=exposure), region, remarks):
             level, noise = float(np.median(one)), float(np.std(one))
-            if level > frame_levels.get(exposure, np.inf) + max(6 * noise, 2.0):
+            if lit is not None and level > lit.low + max(6 * noise, 2.0):
                 text = f"{capture.folder / frame.file}: this dark frame has {level:.0f} DN, more than dark parts of a frame "
-                text += (
-                    f"of its exposure ({frame_levels[exposure]:.0f} DN), and was omitted: cover the lens, and repeat it"
-                )
+                text += f"of its exposure ({lit.low:.0f} DN), and was omitted: cover the lens, and repeat it"
                 remarks.append(Remark("dark-too-bright", text))
                 continue
-            if stack and one.shape != stack[0].shape:
+            expected = lit.shape if lit is not None else stack[0].shape if stack else one.shape
+            if one.shape != expected:
                 text = (
                     f"{capture.folder / frame.file}: this dark frame differs in size from the others and was omitted: "
                 )
@@ -138,10 +155,14 @@ def measure_darkness(
         remarks.append(Remark("dark-missing", text))
     if not found:
         stated = capture.settings["camera"]["black_level_dn"]
-        for name in exposures:
-            found[name] = Darkness(frame_levels.get(name, 0.0) if stated is None else stated, False, float("nan"), 0)
-        what = "a low code of the frames" if stated is None else "camera.black_level_dn"
-        text = f"there are no usable dark frames, so {what} was subtracted: add dark frames"
+        if stated is None:
+            omitted = f" ({remarks[0].text})" if remarks else ""
+            raise FitError(
+                f"{capture.folder}: there are no usable dark frames{omitted}: add dark frames of each exposure, or specify "
+                "camera.black_level_dn, the code without light"
+            )
+        found = dict.fromkeys(exposures, Darkness(stated, False, float("nan"), 0))
+        text = "there are no usable dark frames, so camera.black_level_dn was subtracted: add dark frames"
         remarks.append(Remark("dark-missing", text))
     return found, remarks
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from matcam.acquisition.bracket_sample import BracketSample
-from matcam.acquisition.darkness import Darkness, measure_darkness
+from matcam.acquisition.darkness import Darkness, FrameLevel, measure_darkness
 from matcam.acquisition.exposure_ratios import (
     UNKNOWN_GAIN,
     ClipLevel,
@@ -395,16 +395,17 @@ def _between(
 
 def _frame_levels(
     capture: Capture, reader: MosaicReader, region: Region | None, names: Sequence[str]
-) -> dict[str, float]:
-    """Compute a low code (5 % quantile) of one frame of each exposure, DN.
+) -> dict[str, FrameLevel]:
+    """Compute the level of one frame of each exposure.
 
     A FitError is raised if such a frame is read as grey, but its pixels alternate as in a mosaic.
     """
     found = {}
     for name in names:
         for frame, codes in reader.readable(capture.of("frames", exposure=name), region):
-            found[name] = float(np.quantile(codes[::3, ::3], 0.05))
-            if reader.cfa is None and (share := alternation(codes - found[name])) > 0:
+            low = float(np.quantile(codes[::3, ::3], 0.05))
+            found[name] = FrameLevel(low, codes.shape)
+            if reader.cfa is None and (share := alternation(codes - low)) > 0:
                 raise FitError(
                     f"{capture.folder / frame.file}: alternate pixels differ by {share:.0%}, as in a colour mosaic that is "
                     "read as grey: if the frames are mosaics, specify camera.cfa (the colours of the first 2 x 2 px)"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import (
@@ -66,6 +67,8 @@ _ONLY = {
     "cylinder": ("outline_radius_px", "axis_column_px", "centre_row_px", "strip_rows_px", "strip_turn_deg"),
 }
 """Fields of [sample] that apply to only one kind of sample."""
+LEAST_STRIP = 12
+"""Smallest number of rows of a strip of a cylinder. Four rows at each end are not read."""
 
 
 class _Camera(Strict):
@@ -106,6 +109,14 @@ class _Sample(Strict):
                 raise ValueError(
                     f"strip_rows_px must have [first row, last row] of each strip, first < last, got [{first}, {last}]"
                 )
+            if last - first + 1 < LEAST_STRIP:
+                raise ValueError(
+                    f"each strip of strip_rows_px must have at least {LEAST_STRIP} rows, got [{first}, {last}]: give wider "
+                    "strips"
+                )
+        for before, after in pairwise(sorted(rows or ())):
+            if after[0] <= before[1]:
+                raise ValueError(f"the strips {before} and {after} of strip_rows_px overlap: give separate rows")
         return self
 
 

@@ -46,15 +46,22 @@ def flat_remarks(capture: Capture) -> list[Remark]:
     if len(names) < FEWEST:
         text = f"the number of lamp positions of the flat sample is {len(names)}, but it must be at least {FEWEST}: add images"
         found.append(Remark("too-few", text))
-    lost = [name for name in names if not np.isfinite(capture.lamps[name].direction).all()]
-    if lost:
-        text = f"lamp {some_of(lost)}: the direction is not specified: add angle_deg and azimuth_deg to frames.csv"
-        found.append(Remark("no-direction", text))
+    lost = direction_remarks(capture)
+    found += lost
     try:
         tilts = sample_tilts(capture)
     except ArgumentError as error:
         return [*found, Remark("tilts-differ", str(error))]
     return found if lost or len(names) < FEWEST else found + _half_angles(capture, tilts)
+
+
+def direction_remarks(capture: Capture) -> list[Remark]:
+    """Report lamp positions without a specified direction, for samples whose images do not show it."""
+    lost = [name for name, guess in capture.lamps.items() if not np.isfinite(guess.direction).all()]
+    if not lost:
+        return []
+    text = f"lamp {some_of(lost)}: the direction is not specified: add angle_deg and azimuth_deg to frames.csv"
+    return [Remark("no-direction", text)]
 
 
 def sample_tilts(capture: Capture) -> np.ndarray:

@@ -13,10 +13,10 @@ import numpy as np
 
 from matcam.acquisition.merged_picture import MergedPicture
 from matcam.core.errors import FitError
+from matcam.files.capture_settings import LEAST_STRIP
 
 MARGIN = 4
 """Number of rows that are excluded at each end of a strip, because the lens mixes adjacent strips."""
-_FEWEST = 4
 
 
 class Strip(NamedTuple):
@@ -78,9 +78,9 @@ def strip_profiles(picture: MergedPicture, strips: Sequence[Strip]) -> StripProf
     row = np.zeros(shape)
     for s, strip in enumerate(strips):
         first, last = (row - picture.origin[0] for row in strip.read)
-        if first < 0 or last >= picture.values.shape[0] or last - first + 1 < _FEWEST:
+        if first < 0 or last >= picture.values.shape[0] or last - first + 1 < LEAST_STRIP - 2 * MARGIN:
             raise FitError(
-                f"strip {s + 1} (rows {strip.first} to {strip.last}) must have at least {_FEWEST + 2 * MARGIN} rows and be "
+                f"strip {s + 1} (rows {strip.first} to {strip.last}) must have at least {LEAST_STRIP} rows and be "
                 "inside the region of the frames: correct sample.strip_rows_px"
             )
         rows = slice(first, last + 1)
