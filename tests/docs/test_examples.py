@@ -8,7 +8,9 @@ import sys
 import tomllib
 from pathlib import Path
 
+import numpy as np
 import pytest
+from examples import make_chromium
 
 import matcam
 from matcam.inverse.operator.sample_view import rig_behind
@@ -40,6 +42,26 @@ def test_the_example_table_is_of_a_sphere():
     table = matcam.io.example_table()
     assert rig_behind(table, matcam.rigs.merl()).sample.kind == "sphere"
     assert 1000 < int(table.notnull().any("channel").sum()) < 2000
+
+
+def test_the_script_of_the_example_table_makes_its_values():
+    """One slice: the noise of its pixels is another draw, so the bright cells agree within 8 standard deviations."""
+    made = make_chromium.chromium(slice_step=90)
+    table = matcam.io.example_table().values
+    drawn = made["value"][made["valid"]]
+    slices = np.broadcast_to(made["theta_d"][:, None], made["valid"].shape)
+    stored = table[made["theta_h"][made["valid"]], slices[made["valid"]], made["phi_d"][made["valid"]]]
+    bright = stored > 0.1 * np.nanmax(stored)
+    assert bright.sum() >= 12
+    np.testing.assert_allclose(drawn[bright], stored[bright], rtol=0.08 * np.sqrt(2))
+
+
+@pytest.mark.slow
+def test_the_script_makes_the_whole_example_table():
+    made = make_chromium.chromium()
+    with np.load(make_chromium.FILE) as stored:
+        for name in stored.files:
+            np.testing.assert_allclose(made[name], stored[name], rtol=1e-4, err_msg=name)
 
 
 def test_ci_builds_the_site():
