@@ -181,21 +181,25 @@ plt.show()
 # The table
 # ---------
 #
-# `table` contains the BRDF, its standard deviation, and the flag of supported entries. `pinhole` results from binning the same
-# pixels without a camera model: its peak is too low.
+# `table` contains the BRDF, its standard deviation, and the flag of supported entries. Without a white patch its F is relative, with
+# a maximum of 1 between the first and the last angle. The true BRDF is therefore divided by the maximum of the true F.
+#
+# `pinhole` results from binning the same pixels without a camera model. Near the peak its values are too low. At grazing angles its
+# flank is too high, because the blur widens the lobe in the plane of light and view. The points are means over phi_d.
 
+largest = np.max(chromium.fresnel.at(fine))
 figure, panels = plt.subplots(1, 2, figsize=(9, 3.4), layout="constrained")
 for axes, angle in zip(panels, (theta[1], theta[-1]), strict=True):
     at = found.table.sel(theta_d=angle, phi_d=np.pi / 2, method="nearest").isel(channel=1)
     degrees = np.degrees(at.theta_h)
-    true = chromium.brdf(at.theta_h.values, float(at.theta_d), np.pi / 2)
+    true = chromium.brdf(at.theta_h.values, float(at.theta_d), np.pi / 2) / largest
     axes.plot(degrees, true, color="0.75", lw=5, label="truth")
     axes.plot(degrees, at.brdf, label="reconstructed")
     binned = found.pinhole.sel(theta_d=angle, method="nearest").isel(channel=1)
     axes.plot(degrees, binned.mean("phi_d"), ".", color="C3", ms=4, label="binned (pinhole)")
     axes.set(xscale="log", yscale="log", xlim=(0.1, 10), ylim=(true.max() / 100, true.max() * 1.5))
     axes.set(xlabel="half angle, degrees", title=f"theta_d {np.degrees(at.theta_d):.0f}°")
-panels[0].set_ylabel("BRDF, 1/sr")
+panels[0].set_ylabel("BRDF for the relative F, 1/sr")
 panels[0].legend(loc="lower left")
 plt.show()
 
