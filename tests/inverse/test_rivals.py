@@ -1,10 +1,15 @@
 """A camera's loss told from a surface that shadows itself: each wins on the data that it made."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from matcam import rivals
+from matcam.camera import PixelNoise
 from matcam.inverse import Correction
+from matcam.inverse.fit.fit_data import MOST_NOISE
+from matcam.inverse.rival_fits import Rival, Rivals
 from tests.inverse import recorded
 from tests.oracle import sphere_cells as oracle
 from tests.oracle.merl_lobe import conductor
@@ -42,6 +47,13 @@ def test_each_wins_on_its_own_data(made, winner):
     assert found.verdict.startswith(f"{winner} explains the data better")
     assert found.probability > 0.99 if winner == "the camera" else found.probability < 0.01
     assert best.fit.noise.relative == pytest.approx(0.01, rel=0.15)
+
+
+def test_the_largest_noise_that_a_fit_permits_is_a_lower_limit():
+    """An estimate at the bound of the search, as of a model without a camera that cannot explain the data."""
+    fits = (SimpleNamespace(noise=PixelNoise(relative)) for relative in (0.01, MOST_NOISE))
+    found = Rivals(*(Rival(fit, log_evidence) for fit, log_evidence in zip(fits, (100.0, 0.0), strict=True)))
+    assert found.verdict.endswith("1.00% with the camera and at least 20.00% with free shadowing")
 
 
 @pytest.mark.slow

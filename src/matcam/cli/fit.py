@@ -128,17 +128,18 @@ def command(
 
 
 def print_fit(summary: dict[str, Any], name: str) -> None:
+    from matcam.camera.sensor import PixelNoise
     from matcam.core.results.summary import half_width, parameters
-    from matcam.inverse.fit.fit_data import LEAST_FLOOR
+    from matcam.inverse.fit.fit_data import LEAST_FLOOR, noise_text
 
     modified = "spline-modified " if summary["spline_modified"] else ""
     show.quantities(parameters(summary["params"], summary["std"]), f"{name}: {modified}{summary['ndf']}")
     width = half_width(summary["hwhm_rad"], summary["hwhm_std_rad"])
     show.say(f"{width.name}: {width.text}")
-    noise = summary["noise"]
+    noise = PixelNoise(**summary["noise"])
     show.say(
-        f"noise of a pixel: {noise['relative']:.2%} of its value and {noise['floor']:.2%} of the image's peak; noise of the "
-        f"gain of an image: {noise['picture_gain']:.2%}"
+        f"noise of a pixel: {noise_text(noise, 2)} of its value and {noise.floor:.2%} of the image's peak; noise of the gain "
+        f"of an image: {noise.picture_gain:.2%}"
     )
     show.say(
         f"ratio of the residual of a cell to its expected standard deviation: {math.sqrt(summary['misfit']):.2f} rms, "

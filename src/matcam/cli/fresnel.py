@@ -199,8 +199,10 @@ def _document(result: Any, tables: Any, files: list[Path]) -> dict[str, Any]:
 def _print(result: Any, tables: Any, files: list[Path], channel: str) -> None:
     import numpy as np
 
+    from matcam.camera.sensor import PixelNoise
     from matcam.core.remark import from_attribute
     from matcam.core.results.summary import half_width, with_std
+    from matcam.inverse.fit.fit_data import noise_text
 
     one = result.sel(channel=channel)
     # nearest existing slices: a table has slices at 74.5 and 75.5 degrees, and --slice-step omits some
@@ -236,10 +238,9 @@ def _print(result: Any, tables: Any, files: list[Path], channel: str) -> None:
         f"lobe: {attrs['ndf']}, {'spline-modified' if attrs['spline_modified'] else width}; "
         f"half width at half maximum {half_width(float(result['hwhm']), float(result['hwhm_std'])).text}"
     )
-    show.say(
-        f"noise of a pixel ({attrs['noise']}): {attrs['noise_relative']:.2%} of its value, "
-        f"{attrs['noise_floor']:.2%} of the image's peak"
-    )
+    noise = PixelNoise(attrs["noise_relative"], attrs["noise_floor"])
+    share = f"{noise.relative:.2%}" if attrs["noise"] == "given" else noise_text(noise, 2)
+    show.say(f"noise of a pixel ({attrs['noise']}): {share} of its value, {noise.floor:.2%} of the image's peak")
     show.say(f"camera uncertainty: {attrs['camera_uncertainty']}")
     show.notes(from_attribute(attrs["remarks"]))
     show.say(f"supported (std below 5 %) up to theta_d = {np.degrees(float(one['supported_angle'])):.1f}°")

@@ -17,7 +17,7 @@ from matcam.core.grid import checked_table
 from matcam.core.workspace import Workspace, default_workspace
 from matcam.inverse.correction.evidence import Weighing
 from matcam.inverse.correction.explanation import PROBABLE, Member, explain, first_setup, with_free_masking
-from matcam.inverse.fit.fit_data import SEARCH_STEP
+from matcam.inverse.fit.fit_data import SEARCH_STEP, noise_text
 from matcam.inverse.fit.fit_parameters import FAMILIES
 from matcam.inverse.fit.fit_setup import AUTO
 from matcam.inverse.fit.material_fit import MaterialFit
@@ -82,8 +82,8 @@ class Rivals(NamedTuple):
     def verdict(self) -> str:
         """Text with the better explanation and the pixel noise of both."""
         noise = (
-            f"the noise of a pixel would be {self.camera.fit.noise.relative:.2%} with the camera and "
-            f"{self.shadowing.fit.noise.relative:.2%} with free shadowing"
+            f"the noise of a pixel would be {noise_text(self.camera.fit.noise, 2)} with the camera and "
+            f"{noise_text(self.shadowing.fit.noise, 2)} with free shadowing"
         )
         if PROBABLE > self.probability > 1 - PROBABLE:
             return f"camera and free shadowing explain the data equally well: {noise}"

@@ -30,7 +30,7 @@ from matcam.inverse.correction.evidence import OtherLobe, Weighing, channel_misf
 from matcam.inverse.correction.lobe_shape import ShapeUncertainty, known_shape, shape_uncertainty
 from matcam.inverse.correction.rig_refits import RigRefit, rig_refits
 from matcam.inverse.correction.spline_lobe import in_all_slices
-from matcam.inverse.fit.fit_data import SEARCH_STEP, at_largest_noise, check_values
+from matcam.inverse.fit.fit_data import SEARCH_STEP, at_largest_noise, check_values, noise_text
 from matcam.inverse.fit.fit_parameters import STUDENT, TWO_LOBES
 from matcam.inverse.fit.fit_setup import AUTO, CANDIDATES, FitSetup, free_setup
 from matcam.inverse.fit.material_fit import MaterialFit
@@ -153,10 +153,7 @@ class Explanation(NamedTuple):
 
     @property
     def no_blur_remark(self) -> Remark:
-        noise = [
-            f"{'at least ' if at_largest_noise(fit.noise) else ''}{fit.noise.relative:.1%}"
-            for fit in (self.blind, self.fit, self.without_camera)
-        ]
+        noise = [noise_text(fit.noise) for fit in (self.blind, self.fit, self.without_camera)]
         text = (
             f"the data show no blur by this camera: the noise of a pixel would be {noise[0]} without the camera and {noise[1]} "
             "with the camera"

@@ -54,6 +54,23 @@ def at_largest_noise(noise: PixelNoise) -> bool:
     return bool(np.isclose(noise.relative, MOST_NOISE, rtol=1e-6))
 
 
+def noise_text(noise: PixelNoise, digits: int = 1) -> str:
+    """Format an estimate of the noise of a pixel, as a share of its value.
+
+    An estimate with the largest allowed value is a lower limit.
+
+    Args:
+        noise: estimated noise.
+        digits: decimal places of the percentage. Default: 1.
+
+    Example:
+        >>> from matcam.inverse.fit.fit_data import noise_text
+        >>> noise_text(matcam.camera.PixelNoise(0.012)), noise_text(matcam.camera.PixelNoise(0.2), 0)
+        ('1.2%', 'at least 20%')
+    """
+    return f"{'at least ' if at_largest_noise(noise) else ''}{noise.relative:.{digits}%}"
+
+
 class FitData(NamedTuple):
     """Values to which a material is fitted.
 

@@ -11,6 +11,7 @@ from matcam.camera.parameters import Uncertainty
 from matcam.core.jax import jax, jnp, placed
 from matcam.core.remark import Remark
 from matcam.inverse.fit.body import base_and_slope, diffuse_and_slope, loss_in_coat
+from matcam.inverse.fit.fit_data import noise_text
 from matcam.inverse.fit.fit_parameters import BASE_WIDTH, COATED, LobeKind, readable_value, reflectance_at
 from matcam.inverse.fit.fit_problem import FitProblem
 from matcam.inverse.fit.lobe_readings import half_maximum_angle, lobe_readings
@@ -306,7 +307,7 @@ def fit_remarks(
     if not verdict.explained:
         text = (
             "the model does not explain the data, so do not use the parameters and their errors: "
-            f"the residuals are {noise.relative:.0%} of the value of a pixel and {noise.floor:.1%} of the peak of the image, "
+            f"the residuals are {noise_text(noise, 0)} of the value of a pixel and {noise.floor:.1%} of the peak of the image, "
             "which exceeds the noise of any camera; check the camera, the radius of the sample and the family of the lobe"
         )
         remarks.append(Remark("misfit", text))

@@ -16,7 +16,7 @@ from matcam.core.remark import Remark
 from matcam.core.results.labelled import named
 from matcam.core.results.summary import Quantity, Summarised, Summary, correlations, half_width, parameters
 from matcam.inverse.fit.body import Base, DiffusePart
-from matcam.inverse.fit.fit_data import log_likelihood, standardised_residual
+from matcam.inverse.fit.fit_data import at_largest_noise, log_likelihood, standardised_residual
 from matcam.inverse.fit.fit_parameters import reflectance_at
 from matcam.inverse.fit.fit_readings import (
     FitCoordinates,
@@ -341,7 +341,8 @@ class MaterialFit(Summarised):
     def _summary(self) -> Summary:
         width = [] if HALF_WIDTH in self.params else [half_width(self.hwhm, self.hwhm_std)]
         source = "given" if self.noise_given else "estimated from the residuals"
-        noise = f"{self.noise.relative:.2g} of the value, {self.noise.floor:.2g} of the peak ({source})"
+        bound = "at least " if not self.noise_given and at_largest_noise(self.noise) else ""
+        noise = f"{bound}{self.noise.relative:.2g} of the value, {self.noise.floor:.2g} of the peak ({source})"
         return Summary(
             f"{self.lobe_name} lobe, fitted {'without a' if self.camera is None else 'through the'} camera",
             self._verdict,
