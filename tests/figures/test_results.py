@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import xarray as xr
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 import matcam
@@ -141,6 +142,16 @@ def test_a_plot_has_labels_with_units_and_is_drawn_on_given_axes(results, name):
     new = results[name].plot()
     assert new.figure is not axes.figure
     assert len(new.lines) == len(axes.lines)
+
+
+def test_the_legend_of_a_fresnel_term_lies_on_no_curve(results):
+    for figure in (Figure(figsize=(7.5, 4.4)), Figure(figsize=(7.5, 4.4), layout="constrained")):
+        axes = results["Fresnel term"].plot(figure.subplots(), metal="Cr")
+        FigureCanvasAgg(figure).draw()
+        box = axes.get_legend().get_window_extent()
+        assert figure.bbox.contains(box.x0, box.y0)
+        for line in axes.lines:
+            assert not any(box.contains(*point) for point in axes.transData.transform(line.get_xydata()))
 
 
 @pytest.fixture(autouse=True)

@@ -115,7 +115,11 @@ def draw_fresnel_term(axes: Axes, result: xr.Dataset, metal: str | None = None, 
     tables = None if metal is None else tabulated_fresnel(result, metal)
     draw_fresnel(axes, result, tables, channel)
     axes.set_title(f"Fresnel term, channel {names[channel]}", loc="left")
-    axes.legend(loc="upper left", fontsize=8)
+    # measured curves may cover any part of the axes, so the legend is below them if the layout makes room for it
+    if axes.figure.get_layout_engine() is None:
+        axes.legend(loc="lower left", fontsize=8)
+    else:
+        axes.legend(loc="upper left", bbox_to_anchor=(0, -0.14), ncols=2, fontsize=8)
 
 
 def draw_bounds(axes: Axes, data: xr.Dataset) -> None:
