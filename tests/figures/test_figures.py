@@ -1,15 +1,17 @@
 """Every figure: axes are labelled with units, nothing is clipped, and the same data give the same file."""
 
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
 
 from matcam import GGX, Camera, GaussianOptics, edge_mtf, fresnel, paper, rigs
 from matcam.core.errors import OutputError
 from matcam.core.grid import brdf_table
-from matcam.figures.calibration import edge_figure, targets_figure
+from matcam.figures.calibration import draw_calibration, edge_figure, targets_figure
 from matcam.figures.curves import fresnel_figure, highlight_figure, loss_figure, prediction_figure
 from matcam.figures.style import save
 from matcam.forward.prediction import predicted
@@ -92,6 +94,17 @@ def test_no_data_or_text_lies_under_the_legends_of_an_edge(figures):
     mtf = next(axes for axes in figure.axes if axes.get_title(loc="left") == "MTF")
     box = mtf.get_legend().get_window_extent(renderer)
     assert all(text.get_window_extent(renderer).y1 < box.y0 for text in mtf.texts)  # however long its labels are
+
+
+def test_equal_curves_of_colours_are_all_visible():
+    frequency = np.linspace(0, 1, 5)
+    curve = SimpleNamespace(frequency=frequency, mtf=1 - frequency, mtf_std=0.01, camera_mtf=1 - frequency)
+    axes = Figure().subplots()
+    draw_calibration(axes, SimpleNamespace(channels=dict.fromkeys("RGB", SimpleNamespace(curve=curve))))
+    curves, labels = axes.get_legend_handles_labels()
+    assert labels == [*(f"{name}: edges, model-free" for name in "RGB"), "fitted camera"]
+    widths = [line.get_linewidth() for line in curves]
+    assert widths == sorted(set(widths), reverse=True)
 
 
 @pytest.mark.parametrize("suffix", [".png", ".pdf", ".svg"])

@@ -236,12 +236,16 @@ def draw_camera_fit(axes: Axes, fit: CameraFit) -> None:
 
 def _draw_mtf(axes: Axes, channels: Mapping[str, CameraFit]) -> None:
     mtf_lines(axes)
-    for name, fit in channels.items():
-        curve, colour = fit.curve, CHANNELS[name]
+    # from wide to narrow, because equal curves lie on each other
+    widths = 1.6 + 1.8 * np.arange(len(channels))[::-1]
+    for (name, fit), width in zip(channels.items(), widths, strict=True):
+        curve = fit.curve
         if np.isfinite(curve.mtf).all():
             label = f"{name}: edges, model-free"
-            draw_with_std(axes, curve.frequency, curve.mtf, 2 * curve.mtf_std, colour, lw=1.3, label=label)
-        axes.plot(curve.frequency, curve.camera_mtf, color=colour, lw=1.1, ls="--", label=f"{name}: camera")
+            draw_with_std(axes, curve.frequency, curve.mtf, 2 * curve.mtf_std, CHANNELS[name], lw=width, label=label)
+    for order, fit in enumerate(channels.values()):
+        entry = None if order else "fitted camera"  # one entry for all channels
+        axes.plot(fit.curve.frequency, fit.curve.camera_mtf, color=BLACK, lw=0.9, ls=(0, (4, 4)), label=entry)
     axes.set(xlim=(0, 1), ylim=(-0.03, 1.05), xlabel="frequency [cycles/px]", ylabel="MTF of lens and pixel [-]")
     axes.legend(loc="upper right", fontsize=8.5, frameon=True, framealpha=1, edgecolor="none")
     axes.set_title("MTF, and 2 standard deviations", loc="left")

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.patheffects import withStroke
 
 from matcam.figures.style import BLACK, CHANNELS
 
@@ -62,7 +63,7 @@ def draw_blur_map(axes: Axes, edges: EdgeTable, shape: tuple[int, int], channel:
     found = blur_map(edges, shape)
     axes.set_title(f"Blur in parts of the image, {channel}: median sigma [px]", loc="left", parse_math=False)
     axes.grid(False)
-    axes.plot(edges.x, edges.y, ".", ms=2, color=BLACK, alpha=0.4, zorder=3)
+    axes.plot(edges.x, edges.y, ".", ms=2, mew=0, color=BLACK, alpha=0.3, zorder=3)
     axes.set(xlabel="x [px]", ylabel="y [px]", xlim=found.x[[0, -1]], ylim=found.y[[-1, 0]], aspect="equal")
     if np.isnan(found.sigma).all():
         axes.text(0.5, 0.5, f"fewer than {_FEWEST} edges in every part", ha="center", transform=axes.transAxes)
@@ -76,11 +77,10 @@ def draw_blur_map(axes: Axes, edges: EdgeTable, shape: tuple[int, int], channel:
     axes.figure.colorbar(drawn, ax=axes, label="sigma [px]", shrink=0.85)
     for (i, k), sigma in np.ndenumerate(found.sigma):
         if np.isfinite(sigma):
-            bright = sigma > (low + high) / 2 or low == high
             axes.text(
                 found.x[k : k + 2].mean(), found.y[i : i + 2].mean(), f"{sigma:.3f}",
-                ha="center", va="center", fontsize=7, color="black" if bright else "white", zorder=4,
-                bbox={"facecolor": drawn.to_rgba(sigma), "lw": 0, "pad": 1},
+                ha="center", va="center", fontsize=7.5, color=BLACK, zorder=4,
+                path_effects=[withStroke(linewidth=2.5, foreground="white")],  # covers the dots of the edges
             )  # fmt: skip
 
 
