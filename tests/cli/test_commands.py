@@ -129,6 +129,7 @@ def test_predict(matcam, tmp_path):
 def test_fresnel(matcam, measured, tmp_path):
     result = matcam("fresnel", measured, "--metal", "Cr", "--ndf", "beckmann", "--slice-step", 6)
     assert "lobe: beckmann, width 0.0028" in result.stdout
+    assert "camera: assumed lens blur 0.50 ± 0.50 px; measure it with matcam calibrate" in result.stdout
     assert "against Cr (rakic)" in result.stdout
     assert sorted(p.name for p in tmp_path.iterdir()) == [
         "chromium-fresnel.csv",
@@ -168,7 +169,7 @@ def test_json_is_alone_on_standard_output_and_profiles_are_used(matcam, measured
     with xr.open_dataset(tmp_path / "out" / "f.nc") as data:
         assert "optics.sigma_px" in data["source"].values
         assert data["budget_std"].dims == ("source", "theta_d", "channel")
-    assert found["camera_uncertainty"] == "specified"
+    assert found["camera_uncertainty"] == "lens blur 0.500 ± 0.015 px"
     # the record is the tangent plane's, the fit the sphere's: close to the limb, that looks like a lens with a stretch
     assert found["width"] == pytest.approx(0.002, rel=1.5e-2)
     assert set(found["corrected"]) == {"R", "G", "B"}

@@ -11,6 +11,7 @@ from matcam import (
     EPD,
     GGX,
     Camera,
+    ColourOptics,
     DiffractionOptics,
     GaussianOptics,
     MeasuredOptics,
@@ -208,12 +209,22 @@ def test_what_a_rig_says_of_its_lens():
     guess = known_lens(rigs.merl().camera)
     assert guess.uncertainty.std() == {LENS: 0.5}
     assert (guess.assumed, guess.exact) == (False, False)
+    assert guess.words == "assumed lens blur 0.50 ± 0.50 px; measure it with matcam calibrate"
+    measured = known_lens(Camera(GaussianOptics(0.51), uncertainty=Uncertainty.of({LENS: 0.01})))
+    assert measured.words == "lens blur 0.510 ± 0.010 px"
     nothing = known_lens(Camera(GaussianOptics(0.4)))
     assert nothing.assumed
     assert nothing.uncertainty.std()[LENS] == pytest.approx(0.04)
     other = known_lens(Camera(DiffractionOptics(8.0, 550e-9, 5e-6)))
     assert other.uncertainty.std() == {"optics.f_number": pytest.approx(0.8)}
-    assert known_lens(Camera(GaussianOptics(0.4), uncertainty=Uncertainty.of({LENS: 0.0}))).exact
+    assert other.words == (
+        "f-number 8.00 ± 0.80; no uncertainty is specified, so a standard deviation of 10% is assumed"
+    )
+    colours = known_lens(Camera(ColourOptics(*(GaussianOptics(sigma) for sigma in (0.5, 0.4, 0.3)))))
+    assert colours.words.startswith("lens blur of red 0.500 ± 0.050 px, lens blur of green 0.400 ± 0.040 px, ")
+    exact = known_lens(Camera(GaussianOptics(0.4), uncertainty=Uncertainty.of({LENS: 0.0})))
+    assert exact.exact
+    assert exact.words == "lens blur 0.4 px, specified as exact"
 
 
 def test_a_guess_that_no_data_confirm_moves_nothing():

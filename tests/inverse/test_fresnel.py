@@ -145,7 +145,7 @@ def test_width_noise_and_support_are_found(noisy):
     assert noisy.attrs["noise_relative"] == pytest.approx(0.01, rel=0.1)
     assert noisy.attrs["noise_floor"] == pytest.approx(1e-4, rel=0.1)
     assert noisy.attrs["noise"] == "estimated from the residuals"
-    assert noisy.attrs["camera_uncertainty"] == "specified as exact"
+    assert noisy.attrs["camera_uncertainty"] == "lens blur 0.5 px, specified as exact"
     assert np.all(np.degrees(noisy["supported_angle"]) > 75)
     np.testing.assert_array_equal(noisy["corrected_std_camera"].fillna(0), 0)
     np.testing.assert_allclose((noisy["raw_std"] / noisy["raw"])[:LAST], noisy.attrs["noise_relative"], rtol=0.01)
@@ -219,7 +219,7 @@ def test_camera_uncertainty_reaches_the_result():
     exact, stated = (
         fresnel(table, rig, ndf="epd", slice_step=EVERY) for rig in (recorded.rig(), recorded.rig(std=0.015))
     )
-    assert stated.attrs["camera_uncertainty"] == "specified"
+    assert stated.attrs["camera_uncertainty"] == "lens blur 0.500 ± 0.015 px"
     assert np.abs(relative_pulls(stated)).max() < 4
     one = stated.isel(channel=0)
     assert np.all(one["corrected_std_camera"][1:LAST] > 0)

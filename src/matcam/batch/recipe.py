@@ -142,11 +142,9 @@ class Recipe:
 
     def in_words(self) -> str:
         family = "GGX or EPD, the more probable" if self.options.ndf == "auto" else self.options.ndf
-        camera = self.rig.camera
-        known = f"uncertainty {known_lens(camera).words}"
         return (
-            f"Lobe: {family}; masking: {self.options.masking or 'none'}; camera: {camera.optics!r}, {known}; "
-            f"{self.rig.sample.in_words()}."
+            f"Lobe: {family}; masking: {self.options.masking or 'none'}; {self.rig.sample.in_words()}; "
+            f"camera: {known_lens(self.rig.camera).words}."
         )
 
 

@@ -120,7 +120,7 @@ def command(
     if json:
         show.as_json(_document(result, tables, files))
     else:
-        _print(result, tables, files, channel)
+        _print(result, tables, files, channel, rig.camera)
     return {"channels": table.sizes["channel"]}
 
 
@@ -196,7 +196,7 @@ def _document(result: Any, tables: Any, files: list[Path]) -> dict[str, Any]:
     }
 
 
-def _print(result: Any, tables: Any, files: list[Path], channel: str) -> None:
+def _print(result: Any, tables: Any, files: list[Path], channel: str, profile: Path | None) -> None:
     import numpy as np
 
     from matcam.camera.sensor import PixelNoise
@@ -241,7 +241,7 @@ def _print(result: Any, tables: Any, files: list[Path], channel: str) -> None:
     noise = PixelNoise(attrs["noise_relative"], attrs["noise_floor"])
     share = f"{noise.relative:.2%}" if attrs["noise"] == "given" else noise_text(noise, 2)
     show.say(f"noise of a pixel ({attrs['noise']}): {share} of its value, {noise.floor:.2%} of the image's peak")
-    show.say(f"camera uncertainty: {attrs['camera_uncertainty']}")
+    show.say(f"camera: {f'{profile.name}, ' if profile else ''}{attrs['camera_uncertainty']}")
     show.notes(from_attribute(attrs["remarks"]))
     show.say(f"supported (std below 5 %) up to theta_d = {np.degrees(float(one['supported_angle'])):.1f}°")
     if tables is not None:

@@ -94,7 +94,7 @@ def _print_brdf(report: dict[str, Any]) -> None:
         if report["correction"]["reason"] and not report["corrected"]:
             show.say(f"correction: not possible; {report['correction']['reason']}")
     if "variables" in report:
-        for name, what in {"source": "recorded table", "camera_uncertainty": "blur of the camera"}.items():
+        for name, what in {"source": "recorded table", "camera_uncertainty": "camera of the rig"}.items():
             if report["attributes"].get(name):
                 show.say(f"{what}: {report['attributes'][name]}")
         own = [name for name, variable in report["variables"].items() if list(variable["shape"]) != [name]]

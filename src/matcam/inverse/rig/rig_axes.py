@@ -18,6 +18,7 @@ from matcam.camera.camera import Camera, camera_with
 from matcam.camera.parameters import Uncertainty
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import jnp
+from matcam.core.results.summary import with_std
 from matcam.forward.integral.blur import Blur, blur_of
 from matcam.inverse.rig.lens_changes import ASSUMED, CHANGES, EIGHTH, SHAPE, SIXTH, STRETCH, VARIANCES
 from matcam.rigs import Rig
@@ -48,8 +49,13 @@ _PRIOR_RANGE = 5.0
 """Half the range of a parameter with a prior, in standard deviations. A fitted value outside contradicts the prior."""
 _GUESS = 0.25
 """Smallest relative standard deviation of the width of a lens that is treated as a guess. A guessed width may be 0."""
-_LENS_WIDTHS = ("sigma_px", "f_number", "blur_diameter_px")
-"""Names of the lens parameters that scale the kernel."""
+_LENS_WIDTHS = {
+    "sigma_px": ("lens blur", " px"),
+    "f_number": ("f-number", ""),
+    "blur_diameter_px": ("diameter of the defocus blur", " px"),
+}
+"""Lens parameters that scale the kernel, by name: their terms and units in messages."""
+_COLOURS = ("red", "green", "blue")
 _COUNTS = ((0.03, 3), (0.15, 5), (np.inf, 9))
 """Pairs (largest half range of an axis, number of its points). A wider range requires a polynomial of higher degree."""
 _AMONG = 1001
@@ -180,7 +186,7 @@ class KnownLens(NamedTuple):
     Attributes:
         uncertainty: uncertainty of the camera's parameters; None: no uncertainty is specified and the lens has no width
             parameter, or a width of 0.
-        words: description of the uncertainty, for messages.
+        words: description of the width of the lens and of its uncertainty, for messages, such as "lens blur 0.510 ± 0.010 px".
         assumed: True if no uncertainty is specified, and `ASSUMED` is used.
         exact: True if the lens is specified as exact, or has a width of 0 and no specified uncertainty.
     """
@@ -196,21 +202,36 @@ def known_lens(camera: Camera) -> KnownLens:
 
     The prior is the uncertainty of the camera if it is specified, and a default otherwise.
     """
-    if camera.uncertainty is not None and camera.uncertainty.names:
-        if any(std > 0 for std in camera.uncertainty.std().values()):
-            return KnownLens(camera.uncertainty, "specified", assumed=False, exact=False)
-        return KnownLens(camera.uncertainty, "specified as exact", assumed=False, exact=True)
-    widths = {
-        name: ASSUMED * float(value)
-        for name, value in camera.parameters().items()
-        if is_lens_width(name) and float(value) > 0
-    }
-    if not widths and any(is_lens_width(name) for name in camera.parameters()):
-        return KnownLens(None, "not specified: assumed to be exact", assumed=False, exact=True)
-    known = Uncertainty.of(widths) if widths else None
-    return KnownLens(
-        known, f"not specified: assumed to be {ASSUMED:.0%} of the lens's width", assumed=True, exact=False
-    )
+    given = camera.uncertainty
+    widths = {name: float(value) for name, value in camera.parameters().items() if is_lens_width(name)}
+    if given is not None and given.names:
+        std = given.std()
+        if not any(std.values()):
+            return KnownLens(given, f"{_lens_text(widths, {})}, specified as exact", assumed=False, exact=True)
+        words = _lens_text(widths, std)
+        if any(width > 0 and is_guess(name, std.get(name, 0.0) / width) for name, width in widths.items()):
+            words = f"assumed {words}; measure it with matcam calibrate"
+        return KnownLens(given, words, assumed=False, exact=False)
+    assumed = {name: ASSUMED * width for name, width in widths.items() if width > 0}
+    words = f"{_lens_text(widths, assumed)}; no uncertainty is specified"
+    if widths and not assumed:
+        return KnownLens(None, f"{words}, so the lens is assumed to be exact", assumed=False, exact=True)
+    if not assumed:
+        return KnownLens(None, words, assumed=True, exact=False)
+    words += f", so a standard deviation of {ASSUMED:.0%} is assumed"
+    return KnownLens(Uncertainty.of(assumed), words, assumed=True, exact=False)
+
+
+def _lens_text(widths: Mapping[str, float], std: Mapping[str, float]) -> str:
+    """Format the widths of a lens with their standard deviations, by the names of the parameters."""
+    parts = []
+    for name, width in widths.items():
+        *path, last = name.split(".")
+        what, unit = _LENS_WIDTHS[last]
+        colour = "".join(f" of {part}" for part in path if part in _COLOURS)
+        number = with_std(width, std[name]) if std.get(name, 0.0) > 0 else f"{width:.4g}"
+        parts.append(f"{what}{colour} {number}{unit}")
+    return ", ".join(parts) or "lens without a width parameter"
 
 
 def is_lens_width(name: str) -> bool:
