@@ -4,6 +4,7 @@ import json
 import re
 
 import pytest
+from PIL import Image
 
 from matcam.calibration.chart.chart_file import read_chart
 from matcam.cli import main
@@ -43,6 +44,8 @@ def test_one_description_serves_pages_of_all_formats(chart, tmp_path):
     chart("star", "-o", tmp_path / "page.pdf")
     before = (tmp_path / "page.json").read_bytes()
     chart("star", "-o", tmp_path / "page.png", "--dpi", 100)
+    with Image.open(tmp_path / "page.png") as page:
+        assert page.info["dpi"] == pytest.approx((100, 100), abs=0.01)  # printed at true size
     assert (tmp_path / "page.json").read_bytes() == before
     refused = chart("star", "--pixels", 2000, "-o", tmp_path / "page.svg", code=2).err  # another chart
     assert "page.json exists" in refused

@@ -238,3 +238,11 @@ def test_a_corrected_table_is_named_and_not_corrected_again(tmp_path, blurred, m
 
 def _next(name):
     return after("inspect", {"file": Path(name), "report": inspect(name)})
+
+
+def test_a_table_of_a_cylinder_is_corrected_as_one(blurred, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_netcdf("strip.nc", blurred.assign_attrs(sample="cylinder").to_dataset(name="brdf"))
+    report = inspect("strip.nc")
+    assert (report["sample"], report["cells"]["rule"]) == ("cylinder", None)
+    assert _next("strip.nc") == "matcam correct strip.nc --sample cylinder"

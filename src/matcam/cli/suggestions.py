@@ -128,7 +128,7 @@ def _after_inspect(values: dict[str, Any]) -> list[Any] | None:
     cells = report["cells"]
     if not report["correction"]["possible"] or (cells["rule"] is not None and cells["phase_px"] is None):
         return None  # the true radius of the sphere is not known
-    return _correct(file, values | {"channels": len(report["channels"])})
+    return _correct(file, values | {"channels": len(report["channels"]), "sample": report["sample"]})
 
 
 def _after_convert(values: dict[str, Any]) -> list[Any] | None:

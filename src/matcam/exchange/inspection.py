@@ -30,7 +30,7 @@ from matcam.core.grid import (
 )
 from matcam.exchange.contents import Contents
 from matcam.inverse.fit.fit_data import check_values
-from matcam.inverse.operator.pixel_phase import cell_rule
+from matcam.inverse.operator.pixel_phase import CellRule, cell_rule
 from matcam.inverse.saturated_values import without_saturated
 from matcam.material.material import albedo_and_missing, albedo_remarks, cell_values
 from matcam.material.measured import Adaptive, Tabulated
@@ -193,7 +193,7 @@ def inspect_table(table: xr.DataArray, radius: float = SPHERE_RADIUS) -> dict[st
         radius: radius of the sphere from which the table was recorded, px. Default: 256, that of the MERL rig.
 
     Returns:
-        Grid, missing shares, range, and:
+        Grid, shape of the sample, missing shares, range, and:
 
         - `reciprocity_rms`: rms over cells of the relative difference between the values at phi_d and pi - phi_d, no
           unit. Reciprocity and the mirror symmetry of an isotropic material make these values equal.
@@ -206,10 +206,10 @@ def inspect_table(table: xr.DataArray, radius: float = SPHERE_RADIUS) -> dict[st
         - `correction`: `possible` is True if a correction accepts the table. Otherwise `reason` is the cause.
         - `remarks`: texts about saturated highlights, and about an albedo above 1.
         - `cells`: `rule` by which cells were read from real pixels, "nearest", "bilinear" or "mean", or None if there is
-          no evidence. `phase_px` is the phase of the pixel grid, or one phase for each slice, and `phase_std_px` its standard
-          deviation. Both are None if no grid on a sphere of `radius_px` fits. Near the highlight, `repeated_share`
-          is the share of neighbours with equal values, and `distinct_values` the number of distinct values, mean over
-          slices.
+          no evidence, or if the table was not recorded on a sphere. `phase_px` is the phase of the pixel grid, or one phase
+          for each slice, and `phase_std_px` its standard deviation. Both are None if no grid on a sphere of `radius_px` fits.
+          Near the highlight, `repeated_share` is the share of neighbours with equal values, and `distinct_values` the number
+          of distinct values, mean over slices.
     """
     sampling = sampling_of(table)
     values = table.values
@@ -225,6 +225,7 @@ def inspect_table(table: xr.DataArray, radius: float = SPHERE_RADIUS) -> dict[st
         "channels": [str(c) for c in table["channel"].values],
         "sampling": sampling,
         "corrected": bool(table.attrs.get(CORRECTED)),
+        "sample": sample_of(table) or "sphere",
         "rig": str(table.attrs.get("rig", "")),
         "missing_share": float(missing.mean()),
         "missing_above_horizon_share": float(missing[~below].mean()),
@@ -259,7 +260,9 @@ def _correction_report(table: xr.DataArray) -> dict[str, Any]:
 
 
 def _cells_report(table: xr.DataArray, radius: float) -> dict[str, Any]:
-    shown = cell_rule(table, radius)
+    shown = CellRule(rule=None, found=None, repeated=0.0, values=0.0)
+    if sample_of(table) in (None, "sphere") and not table.attrs.get(CORRECTED):
+        shown = cell_rule(table, radius)
     found = shown.found
     return {
         "rule": shown.rule,

@@ -192,7 +192,7 @@ def _png(figure: Figure, dpi: float) -> bytes:
         if fit_titles(figure):
             canvas.draw()
         figure.dpi = drawn_for
-    Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3]).save(stream, format="png")
+    Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3]).save(stream, format="png", dpi=(dpi, dpi))
     return stream.getvalue()
 
 
