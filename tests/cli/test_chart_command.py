@@ -61,6 +61,7 @@ def test_one_description_serves_pages_of_all_formats(chart, tmp_path):
         (("-o", "chart.bmp"), "must end in"),
         (("--page", "a9"), "'a9' is not one of"),
         (("--size", 1, 1), "--size must lie in"),
+        (("--page", "a3", "--size", 200, 100), "--page and --size both specify"),
         (("-o", "chart.png", "--dpi", 9000), "million pixels"),
         (("-o", "chart.png", "--dpi", "nan"), "--dpi must lie in"),
         (("--pixels", 300), "--pixels above 300"),

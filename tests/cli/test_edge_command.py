@@ -88,6 +88,8 @@ def test_the_standard_beside_ours(edge, photograph, tmp_path):
     assert header == "frequency_cy_per_px,SFR"
     assert lines[0].startswith("0,1")
     assert "needs --method likelihood" in edge(photograph, "--method", "iso12233", "-o", "a.png", code=2).stderr
+    of_a_model = edge(photograph, "--method", "iso12233", "--model", "halo", "--half-width", 0.3, code=2).stderr
+    assert "--model, --half-width needs --method likelihood" in of_a_model
 
 
 def test_many_edges_in_one_run(edge, photograph, tmp_path):

@@ -139,7 +139,7 @@ def test_other_results_go_where_they_can(folder, tmp_path):
         assert not (tmp_path / new).exists()
     table = read_merl(folder / "a.binary")
     write_netcdf(tmp_path / "corrected.nc", xr.Dataset({"brdf": table, "brdf_std": table}))
-    with pytest.raises(ArgumentError, match=r"convert the \.binary file that `matcam correct` writes"):
+    with pytest.raises(ArgumentError, match=r"convert the \.binary file that `matcam correct` or"):
         convert(tmp_path / "corrected.nc", tmp_path / "c.bsdf")
     (tmp_path / "s.csv").write_text("theta_h_rad,theta_d_rad,phi_d_rad,R_per_sr\n0.1,0.2,0.3,1\n")
     with pytest.raises(ArgumentError, match="scattered samples cannot be stored"):

@@ -1,6 +1,7 @@
 """Rendered spheres: how bright a known one is, pixel by pixel; the command."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -9,7 +10,8 @@ from matcam import GGX, Microfacet
 from matcam.cli import _run
 from matcam.core.errors import ArgumentError
 from matcam.exchange import adaptive_grid, rendered_sphere
-from matcam.io import read_exr, write_exr, write_rgl
+from matcam.forward import true_table
+from matcam.io import read_exr, write_exr, write_netcdf, write_rgl
 
 WHITE = Microfacet(GGX(0.3), 0.0, 1.0)
 
@@ -45,6 +47,14 @@ def test_two_spheres_under_an_environment(coloured, tmp_path, capsys):
     found = json.loads(capsys.readouterr().out)
     assert list(found["mean_radiance"]) == ["a.bsdf", "a.bsdf (2)"]
     assert (tmp_path / "two.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_negative_noise_is_named(tmp_path, capsys):
+    table = true_table(Microfacet(GGX(0.3), 0.9))
+    noise = np.random.default_rng(0).normal(0, 1e-3, table.shape)
+    write_netcdf(tmp_path / "noisy.nc", (0 * table + noise).to_dataset(name="brdf"))
+    assert _run(["render", str(tmp_path / "noisy.nc"), "-o", str(tmp_path / "a.exr"), *SMALL]) == 0
+    assert re.search(r"note: noisy\.nc: (2|3|4|5)\d% of the values are negative", capsys.readouterr().out)
 
 
 def test_the_command(coloured, tmp_path, capsys):

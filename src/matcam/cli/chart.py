@@ -10,6 +10,7 @@ import typer
 
 from matcam.cli import show
 from matcam.cli.options import AsJson, Force, option
+from matcam.core.errors import ArgumentError
 from matcam.core.io import check_output, check_picture
 
 
@@ -24,7 +25,10 @@ def command(
         Path,
         option("--output -o", "FILE", "Page to write (.pdf, .svg, .png); its description is written beside it."),
     ] = Path("chart.pdf"),
-    page: Annotated[Literal["a4", "a3", "letter"], typer.Option("--page", help="Paper format, landscape.")] = "a4",
+    page: Annotated[
+        Literal["a4", "a3", "letter"] | None,
+        typer.Option("--page", help="Paper format, landscape. Default: a4."),
+    ] = None,
     size: Annotated[
         tuple[float, float] | None,
         option("--size", "WIDTH HEIGHT", "Size of a page of another format, mm."),
@@ -43,9 +47,11 @@ def command(
     from matcam.calibration.chart.chart_file import description_path, is_description_of, write_chart
     from matcam.calibration.chart.chart_layout import design_chart
 
+    if page and size:
+        raise ArgumentError("--page and --size both specify the size of the page: give one of them")
     description = description_path(output)
     check_picture(output, force=force)
-    chart = design_chart(kinds or ["squares", "bars", "star", "dots"], page=size or page, pixels_across=pixels)
+    chart = design_chart(kinds or ["squares", "bars", "star", "dots"], page=size or page or "a4", pixels_across=pixels)
     described = is_description_of(description, chart)
     check_output(description, force=force or described)
     with show.working(f"{output}: drawing the chart"):

@@ -56,7 +56,10 @@ def command(
     cfa: Mosaic = None,
     channel: Annotated[
         Literal["R", "G", "B", "Y", "all"] | None,
-        typer.Option("--channel", help="Colour to measure. Y: luminance; all: each colour in turn. Default: Y."),
+        typer.Option(
+            "--channel",
+            help="Colour to measure. Y: luminance; all: each colour in turn. Default: Y. A mosaic requires R, G or B.",
+        ),
     ] = None,
     tone: Annotated[
         Literal["linear", "srgb", "auto"],
@@ -107,6 +110,16 @@ def command(
             one = "one channel of one region of one image" if several else "--method likelihood"
             instead = "give one image, one region and one channel" if several else "omit --method iso12233"
             raise ArgumentError(f"{name} needs {one}: omit this option, or {instead}")
+    of_a_model = {
+        "--model": model != "gaussian",
+        "--wavelength": wavelength is not None,
+        "--pitch": pitch is not None,
+        "--half-width": half_width != 0.5,
+        "--accept-sharpened": accept_sharpened,
+    }
+    if method == "iso12233" and any(of_a_model.values()):
+        named = ", ".join(name for name, one in of_a_model.items() if one)
+        raise ArgumentError(f"{named} needs --method likelihood: omit this option, or omit --method iso12233")
     if roi is not None and rois is not None:
         raise ArgumentError("--roi and --rois both specify regions: give one of them")
     if output:

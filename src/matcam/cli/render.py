@@ -14,6 +14,9 @@ from matcam.cli.options import AsJson, Force, Sampling, option, use_caches
 from matcam.core.errors import ArgumentError
 from matcam.core.io import check_output, check_picture
 
+_NOISY = 0.01
+"""Share of negative values above which a note states how they are rendered."""
+
 
 def command(
     files: Annotated[
@@ -69,10 +72,17 @@ def command(
     from matcam.files.float_pictures import write_exr
 
     use_caches()
-    pictures = {}
+    pictures, notes = {}, []
     for number, file in enumerate(files):
         with show.working(f"rendering {file.name}"):
-            material = material_of(read_contents(file, sampling))
+            contents = read_contents(file, sampling)
+            negative = 0.0 if contents.brdf is None else float((contents.brdf.values < 0).mean())
+            if negative > _NOISY:
+                notes.append(
+                    f"{file.name}: {negative:.0%} of the values are negative because of noise; they are rendered as 0, which "
+                    "brightens the sphere away from the highlight"
+                )
+            material = material_of(contents)
             angle = math.radians(lamp_angle)
             picture = rendered_sphere(material, lamp_angle=angle, environment=environment, size=size, samples=samples)
         pictures[file.name if file.name not in pictures else f"{file.name} ({number + 1})"] = picture
@@ -86,3 +96,4 @@ def command(
         show.as_json({"output": str(target), "files": files, "light": light, "mean_radiance": means})
     else:
         show.say(f"{', '.join(f.name for f in files)}, {light}: {target}")
+        show.notes(notes)

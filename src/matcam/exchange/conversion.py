@@ -101,7 +101,8 @@ def convert(
     if contents.content == "result" and "brdf" in contents.data and "result" not in form.written:
         raise ArgumentError(
             f"{source} contains a table and its standard deviations, which cannot be stored in {form.suffixes[0]}: convert the "
-            f".binary file that `matcam correct` writes, or use {', '.join(suffixes_for('result'))}"
+            ".binary file that `matcam correct` or `matcam reconstruct` writes with it, or use "
+            f"{', '.join(suffixes_for('result'))}"
         )
     contents, details = _resample(contents, form, sampling, square, error)
     form.writer(contents.content)

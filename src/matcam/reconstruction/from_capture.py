@@ -91,6 +91,10 @@ def reconstruct(
     kind = capture.settings["sample"]["kind"]
     if rig_from is not None and kind != "sphere":
         raise ArgumentError(f"rig_from requires photographs of a sphere, but sample.kind is {kind}: omit rig_from")
+    if kind == "flat" and not diffuse:
+        raise ArgumentError(
+            "diffuse must be True for a flat sample, whose result has a map of the diffuse albedo, got False: omit --no-diffuse"
+        )
     kept = None if keep is None else KeptWork(Path(keep))
     if kind == "flat":
         return reconstruct_flat(capture, ndf, masking=masking, progress=progress, workers=workers, kept=kept)

@@ -348,7 +348,8 @@ def sites_of(cfa: str, channel: str | None) -> np.ndarray:
     """Compute the mask (2, 2) of the sites of a colour in the first 2 x 2 px of a mosaic."""
     checks.choice("cfa", cfa, CFAS)
     if channel not in ("R", "G", "B"):
-        raise ArgumentError(f"channel must be one of 'R', 'G', 'B' with a mosaic, got {channel!r}")
+        given = "none is given" if channel is None else f"got {channel!r}"
+        raise ArgumentError(f"channel must be one of 'R', 'G', 'B' with a mosaic, {given}")
     return np.array(list(cfa)).reshape(2, 2) == channel
 
 

@@ -353,7 +353,7 @@ def _without_outliers(fit: DotFit) -> DotFit:
     moved = np.hypot(fit.parameters[:, 4] - fit.lattice.x, fit.parameters[:, 5] - fit.lattice.y)
     good = (
         (np.abs(square - centre) < SIGNIFICANT * spread)
-        & (np.abs(content / np.median(content) - 1) < 0.5)
+        & (np.abs(content - np.median(content)) < 0.5 * np.abs(np.median(content)))
         & (moved < 2)
     )
     good &= np.isfinite(std) & (square > 1.01 * _RANGE[0] ** 2) & (np.abs(content) > SIGNIFICANT * fit.std[:, 3])

@@ -51,7 +51,7 @@ class FlatReconstruction(Summarised):
             over frequency_y and frequency_x (cycles/px). `specular_error` and `specular_resolved` are the corresponding arrays
             of `specular`.
         parameters: value and standard deviation of the roughness `alpha`, and of the means `mean_diffuse` and
-            `mean_specular` of the maps.
+            `mean_specular` of all texels. The maps omit the texels at the border, so their means differ slightly.
         cutoffs: frequencies along the rows and across them up to which a map is resolved, cycles/px, by the name of the map.
         mm_per_px: size of a texel, mm; None: unknown.
         family: family of the lobe.
