@@ -7,7 +7,7 @@ import pytest
 
 from matcam import Camera, GaussianOptics
 from matcam.acquisition.merged_picture import MergedPicture
-from matcam.core.errors import FitError
+from matcam.core.errors import ArgumentError, FitError
 from matcam.reconstruction.flat.flat_reconstruction import reconstructed_flat
 from matcam.reconstruction.flat.flat_stack import FlatPicture
 from matcam.reconstruction.from_capture import reconstruct
@@ -120,7 +120,10 @@ def test_the_reference_divides_the_pictures(tmp_path):
         electrons = np.full(STAND.shape, 9000 * gain / max(drawn.truth["gains"]))
         drawn.frames[file] = np.round(256 + 0.5 * rng.poisson(electrons)).astype(np.uint16)
         drawn.rows.append({"file": file, "lamp": f"L{number:02d}", "exposure": "E0", "time_s": "0.001"})
-    found = reconstruct(drawn.write(tmp_path), "ggx")
+    folder = drawn.write(tmp_path)
+    with pytest.raises(ArgumentError, match="diffuse = False cannot be given for a flat sample"):
+        reconstruct(folder, "ggx", diffuse=False)
+    found = reconstruct(folder, "ggx")
     alpha, std = found.parameters["alpha"]
     assert abs(alpha - STAND.alpha) < 4 * std < 0.1 * STAND.alpha
     assert found.misfit == pytest.approx(1, abs=0.1)

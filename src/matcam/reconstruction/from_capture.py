@@ -93,7 +93,7 @@ def reconstruct(
         raise ArgumentError(f"rig_from requires photographs of a sphere, but sample.kind is {kind}: omit rig_from")
     if kind == "flat" and not diffuse:
         raise ArgumentError(
-            "diffuse must be True for a flat sample, whose result has a map of the diffuse albedo, got False: omit --no-diffuse"
+            "diffuse = False cannot be given for a flat sample, whose result has a map of the diffuse albedo: omit --no-diffuse"
         )
     kept = None if keep is None else KeptWork(Path(keep))
     if kind == "flat":
