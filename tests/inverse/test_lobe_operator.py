@@ -78,16 +78,15 @@ def test_against_the_oracle(radius, rms, worst):
         assert np.abs(error[there]).max() < worst
 
 
-@pytest.mark.parametrize("axes", [(), (prior_axis("optics.sigma_px", rigs.merl(), 0.05),)], ids=["exact", "uncertain"])
-def test_a_lobe_far_narrower_than_a_pixel_is_resolved_up_to_the_limb(axes):
-    """A lobe of 0.08 px: peaks against the response of `peak_response`, from which coarse nodes differ by up to 6 %."""
+def test_a_lobe_far_narrower_than_a_pixel_is_resolved_up_to_the_limb():
+    """A lobe of 0.08 px: peaks against the response of `peak_response`, which is up to 4 % off with coarse nodes."""
     theta_d = np.radians([30.0, 60, 76, 79, 80, 80.5, 81, 82, 83, 84, 85, 86, 87])
     cells, ndf = peak_cells(sample_view(rigs.merl()), theta_d), GGX(3e-4)
-    operator = operator_in(rigs.merl(), cells, axes, "peaks of a narrow lobe", Workspace(None))
+    operator = operator_in(rigs.merl(), cells, (), "peaks of a narrow lobe", Workspace(None))
     true = point_operator(cells).record(ndf, "smith", ())
     response = peak_response(rigs.merl(), ndf, theta_d, exact=True)
-    ratio = np.asarray(operator.record(ndf, "smith", np.zeros(len(axes)))) / true / np.reshape(response, (-1, 1))
-    assert np.abs(ratio - 1).max() < 3e-4
+    ratio = np.asarray(operator.record(ndf, "smith", ())) / true / np.reshape(response, (-1, 1))
+    assert np.abs(ratio - 1).max() < 1e-4
 
 
 @pytest.mark.parametrize(("alpha", "seen", "grazing"), [(0.03, 2e-4, 2e-3), (0.1, 6e-4, 3e-3), (0.3, 4e-4, 4e-3)])

@@ -204,8 +204,7 @@ def _sphere_rules(
     sphere = view.on_sphere
     own = scale if np.min(widths[0].reaches[0]) > _SURROUNDINGS[0] else scale._replace(largest=np.inf)
     widest, onto = (one.scaled(scale) for one in sphere_range(sphere, windows))
-    other_windows = np.any(widths[0].reaches[0] != windows.half, axis=0)
-    onto = onto.limited(scale, other_windows | foreshortened(sphere, windows, widest.low > 0))
+    onto = onto.limited(scale, foreshortened(sphere, windows, widest.low > 0))
 
     def rules(through: PixelBlurs, numbers: Sequence[int], at: WindowArcs) -> list[SphereRule]:
         kernels = [

@@ -30,7 +30,7 @@ records of such lobes differ by at most 1e-7 of the peak, and by 1e-4 at a fifth
 """
 NODE_RULE = (
     f"masking at every node, weights of 40 circles, or 160 or 240 at the limb, on {_LOCAL} nodes from the nearest point, "
-    f"scale {_LARGEST_SCALE:g}, of transferred weights that of normal view"
+    f"scale {_LARGEST_SCALE:g}, at the limb that of normal view"
 )
 """Name of the transfer of weights to nodes, in the description of a stored rule."""
 _RING_WINDOWS = 4
@@ -73,13 +73,13 @@ class Scale(NamedTuple):
         largest: largest scale, rad, which is reached at normal view; infinite: no limit.
         shrink: ratio of the scale to that determined by the range of angles, no unit. It is below 1 if the blur covers a
             large angle, as on a small sample, because a lobe covers the same angle on samples of all sizes.
-        transferred: largest scale where weights are transferred to the nodes, rad: the scale at normal view. The nodes then
-            must resolve a narrow lobe.
+        at_limb: largest scale in windows at the limb, rad: the scale at normal view. There the weights of a narrow lobe are
+            transferred to the nodes, which therefore must resolve the lobe.
     """
 
     largest: float
     shrink: float
-    transferred: float
+    at_limb: float
 
     @classmethod
     def of(cls, radius: float, reach: float, *, single: bool = False) -> Scale:
@@ -164,13 +164,10 @@ class ThetaRange(NamedTuple):
     def scaled(self, scale: Scale) -> ThetaRange:
         return self._replace(largest_scale=np.minimum(scale.largest, scale.limit(self.high)))
 
-    def limited(self, scale: Scale, transferred: np.ndarray) -> ThetaRange:
-        """Limit the scale of pixels whose weights are transferred to the nodes.
-
-        transferred: True for these pixels, (pixels,).
-        """
-        limited = np.minimum(self.largest_scale, scale.transferred)
-        return self._replace(largest_scale=np.where(transferred, limited, self.largest_scale))
+    def limited(self, scale: Scale, at_limb: np.ndarray) -> ThetaRange:
+        """Limit the scale in windows at the limb. at_limb: True for these windows, (pixels,)."""
+        limited = np.minimum(self.largest_scale, scale.at_limb)
+        return self._replace(largest_scale=np.where(at_limb, limited, self.largest_scale))
 
     def parts(self) -> list[ThetaRange]:
         """Divide the range into parts whose nodes resolve diffraction rings."""
