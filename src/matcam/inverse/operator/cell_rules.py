@@ -23,14 +23,7 @@ from matcam.inverse.operator.cylinder_rule import CylinderRule, LinePixels, cyli
 from matcam.inverse.operator.line_rule import ARMS, ImagePositions, line_rule
 from matcam.inverse.operator.pixel_blurs import PixelBlurs, gaussian_blurs, residual_blurs
 from matcam.inverse.operator.sample_view import SampleView, sample_view
-from matcam.inverse.operator.sphere_rule import (
-    Kernel,
-    SphereRule,
-    WindowArcs,
-    foreshortened,
-    sphere_range,
-    sphere_rules,
-)
+from matcam.inverse.operator.sphere_rule import Kernel, SphereRule, WindowArcs, sphere_range, sphere_rules
 from matcam.inverse.operator.theta_nodes import (
     NODES,
     PIECE,
@@ -204,7 +197,6 @@ def _sphere_rules(
     sphere = view.on_sphere
     own = scale if np.min(widths[0].reaches[0]) > _SURROUNDINGS[0] else scale._replace(largest=np.inf)
     widest, onto = (one.scaled(scale) for one in sphere_range(sphere, windows))
-    onto = onto.limited(scale, foreshortened(sphere, windows, widest.low > 0))
 
     def rules(through: PixelBlurs, numbers: Sequence[int], at: WindowArcs) -> list[SphereRule]:
         kernels = [

@@ -226,15 +226,15 @@ class WindowArcs(NamedTuple):
             circles: range of the angle from the normal of the highlight in which the circles lie.
         """
         angle, step = circles.nodes(NODES)
-        more = foreshortened(view, windows, circles.low > 0)[:, None]
-        if np.any(more):
+        foreshortened = _foreshortened(view, windows, circles.low > 0)[:, None]
+        if np.any(foreshortened):
             # the length of arcs varies with the square root of the distance to a circle that touches limb or terminator; in a
             # distant rig both touch the same circle
             touching = np.sort(touching_angles(view, windows, about_highlight(windows))[:, [0, 2]], axis=1)
             divided = circles.nodes(_MORE_CIRCLES, list(touching.T[: 1 if view.distant else 2]))
             wider = (0, 0), (0, divided[0].shape[1] - angle.shape[1])
-            angle = np.where(more, divided[0], np.pad(angle, wider, mode="edge"))
-            step = np.where(more, divided[1], np.pad(step, wider))
+            angle = np.where(foreshortened, divided[0], np.pad(angle, wider, mode="edge"))
+            step = np.where(foreshortened, divided[1], np.pad(step, wider))
         found = []
         for begin in range(0, angle.shape[0], CHUNK):
             part = slice(begin, begin + CHUNK)
@@ -249,7 +249,7 @@ class WindowArcs(NamedTuple):
         return cls(windows, CircleLayout(about_highlight(windows), everywhere, circles_of, arcs))
 
 
-def foreshortened(view: SphereView, windows: Windows, outside: np.ndarray) -> np.ndarray:
+def _foreshortened(view: SphereView, windows: Windows, outside: np.ndarray) -> np.ndarray:
     """Check whether foreshortening varies strongly in each window: limb or terminator are inside, or close.
 
     Close is sufficient only for windows whose highlight is `outside`. In other windows the circles of `NODES` are more

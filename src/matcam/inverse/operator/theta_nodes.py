@@ -30,7 +30,7 @@ records of such lobes differ by at most 1e-7 of the peak, and by 1e-4 at a fifth
 """
 NODE_RULE = (
     f"masking at every node, weights of 40 circles, or 160 or 240 at the limb, on {_LOCAL} nodes from the nearest point, "
-    f"scale {_LARGEST_SCALE:g}, at the limb that of normal view"
+    f"scale {_LARGEST_SCALE:g}"
 )
 """Name of the transfer of weights to nodes, in the description of a stored rule."""
 _RING_WINDOWS = 4
@@ -73,13 +73,10 @@ class Scale(NamedTuple):
         largest: largest scale, rad, which is reached at normal view; infinite: no limit.
         shrink: ratio of the scale to that determined by the range of angles, no unit. It is below 1 if the blur covers a
             large angle, as on a small sample, because a lobe covers the same angle on samples of all sizes.
-        at_limb: largest scale in windows at the limb, rad: the scale at normal view. There the weights of a narrow lobe are
-            transferred to the nodes, which therefore must resolve the lobe.
     """
 
     largest: float
     shrink: float
-    at_limb: float
 
     @classmethod
     def of(cls, radius: float, reach: float, *, single: bool = False) -> Scale:
@@ -91,7 +88,7 @@ class Scale(NamedTuple):
             single: True if there are no wider kernels with the same nodes, so that only `shrink` limits the scale.
         """
         own = float(np.sqrt(2) * reach / radius / _RANGE_PER_SCALE)
-        return cls(np.inf if single else min(own, _LARGEST_SCALE), min(1.0, _LARGEST_SCALE / own), own)
+        return cls(np.inf if single else min(own, _LARGEST_SCALE), min(1.0, _LARGEST_SCALE / own))
 
     def limit(self, high: Any) -> Any:
         """Compute the upper limit of the scale, rad, of a range of angles whose largest angle is `high`, rad."""
@@ -163,11 +160,6 @@ class ThetaRange(NamedTuple):
 
     def scaled(self, scale: Scale) -> ThetaRange:
         return self._replace(largest_scale=np.minimum(scale.largest, scale.limit(self.high)))
-
-    def limited(self, scale: Scale, at_limb: np.ndarray) -> ThetaRange:
-        """Limit the scale in windows at the limb. at_limb: True for these windows, (pixels,)."""
-        limited = np.minimum(self.largest_scale, scale.at_limb)
-        return self._replace(largest_scale=np.where(at_limb, limited, self.largest_scale))
 
     def parts(self) -> list[ThetaRange]:
         """Divide the range into parts whose nodes resolve diffraction rings."""
