@@ -16,7 +16,7 @@ def cylinder_remarks(capture: Capture) -> list[Remark]:
     """
     found, size = direction_remarks(capture), frame_size(capture)
     for number, (first, last) in enumerate(capture.settings["sample"]["strip_rows_px"] or (), 1):
-        if size is not None and (first < 0 or last >= size[1]):
+        if size is not None and last >= size[1]:
             text = (
                 f"strip {number} has the rows {first} to {last}, but the frames have the rows 0 to {size[1] - 1}: correct "
                 "sample.strip_rows_px"

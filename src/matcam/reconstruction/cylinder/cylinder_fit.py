@@ -86,7 +86,6 @@ def cylinder_pixels(
     count = max(row_count(strips, ball, one.base, far, alphas) for (ball, far), one in zip(balls, frames, strict=True))
     model = ProfileModel(
         kind=kind,
-        channels=layout.channels,
         blur=blur_of(Rig(scene.camera, Sphere(scene.radius))),
         positions=turns,
         weights=weights,

@@ -36,7 +36,6 @@ class ProfileModel(eqx.Module):
 
     Attributes:
         kind: family, masking and splines of the lobe.
-        channels: number of colours. The record at unit strength is the same for all colours.
         blur: kernel of the camera, with a lens that is a sum of Gaussians.
         positions: positions on the source disc, as rotations of the direction to the lamp, rad, (points, 2).
         weights: weights of these positions, (points,); their sum is 1.
@@ -45,7 +44,6 @@ class ProfileModel(eqx.Module):
     """
 
     kind: LobeKind = eqx.field(static=True)
-    channels: int = eqx.field(static=True)
     blur: Blur
     positions: np.ndarray
     weights: np.ndarray
