@@ -89,6 +89,20 @@ def compiled_once():
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
 
 
+_RULES = 1000
+"""Largest number of stored rules, more than one run of the tests computes."""
+
+
+@pytest.fixture(scope="session", autouse=True)
+def rules_once():
+    """Quadrature rules of rigs are shared between test files, test processes and commands, as commands of a user share them."""
+    from matcam.core.workspace import Workspace, default_workspace
+
+    object.__setattr__(default_workspace(), "folder", Workspace.user().folder)
+    for workspace in (default_workspace(), Workspace.user()):
+        object.__setattr__(workspace, "files", _RULES)
+
+
 _COMPUTE = ("batch", "cli", "figures", "inverse", "forward/test_measurement.py")
 """What computes more than it compiles; programs that XLA has not optimised run up to ten times longer."""
 

@@ -186,7 +186,8 @@ def test_a_failure_is_not_kept():
 
 def test_the_default_is_one_and_writes_nothing():
     assert default_workspace() is default_workspace()
-    assert default_workspace().folder is None
+    made = default_workspace.__wrapped__()  # the tests have given that of their process a folder
+    assert made.folder is None
 
 
 def test_the_user_s_folder_is_where_the_system_has_it(tmp_path, monkeypatch):
