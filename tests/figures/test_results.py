@@ -11,6 +11,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 import matcam
+from matcam.camera import Uncertainty
 from matcam.core.errors import ArgumentError
 from matcam.core.remark import Remark
 from matcam.core.results.labelled import named
@@ -22,6 +23,9 @@ from matcam.reconstruction import FlatReconstruction, Reconstruction
 from tests.oracle import slanted_edge
 
 RIG = matcam.rigs.merl()
+EXACT = matcam.Rig(
+    matcam.Camera(RIG.camera.optics, RIG.camera.pixel, uncertainty=Uncertainty.of({"optics.sigma_px": 0.0})), RIG.sample
+)  # its rules are those of other tests
 TABLE = matcam.io.example_table()
 F = np.linspace(0.05, 0.5, 10)
 STAR = matcam.targets.MTFSamples(
@@ -46,17 +50,17 @@ def results(sensor):
     for name in ("theta_h", "theta_d", "phi_d"):
         table[name].attrs = {"units": "rad"}
     before = table.copy(deep=True)
-    done = Correction.of(table, RIG, "ggx")
+    done = Correction.of(table, EXACT, "ggx")
     calibration = matcam.calibrate([], samples=[STAR])
     return {
         "camera": RIG.camera,
         "edge": matcam.edge_mtf(slanted_edge.photographs(slanted_edge.gaussian(0.5), 100, 1, 3)[0]),
-        "fit": done.fit,
+        "fit": matcam.fit(table, RIG, "ggx", slice_step=18),
         "correction": done,
         "calibration": calibration,
         "camera fit": calibration.channels["grey"],
         "sensor": sensor,
-        "Fresnel term": matcam.fresnel(table, RIG, "ggx", slice_step=6).matcam,
+        "Fresnel term": matcam.fresnel(table, EXACT, "ggx", slice_step=6).matcam,
         "corrected table": done.table.matcam,
         "bounds": matcam.limits(RIG, roughness=[0.005, 0.05], slice_step=30).matcam,
         "prediction": matcam.predict(RIG, [matcam.GGX(0.005), matcam.GGX(0.02)]).matcam,
