@@ -7,7 +7,7 @@ import pytest
 
 from matcam import GGX, Sphere, metal, rigs
 from matcam.core.jax import jnp
-from matcam.core.workspace import Workspace
+from matcam.core.workspace import Workspace, default_workspace
 from matcam.forward.measurement import CHROMIUM_WIDTH, simulated_chromium
 from matcam.inverse import Correction
 from matcam.inverse.correction.corrected_table import supported_values
@@ -28,7 +28,7 @@ def cosines(theta_h, theta_d, phi_d):
 def test_the_response_of_a_highlight_agrees_with_the_oracle_to_the_limb():
     """GGX 0.006, entries within 0.65 px of the limb in at least one of both images."""
     alpha = 0.006
-    lattice = response_lattice(rigs.merl(), "centre", FINE, (), Workspace())
+    lattice = response_lattice(rigs.merl(), "centre", FINE, (), default_workspace())
     recorded, true = (op.record(GGX(alpha), "smith", jnp.zeros(0)) for op in (lattice.recorded, lattice.true))
     ok = lattice.cells.valid
     found = np.exp(on_table(np.log(np.where(ok, recorded, 1.0)) - np.log(np.where(ok, true, 1.0)), lattice))
@@ -48,8 +48,8 @@ def test_the_response_of_a_highlight_agrees_with_the_oracle_to_the_limb():
 @pytest.mark.parametrize("alpha", [0.003, 0.1])
 def test_the_limb_does_not_change_entries_pixels_away(alpha):
     """Entries far from the highlight, within 8 px of the limb: between the slices of the lattice they changed by up to 60 %."""
-    workspace, random = Workspace(entries=0), np.random.default_rng(0)
-    lattice = response_lattice(rigs.merl(), "centre", FINE, (), workspace)
+    random = np.random.default_rng(0)
+    lattice = response_lattice(rigs.merl(), "centre", FINE, (), default_workspace())
     lowest = np.min(cosines(THETA_H[:, None, None], THETA_D[:, None], PHI_D), axis=0)
     slices = np.arange(2, 80, 4)
     far = seen_cells(lattice) & (lowest < 0.25) & (np.arange(90) >= 20)[:, None, None]
@@ -62,7 +62,7 @@ def test_the_limb_does_not_change_entries_pixels_away(alpha):
         shown, own = (np.where(cells.valid, one.record(GGX(alpha), "smith", ()), 1.0) for one in (recorded, true))
         return np.log(shown / own)
 
-    direct = operator_in(rigs.merl(), cells, (), "far entries", workspace)
+    direct = operator_in(rigs.merl(), cells, (), "far entries", Workspace(entries=0))
     expected = log_response(direct, point_operator(cells), cells)
     found = on_table(log_response(lattice.recorded, lattice.true, lattice.cells), lattice)
     error = found[i, slices[:, None], k] - expected
