@@ -25,8 +25,8 @@ from tests.oracle import aberrated
 from tests.oracle.airy_record import AROUND, recorded_way
 
 PARTS = (550e-9, 6.7e-6)
-SLICE = 1
-"""Of three: theta_d is 45.5 degrees."""
+EVERY = 90
+"""The only slice is at theta_d = 45.5 degrees."""
 
 
 def turned_pair(pair, order, azimuth):
@@ -49,18 +49,19 @@ def errors(lens, alphas, positions, azimuth=0.0):
         pupil = aberrated.Pupil(cutoff, float(lens.defocus), **pairs, spherical=float(lens.spherical))
         kernel = aberrated.seen_by_pixel(pupil, AROUND + 1)
     cells, operator = lobe_operator(
-        Rig(Camera(lens, BoxPixel()), Sphere(256.0), lamp_azimuth=azimuth), "centre", 30, (), Workspace()
+        Rig(Camera(lens, BoxPixel()), Sphere(256.0), lamp_azimuth=azimuth), "centre", EVERY, (), Workspace()
     )
-    away = np.where(cells.valid[SLICE], 256.0 * cells.theta_h[SLICE], np.inf)
+    assert cells.theta_d.shape == (1,)
+    away = np.where(cells.valid[0], 256.0 * cells.theta_h[0], np.inf)
     chosen = [int(np.argmin(np.abs(away - position))) for position in positions]
     found = []
     for alpha in alphas:
-        recorded = np.asarray(operator.record(GGX(alpha), "smith", np.zeros(0)))[SLICE, chosen]
+        recorded = np.asarray(operator.record(GGX(alpha), "smith", np.zeros(0)))[0, chosen]
         truth = [
             np.mean(
                 [
                     recorded_way(
-                        cells.theta_h[SLICE, j], cells.theta_d[SLICE], cells.phi_d[SLICE, j] + turn, alpha, cutoff,
+                        cells.theta_h[0, j], cells.theta_d[0], cells.phi_d[0, j] + turn, alpha, cutoff,
                         kernel=kernel,
                     )
                     for turn in (0, np.pi)
