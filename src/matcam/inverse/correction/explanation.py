@@ -46,8 +46,6 @@ _STIFF = 0.125
 """Share of the half width of a lobe below which its spline modification is stiff, because broad lobes have no finer
 structure.
 """
-_RANKED_STEP = 3 * SEARCH_STEP
-"""Spacing of the slices in which the explanations are compared."""
 _SMOOTH_CORES = ("ggx", STUDENT)
 """Families to which a spline modification may be applied. Unlike the lobe of EPD they have no cusp, which no pixel could
 resolve.
@@ -240,7 +238,7 @@ def explain(setup: FitSetup, located: LocatedRig, ndf: str) -> Explanation:
     """
     rig, slice_step = located.rig, setup.slice_step
     families = CANDIDATES if ndf == AUTO else (ndf,)
-    few = setup.with_(slice_step=max(_RANKED_STEP, slice_step))
+    few = setup.with_few_slices()
     try:
         ranked = [_solved(few.with_(ndf=family)) for family in families]
     except FitError:  # the values of the table lie in other slices

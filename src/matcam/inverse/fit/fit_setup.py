@@ -62,10 +62,10 @@ CAMERA_PARAMETERS: tuple[CameraParameters, ...] = ("fixed", "prior", "free")
 AUTO = "auto"
 """Default family of the lobe: the most probable of the candidates."""
 CANDIDATES = ("ggx", "epd")
-_LOOK_STEP = 3 * SEARCH_STEP
-"""Spacing of the slices of theta_d in which the starting points of a search are compared."""
+LOOK_STEP = 3 * SEARCH_STEP
+"""Spacing of the slices of theta_d in which starting points of a search and explanations are compared."""
 _LOOK_ROUNDS = 2
-"""Largest number of updates of the weights in the slices with spacing `_LOOK_STEP`; later updates use all slices."""
+"""Largest number of updates of the weights in the slices with spacing `LOOK_STEP`; later updates use all slices."""
 
 
 @dataclass(frozen=True)
@@ -101,6 +101,8 @@ class FitSetup:
         free_masking: True to fit G as any smooth function of the angle. Default: False.
         noise: noise of a pixel and of the image gain. Default: None, estimated from the residuals.
         slice_step: spacing of the slices of theta_d (no unit), from 1 to 30. Default: 1, all slices.
+        rule_step: spacing of the slices of a larger quadrature rule from which the rule of this setup is selected, for setups
+            that share the larger rule. Default: None, `slice_step`.
         view: sphere that defines the pixels if `rig` is None. Default: a radius of 256 px, distant camera and lamp.
         pixels: pixel grid from which cells are read if `rig` is None. Default: None, each cell has its own pixels.
         workspace: store of results that depend only on the rig. Default: None, the store of the process.
@@ -140,6 +142,7 @@ class FitSetup:
     free_masking: bool = False
     noise: PixelNoise | None = None
     slice_step: int = 1
+    rule_step: int | None = None
     view: SampleView = FAR_AWAY
     pixels: PixelGrid | None = None
     workspace: Workspace | None = None
@@ -154,6 +157,8 @@ class FitSetup:
         checks.choice("fresnel", self.fresnel, tuple(FRESNEL_MODELS))
         checks.choice("masking", self.masking, MASKINGS)
         checks.whole_number("slice_step", self.slice_step, 1, 30)
+        if self.rule_step is not None:
+            checks.whole_number("rule_step", self.rule_step, 1, self.slice_step)
         checks.scalar("spline", checks.within("spline", self.spline, 0, 10))
         for name in ("diffuse", "coated", "base", "per_channel", "nearby", "lens_shape", "free_masking"):
             checks.flag(name, getattr(self, name))
@@ -176,7 +181,7 @@ class FitSetup:
         """Copy the setup with changed fields.
 
         Args:
-            **changes: new values of fields, by name.
+            **changes: new values of fields, by name. A new `slice_step` resets `rule_step` to its default.
 
         Returns:
             The new setup.
@@ -185,7 +190,25 @@ class FitSetup:
             ArgumentError: a field is out of its range, or a fit does not support the rig.
             FitError: the cells of the first table contradict the rig.
         """
+        if "slice_step" in changes:
+            changes = {"rule_step": None, **changes}
         return dataclasses.replace(self, **changes)
+
+    def with_few_slices(self) -> FitSetup:
+        """Copy the setup with the slices of a first comparison.
+
+        Starting points and explanations are compared in these few slices. The slices with spacing `SEARCH_STEP` contain
+        them, so both share one rule.
+
+        Returns:
+            The new setup.
+
+        Example:
+            >>> setup.with_few_slices().slice_step  # doctest: +SKIP
+            18
+        """
+        shared = SEARCH_STEP if self.slice_step == SEARCH_STEP else None
+        return self.with_(slice_step=max(LOOK_STEP, self.slice_step), rule_step=shared)
 
     def solve(self, start: MaterialFit | None = None, *, weights: Literal["data", "start"] = "data") -> MaterialFit:
         """Find the best fit.
@@ -236,9 +259,9 @@ class FitSetup:
 
         The result is None if the setup itself has only these few slices or fewer, or if the fit in the few slices fails.
         """
-        if self.slice_step >= _LOOK_STEP:
+        if self.slice_step >= LOOK_STEP:
             return None
-        few = self.with_(slice_step=_LOOK_STEP)
+        few = self.with_few_slices()
         try:
             return few._search.best(rounds=_LOOK_ROUNDS)
         except FitError:  # the values of the table lie in other slices
@@ -306,7 +329,7 @@ class FitSetup:
     @property
     def _whole(self) -> WholeRule:
         """Slices and axes for which the rule is computed, including those of later fits."""
-        slice_step, axes = SEARCH_STEP if self.slice_step == _LOOK_STEP else self.slice_step, self.prior.axes
+        slice_step, axes = self.rule_step or self.slice_step, self.prior.axes
         refitted = self.axes_with_refits if slice_step >= SEARCH_STEP else axes
         return WholeRule(slice_step, refitted if set(axes) <= set(refitted) else axes)
 
