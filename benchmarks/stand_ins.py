@@ -70,7 +70,7 @@ def judged(table, workspace: Workspace) -> dict:
         "lens_px": done.fit.params.get(LENS), "lens_std_px": done.fit.std.get(LENS),
         "peak_supported": supported[0, peaks].mean(), "supported": done.supported_share,
         "correction_std": {str(a): std[0, a].max() for a in (5, 45, 75)},
-        "response": {str(a): done.table["response"].values[0, a, 90] for a in (5, 45, 75)},
+        "response": {str(a): done.table["response"].values[0, a, 90].mean() for a in (5, 45, 75)},
         "largest_change": np.abs(in_file).max(), "largest_change_unsupported": np.abs(in_file[~supported]).max(initial=0),
         "peaks_raised_beyond_2_std": int((in_table[0] > 2 * std[0] + 1e-9).sum()),
         "largest_change_in_table": np.abs(in_table).max(),

@@ -265,7 +265,7 @@ def prints_what_the_files_hold(ran):
     (stated,) = re.findall(r"(\d+)% of the entries with known uncertainty", ran.printed)
     assert float(stated) == pytest.approx(100 * share, abs=0.51)
     # light of the blurred highlight is part of the corrected peak, so it is not kept beside it
-    lowered = (data["response"].values > 1)[..., None] & (data["correction_std"].values < 0.05)
+    lowered = (data["response"].values > 1) & (data["correction_std"].values < 0.05)
     expected = np.where(supported | lowered, data["brdf"].values, recorded.values)
     np.testing.assert_allclose(values.values, expected, rtol=1e-12)
 

@@ -46,7 +46,7 @@ print(
 # `brdf` is the corrected table and `brdf_std` its standard deviation. `supported` marks entries whose correction is known to 5 %.
 # `response` is the ratio of recorded to true value.
 
-peak = found.table["response"].sel(theta_h=0, method="nearest").isel(phi_d=90)
+peak = found.table["response"].sel(theta_h=0, method="nearest").isel(phi_d=90).mean("channel")
 angles = np.degrees(found.table.theta_d)
 
 figure, axes = plt.subplots(figsize=(7, 3.8), layout="constrained")

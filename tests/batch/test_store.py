@@ -65,8 +65,7 @@ def test_a_damaged_store(tmp_path, count):
     rows = open_rows(store, ["a", "b"], "centre")
     table = xr.Dataset({name: (("x",), np.zeros(1)) for name in TABLE_ATTRIBUTES})
     for name in table:
-        shape = (90, 90, 180, 3)[: 3 if name == "response" else 4]
-        table[name] = xr.DataArray(np.zeros(shape), dims=[f"{name}{k}" for k in range(len(shape))])
+        table[name] = xr.DataArray(np.zeros((90, 90, 180, 3)), dims=[f"{name}{k}" for k in range(4)])
     rows["a"].write(table)
     assert read_row(store, 0)["brdf"].values.max() == 0
     number = itertools.count()
@@ -98,7 +97,7 @@ def test_a_response_of_each_colour(tmp_path):
     table = xr.Dataset(
         {name: (("a", "b", "c", "d"), values > 0.65 if name == "supported" else values) for name in TABLE_ATTRIBUTES}
     )
-    open_rows(tmp_path / "run.zarr", ["a"], "centre", colours=3)["a"].write(table)
+    open_rows(tmp_path / "run.zarr", ["a"], "centre")["a"].write(table)
     found = read_row(tmp_path / "run.zarr", 0)
     assert found["response"].dims == found["brdf"].dims
     np.testing.assert_array_equal(found["response"].values, values)

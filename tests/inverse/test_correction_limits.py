@@ -46,10 +46,16 @@ from tests.oracle.merl_lobe import conductor
 EVERY = 18
 
 
+def ratio_of(log, std, recorded=1.0):
+    """Ratio without a body, of which all entries are seen."""
+    log, one = np.asarray(log, dtype=float), np.ones(np.shape(log))
+    return LobeRatio(log, std * one, one.astype(bool), recorded * one, one, 0 * one)
+
+
 def test_what_is_known_stays_and_what_is_not_shrinks_to_the_recorded_value():
     log = np.array([2.0, 2.0, 2.0, -1.0, 0.0])
     std = np.array([0.01, 1.0, 3.0, 0.1, 0.5])
-    found = shrunk(LobeRatio(log, std, np.ones(log.shape, bool)), 0.0)
+    found = shrunk(ratio_of(log, std), 0.0)
     np.testing.assert_allclose(found.log, [2 - 5e-5, 1.5, 0, -0.99, 0], atol=1e-12)
     assert np.all(np.abs(found.log) <= np.abs(log))
     assert np.all(found.std >= std * (1 - 1e-12))
@@ -58,7 +64,7 @@ def test_what_is_known_stays_and_what_is_not_shrinks_to_the_recorded_value():
 
 
 def test_no_camera_takes_its_share():
-    sure = LobeRatio(np.array([1.0]), np.array([0.01]), np.array([True]))
+    sure = ratio_of([1.0], 0.01)
     half = shrunk(sure, 0.5)
     assert 0 <= half.log[0] < 0.5
     assert half.std[0] > 0.5
@@ -157,7 +163,7 @@ def test_a_ratio_below_the_noise_multiplies_nothing():
     shape = (90, 90, 180)
     recorded = np.ones(shape)
     recorded[50:] = 1e-20
-    ratio = LobeRatio(np.full(shape, np.log(4e15)), np.full(shape, 0.01), np.ones(shape, bool), recorded)
+    ratio = ratio_of(np.full(shape, np.log(4e15)), 0.01, recorded)
     found = above_noise(ratio, np.full(90, 1e-6))
     np.testing.assert_allclose(found.log[:50], np.log(4e15), rtol=1e-11)
     assert np.abs(found.log[50:]).max() < 1e-20
@@ -168,7 +174,7 @@ def corrected(brdf, supported, correction_std, response):
     """Dataset of a correction, as far as a file of values alone requires it."""
     arrays = {"supported": supported, "correction_std": correction_std}
     done = xr.Dataset({"brdf": brdf, **{name: (brdf.dims, array) for name, array in arrays.items()}})
-    return done.assign(response=(brdf.dims[:3], np.broadcast_to(response, brdf.shape[:3])))
+    return done.assign(response=(brdf.dims, np.broadcast_to(response, brdf.shape)))
 
 
 def test_a_file_that_cannot_say_what_is_supported_keeps_the_recorded_value():
@@ -198,8 +204,8 @@ def test_a_file_does_not_keep_the_light_of_a_highlight_beside_the_corrected_one(
     true[0], true[1:5] = 5000.0, 1e-6
     std = np.full(blurred.shape, np.nan)
     std[:5] = 0.01
-    response = np.ones(blurred.shape[:3])
-    response[:5] = blurred[:5, ..., 0] / true[:5, ..., 0]
+    response = np.ones(blurred.shape)
+    response[:5] = blurred[:5] / true[:5]
     table = brdf_table(blurred, "centre")
     done = corrected(table.copy(data=true), true > 1.0, std, response)
     np.testing.assert_array_equal(supported_values(done, table).values, true)

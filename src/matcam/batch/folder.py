@@ -180,7 +180,7 @@ class RunFolder:
         if not jobs:
             return list(waiting)
         recipe = jobs[0].recipe
-        rows = open_rows(self.zarr, [job.name for job in jobs], recipe.sampling, len(recipe.rig.colours))
+        rows = open_rows(self.zarr, [job.name for job in jobs], recipe.sampling)
         whole = whole_rows(self.zarr)
         later = {job.name for job in waiting}
         for job in jobs:

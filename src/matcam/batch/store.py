@@ -40,8 +40,6 @@ _VALUES: dict[str, tuple[type, dict[str, str]]] = {
 """Type and attributes of each variable. As in NetCDF, standard deviations have 7 digits."""
 _NAMES_A_CHUNK = 4096
 _SIZES = (*GRID_SHAPE, len(CHANNELS))
-_SHAPES = {name: (_SIZES[:3], _SIZES) if name == "response" else (_SIZES,) for name in _VALUES}
-"""Possible shapes of each variable of one material. The last is that for a rig with a lens for each colour."""
 
 
 class StoreRow(NamedTuple):
@@ -70,10 +68,8 @@ class StoreRow(NamedTuple):
             ) from None
 
 
-def open_rows(store: Path, names: Sequence[str], sampling: Sampling, colours: int = 1) -> dict[str, StoreRow]:
+def open_rows(store: Path, names: Sequence[str], sampling: Sampling) -> dict[str, StoreRow]:
     """Assign a row of a store to each material. The store is created or extended as needed.
-
-    `colours` is the number of lenses of the rig: 1, or one for each channel.
 
     An ArgumentError is raised if zarr is not installed. An OutputError is raised if the folder is not the Zarr store of a
     run, or cannot be written.
@@ -89,7 +85,7 @@ def open_rows(store: Path, names: Sequence[str], sampling: Sampling, colours: in
             if _ROW not in group:
                 if any(True for _ in group):
                     raise OutputError(f"output {store} is not the Zarr store of a run: choose another folder")
-                _create_arrays(group, sampling, colours)
+                _create_arrays(group, sampling)
             there = _stored(store, [_ROW])[_ROW].tolist()
             new = [name for name in names if name not in set(there)]
             if new:
@@ -193,18 +189,18 @@ def _check_arrays(store: Path) -> None:
             check_lengths(store, name, shape)
             if document["chunk_key_encoding"] != {"name": "default", "configuration": {"separator": "/"}}:
                 raise FileFormatError(f"{described}: the names of the chunks must be those of a run")
-            expected: list[tuple[tuple[int, ...], tuple[int, ...], str]]
+            expected: tuple[tuple[int, ...], tuple[int, ...], str]
             if name in _VALUES:
-                expected = [(sizes, (1, *sizes), np.dtype(_VALUES[name][0]).name) for sizes in _SHAPES[name]]
+                expected = (_SIZES, (1, *_SIZES), np.dtype(_VALUES[name][0]).name)
             elif name in (_ROW, _DONE):
-                expected = [((), (_NAMES_A_CHUNK if name == _ROW else 1,), "string" if name == _ROW else "bool")]
+                expected = ((), (_NAMES_A_CHUNK if name == _ROW else 1,), "string" if name == _ROW else "bool")
             else:
                 continue  # this array is never opened
             if shape[0] > _MOST_ROWS:
                 raise FileFormatError(
                     f"{described}: the array is for {shape[0]} materials, but a run has at most {_MOST_ROWS}"
                 )
-            if (shape[1:], chunks, kind) not in expected:
+            if (shape[1:], chunks, kind) != expected:
                 raise FileFormatError(
                     f"{described}: the array has the shape {shape} and type {kind!r:.20} in chunks of {chunks}, but must have "
                     "the shape, type and chunks of a run"
@@ -215,7 +211,7 @@ def _check_arrays(store: Path) -> None:
             ) from None
 
 
-def _create_arrays(group: Any, sampling: Sampling, colours: int) -> None:
+def _create_arrays(group: Any, sampling: Sampling) -> None:
     group.attrs["sampling"] = sampling
     for name, values in merl_grid(sampling)._asdict().items():
         array = group.create_array(
@@ -225,10 +221,9 @@ def _create_arrays(group: Any, sampling: Sampling, colours: int) -> None:
     channels = group.create_array("channel", shape=(len(CHANNELS),), dtype=str, dimension_names=("channel",))
     channels[:] = np.array(CHANNELS, dtype=object)
     for name, (kind, attributes) in _VALUES.items():
-        sizes = _SHAPES[name][-1 if colours > 1 else 0]
         group.create_array(
-            name, shape=(0, *sizes), chunks=(1, *sizes), dtype=kind, attributes=attributes,
-            fill_value=False if kind is bool else np.nan, dimension_names=(_ROW, *DIMS[: len(sizes)]),
+            name, shape=(0, *_SIZES), chunks=(1, *_SIZES), dtype=kind, attributes=attributes,
+            fill_value=False if kind is bool else np.nan, dimension_names=(_ROW, *DIMS),
         )  # fmt: skip
     meaning = {"long_name": "whether the row is complete"}
     group.create_array(_DONE, shape=(0,), chunks=(1,), dtype=bool, dimension_names=(_ROW,), attributes=meaning)

@@ -40,7 +40,6 @@ from matcam.figures.style import (
     inline_png,
     write_page,
 )
-from matcam.inverse.correction.corrected_table import responses
 from matcam.inverse.correction.correction import Correction
 from matcam.inverse.fresnel_term import fresnel_of_peaks
 from matcam.inverse.peak_curve import NORMALISED_OVER
@@ -99,7 +98,7 @@ def reflectance_figure(raw: xr.DataArray, done: Correction) -> Figure:
     fitted, std = curves["fresnel"].values[:, channel], curves["fresnel_std"].values[:, channel]
     low, high = NORMALISED_OVER
     scale = np.nanmean(fitted[(theta > low) & (theta < high)])  # negative where a lobe is only noise
-    angle, response = raw["theta_d"].values, responses(done.table)[0, :, raw.sizes["phi_d"] // 2].T
+    angle, response = raw["theta_d"].values, done.table["response"].values[0, :, raw.sizes["phi_d"] // 2].T
     masking = None if done.table.attrs["masking"] == "none" else done.table.attrs["masking"]
     used = (angle > low) & (angle < high)
     of_peaks = fresnel_of_peaks(raw, angle, done.fit.ndf, masking, response / response[:, :1], used)

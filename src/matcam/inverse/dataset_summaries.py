@@ -56,8 +56,7 @@ def corrected_summary(data: xr.Dataset) -> Summary:
     )
     theta = data["theta_d"].values
     rows = [int(np.argmin(np.abs(theta - np.radians(angle)))) for angle in _ANGLES]
-    response = data["response"].mean("channel") if "channel" in data["response"].dims else data["response"]
-    kept = response.transpose(*DIMS[:3]).values[0, :, len(data["phi_d"]) // 2]
+    kept = data["response"].mean("channel").transpose(*DIMS[:3]).values[0, :, len(data["phi_d"]) // 2]
     return Summary(
         _titled("Corrected table", data),
         verdict,

@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
+from scipy.ndimage import uniform_filter
 
 from matcam.camera.sensor import PixelNoise
-from matcam.core.grid import CORRECTED, Sampling, merl_grid, sampling_of
+from matcam.core.grid import CORRECTED, GRID_SHAPE, Sampling, merl_grid, sampling_of
 from matcam.core.results.labelled import named
 from matcam.inverse.correction.correction_limits import PEAK, ROWS, EnergyLimit, LobeRatio, above_noise, energy_limit
 from matcam.inverse.correction.farthest_glare import FarthestGlare
-from matcam.inverse.fit.body import Base, DiffusePart
 from matcam.inverse.fit.material_fit import MaterialFit
 from matcam.inverse.normalised_fresnel import GAIN
 from matcam.numerics.fit_budget import VariancePart
@@ -28,7 +28,7 @@ TABLE_ATTRIBUTES = {
     },
     "noise_std": {"units": "1/sr", "long_name": "standard deviation of brdf from pixel noise"},
     "supported": {"units": "1", "long_name": "True if the standard deviation of the correction is below 5 % of brdf"},
-    "response": {"units": "1", "long_name": "recorded / true lobe"},
+    "response": {"units": "1", "long_name": "recorded / true BRDF of the fitted material"},
 }
 """Attributes of the variables of a corrected table."""
 OPERATOR_ACCURACY = 1e-6
@@ -65,38 +65,17 @@ def corrected_table(
         Dataset of the corrected table, energy limit, and sources of the variance of the peaks.
     """
     data, sampling = brdf.values, sampling_of(brdf)
-    angles = _angles(sampling)
     peak = np.nanmax(np.where(np.isfinite(data), data, 0), axis=(0, 2))
-    ratio_of_lobes = above_noise(ratio_of_lobes, _noise_floor(found, noise, peak, sampling))
-    seen = ratio_of_lobes.seen
-    ratio = np.where(seen, np.exp(ratio_of_lobes.log), 1.0)
-    corrected, camera_std = np.empty_like(data), np.empty_like(data)
-    parts: list[VariancePart] = []
-    for rows in ROWS:
-        body, body_std = found.body(angles[0][rows], *angles[1:])
-        above, factor = data[rows] - body, ratio[rows]
-        corrected[rows] = body + above * factor
-        variance = (above * factor * ratio_of_lobes.std[rows]) ** 2
-        # the body is fitted to all slices together, whose images have independent gains
-        body_variance = body_std**2 + (noise.picture_gain * body) ** 2 / found.theta_d.size
-        added = (
-            VariancePart("glare", "B", (scattered.of(rows) ** 2 + (glare * data[rows]) ** 2) * factor**2),
-            VariancePart("body under the lobe", "A", body_variance * (factor - 1) ** 2, degrees=max(found.freedom, 1)),
-        )
-        for part in added:
-            variance += part.variance
-        if not parts:
-            scale = ((above * factor)[PEAK]) ** 2
-            parts = [one._replace(variance=one.variance * scale) for one in ratio_of_lobes.parts]
-            parts += [part._replace(variance=np.broadcast_to(part.variance, above.shape)[PEAK]) for part in added]
-        camera_std[rows] = np.where(seen[rows], np.sqrt(variance), np.nan)
+    ratio = above_noise(ratio_of_lobes, _noise_floor(found, noise, peak, sampling))
+    multiplied = _multiplied(data, _angles(sampling), found, noise, noise_share, peak, ratio, scattered, glare)
+    corrected, camera_std, factor, parts = multiplied
     limit = energy_limit(data, corrected, camera_std, sampling)
 
     total, correction_std, noise_std = (np.empty_like(data) for _ in range(3))
     supported = np.empty(data.shape, dtype=bool)
     for rows in ROWS:
-        recorded, known = data[rows], seen[rows] & np.isfinite(data[rows])
-        camera, factor = camera_std[rows], ratio[rows]
+        recorded, known = data[rows], ratio.seen[rows] & np.isfinite(data[rows])
+        camera, whole = camera_std[rows], factor[rows]
         if limit.acts:
             wanted = corrected[rows].copy()
             corrected[rows] = limit.of(rows, recorded, wanted, np.nan_to_num(camera))
@@ -104,15 +83,13 @@ def corrected_table(
             if rows.start == 0:
                 parts.append(VariancePart("energy limit", "B", (wanted - corrected[rows])[PEAK] ** 2))
         corrected[rows] = np.maximum(corrected[rows], 0.0)
-        pixels = noise_share[rows, ..., None] * (
-            (noise.relative * recorded) ** 2 + (noise.floor * peak[None, :, None, :]) ** 2
-        )
-        gains = (noise.picture_gain * recorded) ** 2 * factor**2
+        pixels = _pixel_variance(noise, noise_share[rows], recorded, peak)
+        gains = (noise.picture_gain * recorded) ** 2 * whole**2
         if rows.start == 0:
             kind: Any = "B" if found.noise_given else "A"
-            parts.append(VariancePart("noise of the pixels of the entry", kind, (pixels * factor**2)[PEAK]))
+            parts.append(VariancePart("noise of the pixels of the entry", kind, (pixels * whole**2)[PEAK]))
             parts.append(VariancePart(GAIN, kind, gains[PEAK]))
-        pixels = pixels * factor**2 + gains
+        pixels = pixels * whole**2 + gains
         camera, noise_std[rows] = (np.where(known, std, np.nan) for std in (camera, np.sqrt(pixels)))
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
             supported[rows] = known & (camera < SUPPORTED * corrected[rows])
@@ -121,9 +98,6 @@ def corrected_table(
     attrs = {"diffuse": list(found.diffuse_part.albedo), "coated_share": found.diffuse_part.coated}
     if found.base is not None:
         attrs |= {"base": list(found.base.reflectance), "base_alpha": found.base.roughness}
-    response = np.exp(-ratio_of_lobes.log)
-    if response.shape[-1] == 1:  # all channels have one lens
-        response = response[..., 0]
     table = xr.Dataset(
         {
             "brdf": (brdf.dims, corrected, {**brdf.attrs, **TABLE_ATTRIBUTES["brdf"], CORRECTED: 1}),
@@ -134,14 +108,115 @@ def corrected_table(
                     ("correction_std", correction_std),
                     ("noise_std", noise_std),
                     ("supported", supported),
+                    ("response", np.reciprocal(factor, out=factor)),
                 )
             },
-            "response": (brdf.dims[: response.ndim], response, TABLE_ATTRIBUTES["response"]),
         },
         coords=brdf.coords,
         attrs=attrs,
     )
     return named(table), limit, tuple(parts)
+
+
+def _multiplied(
+    data: np.ndarray,
+    angles: tuple[np.ndarray, np.ndarray, np.ndarray],
+    found: MaterialFit,
+    noise: PixelNoise,
+    noise_share: np.ndarray,
+    peak: np.ndarray,
+    ratio: LobeRatio,
+    scattered: FarthestGlare,
+    glare: float,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[VariancePart]]:
+    """Multiply a table by the ratio of true to recorded value of the fitted material.
+
+    A difference between entry and model that noise does not explain belongs to the lobe or to the body, and to light of the
+    theta_h of the entry or of others. The difference between these cases is part of the standard deviation.
+
+    `data` are the entries of the table, 1/sr, and `angles` are those of `_angles`. `peak` is the largest value of each slice,
+    1/sr, (90, channels). The other parameters are those of `corrected_table`.
+
+    Returns:
+        Corrected values, 1/sr, their standard deviation without noise, 1/sr, ratio of true to recorded value, all in the shape
+        of `data`, and sources of the variance of the peaks.
+    """
+    body, body_std = np.empty((2, *data.shape))
+    for rows in ROWS:
+        body[rows], body_std[rows] = found.body(angles[0][rows], *angles[1:])
+    recorded_body = body
+    if found.base is not None:
+        recorded_body = body + found.base.brdf(*angles) * (ratio.base - 1)
+    strength = _strengths(ratio, data, recorded_body)
+    excess, count = np.empty((2, *GRID_SHAPE))
+    for rows in ROWS:
+        model = strength * ratio.recorded[rows] + recorded_body[rows]
+        variance = _pixel_variance(noise, noise_share[rows], model, peak)
+        used = ratio.seen[rows] & np.isfinite(data[rows]) & (variance > 0)
+        relative = ((data[rows] - model) ** 2 - variance) / np.where(used, np.maximum(model**2, variance), 1.0)
+        excess[rows], count[rows] = np.where(used, relative, 0.0).sum(axis=-1), used.sum(axis=-1)
+    misfit = _mean_of_neighbours(excess, count)  # squared relative difference that noise does not explain
+    corrected, camera_std, factor = (np.empty_like(data) for _ in range(3))
+    parts: list[VariancePart] = []
+    for rows in ROWS:
+        recorded, of_lobe = data[rows], np.exp(ratio.log[rows])
+        of_body = np.divide(body[rows], recorded_body[rows], out=np.ones_like(recorded), where=recorded_body[rows] > 0)
+        lobe = strength * ratio.recorded[rows]
+        model = lobe + recorded_body[rows]
+        part = np.divide(lobe, model, out=np.ones_like(model), where=model > 0)
+        whole = np.where(ratio.seen[rows], part * of_lobe + (1 - part) * of_body, 1.0)
+        corrected[rows], factor[rows] = recorded * whole, whole
+        variance = (recorded * part * of_lobe * ratio.std[rows]) ** 2
+        # the body is fitted to all slices together, whose images have independent gains
+        body_variance = body_std[rows] ** 2 + (noise.picture_gain * body[rows]) ** 2 / found.theta_d.size
+        glare_variance = (glare * scattered.of(rows)) ** 2 + (glare * recorded) ** 2
+        unexplained = part * (1 - part) * (of_lobe - of_body) ** 2 + (part * of_lobe * ratio.mixing[rows]) ** 2
+        added = (
+            VariancePart("glare", "B", glare_variance * whole**2),
+            VariancePart("body under the lobe", "A", body_variance * (whole - 1) ** 2, degrees=max(found.freedom, 1)),
+            VariancePart("values that the model does not explain", "B", unexplained * misfit[rows] * model**2),
+        )
+        for source in added:
+            variance += source.variance
+        if not parts:
+            scale = ((recorded * part * of_lobe)[PEAK]) ** 2
+            parts = [one._replace(variance=one.variance * scale) for one in ratio.parts]
+            parts += [one._replace(variance=np.broadcast_to(one.variance, recorded.shape)[PEAK]) for one in added]
+        camera_std[rows] = np.where(ratio.seen[rows], np.sqrt(variance), np.nan)
+    return corrected, camera_std, factor, parts
+
+
+def _strengths(ratio: LobeRatio, data: np.ndarray, recorded_body: np.ndarray) -> np.ndarray:
+    """Fit the strength of the recorded lobe in each slice and channel to the entries above the body, (90, channels)."""
+    power, product = np.zeros((2, GRID_SHAPE[1], data.shape[-1]))
+    for rows in ROWS:
+        used = ratio.seen[rows] & np.isfinite(data[rows])
+        lobe = np.where(used, ratio.recorded[rows], 0.0)
+        power += np.einsum("hdpc,hdpc->dc", lobe, lobe)
+        product += np.einsum("hdpc,hdpc->dc", lobe, np.where(used, data[rows] - recorded_body[rows], 0.0))
+    return np.maximum(np.divide(product, power, out=np.zeros_like(power), where=power > 0), 0.0)[:, None]
+
+
+def _mean_of_neighbours(sums: np.ndarray, counts: np.ndarray) -> np.ndarray:
+    """Average positive and negative values over neighbouring entries in theta_h and phi_d, and set negative means to 0.
+
+    Args:
+        sums: sums of the values of all channels, (90, 90, 180).
+        counts: numbers of these values, (90, 90, 180).
+
+    Returns:
+        Means, (90, 90, 180, 1).
+    """
+    mean, count = (uniform_filter(one, (3, 1, 9), mode=("nearest", "nearest", "wrap")) for one in (sums, counts))
+    return np.maximum(np.divide(mean, count, out=np.zeros_like(mean), where=count > 0.01), 0.0)[..., None]
+
+
+def _pixel_variance(noise: PixelNoise, share: np.ndarray, value: np.ndarray, peak: np.ndarray) -> np.ndarray:
+    """Compute the variance of entries due to pixel noise, without the gain of an image, 1/sr^2.
+
+    The parameters are those of `corrected_table`, for some rows. `value` are the entries, 1/sr.
+    """
+    return share[..., None] * ((noise.relative * value) ** 2 + (noise.floor * peak[None, :, None, :]) ** 2)
 
 
 def _angles(sampling: Sampling) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -175,23 +250,7 @@ def recorded_table(table: xr.Dataset) -> xr.DataArray:
     Returns:
         The recorded table, 1/sr; NaN for missing entries.
     """
-    angles, attrs = _angles(sampling_of(table["brdf"])), table.attrs
-    diffuse = DiffusePart(tuple(np.atleast_1d(attrs.get("diffuse", 0.0))), float(attrs.get("coated_share", 0.0)))
-    body = diffuse.brdf(*angles)
-    if "base" in attrs:
-        body = body + Base(attrs["base_alpha"], tuple(np.atleast_1d(attrs["base"]))).brdf(*angles)
-    changed = np.isfinite(table["brdf_std"].values)
-    response = np.where(changed, responses(table), 1.0)
-    return table["brdf"].copy(data=body + (table["brdf"].values - body) * response)
-
-
-def responses(table: xr.Dataset) -> np.ndarray:
-    """Select the ratio of recorded to true lobe of a corrected table, (90, 90, 180, colours).
-
-    There is one colour if the lens is achromatic.
-    """
-    values = table["response"].values
-    return values if values.ndim == table["brdf"].ndim else values[..., None]
+    return table["brdf"].copy(data=table["brdf"].values * table["response"].values)
 
 
 def supported_values(table: xr.Dataset, recorded: xr.DataArray) -> xr.DataArray:
@@ -214,6 +273,6 @@ def supported_values(table: xr.Dataset, recorded: xr.DataArray) -> xr.DataArray:
     Example:
         >>> matcam.write_merl("out.binary", supported_values(corrected, table))  # doctest: +SKIP
     """
-    lowered = (responses(table) > 1) & (table["correction_std"].values < SUPPORTED)
+    lowered = (table["response"].values > 1) & (table["correction_std"].values < SUPPORTED)
     kept = table["supported"].values | lowered
     return table["brdf"].copy(data=np.maximum(np.where(kept, table["brdf"].values, recorded.values), 0))

@@ -18,7 +18,7 @@ from matcam.core.remark import Remark, to_attribute
 from matcam.core.results.summary import Quantity, Summarised, Summary, parameters
 from matcam.core.threads import done_behind
 from matcam.core.workspace import Workspace, default_workspace
-from matcam.inverse.correction.corrected_table import corrected_table, responses
+from matcam.inverse.correction.corrected_table import corrected_table
 from matcam.inverse.correction.correction_limits import (
     LobeRatio,
     shrunk,
@@ -159,7 +159,7 @@ class Correction(Summarised):
             ratio = fitted._replace(std=np.sqrt(fitted.std**2 + added), parts=fitted.parts_with(NO_CAMERA, added))
         else:
             ratio = withheld(fitted) if held_back or found.undecided else shrunk(fitted, found.no_camera)
-        scattered = farthest_glare(glare, sampling, rig, best, workspace)
+        scattered = farthest_glare(sampling, rig, best, workspace)
         blind = held_back and found.no_blur
         left, lit = (found.without_camera.noise, found.blind) if blind else (found.shape.noise, best)
         if noise is None:  # free strengths contain the image gains, which are estimated from the irregularities of F
@@ -342,15 +342,14 @@ class Correction(Summarised):
     def _peak_response(self, theta_d: ArrayLike) -> np.ndarray:
         """Compute recorded / corrected peak at phi_d = 90 degrees, averaged over the channels.
 
-        It is interpolated between the slices of the table. For a missing or black peak, the response of the lobe is used
-        instead.
+        It is interpolated between the slices of the table. For a missing or black peak, the response of the fitted material
+        is used instead.
         """
         slices = self._grid.theta_d
         at = self._peak(slices)
         recorded, corrected = self.recorded.values[at], self.table["brdf"].values[at]
-        lobe = np.broadcast_to(responses(self.table)[at], corrected.shape)
         with np.errstate(invalid="ignore", divide="ignore"):
-            response = np.where(corrected > 0, recorded / corrected, lobe)
+            response = np.where(corrected > 0, recorded / corrected, self.table["response"].values[at])
         return np.interp(np.asarray(theta_d, dtype=float), slices, np.mean(response, axis=-1))
 
     def _peak(self, theta_d: ArrayLike) -> tuple[Any, ...]:
@@ -375,8 +374,8 @@ def correct(
     """Correct a table for the camera that recorded it.
 
     Lobes are fitted to the table through the camera. The Fresnel term is free in every slice, and a diffuse part is added. The
-    lobes are averaged according to their evidence. The part of each entry above the body is multiplied by the ratio of true to
-    recorded lobe, so the details of the measurement are preserved. `Correction.of` also returns the fits.
+    lobes are averaged according to their evidence. Each entry is multiplied by the ratio of true to recorded value of
+    the fitted material, so the details of the measurement are preserved. `Correction.of` also returns the fits.
 
     Args:
         brdf: table of the form that `read_merl` returns, 1/sr.
@@ -401,7 +400,7 @@ def correct(
         standard deviation of `brdf` due to pixel noise, 1/sr. `brdf_std`: standard deviation of `brdf` due to correction
         and noise, 1/sr. These three standard deviations are NaN for entries in the last pixels of the sphere, which are not
         corrected. `supported`: True if the standard deviation of the correction is below 5 % of `brdf`. `response`:
-        recorded / true lobe, over the first three dimensions, or over all dimensions if each colour has its own lens.
+        recorded / true value of the fitted material.
         Attributes: `withheld`, 1 if the table is not corrected because rig and data contradict each other, and a
         correction would change a peak by more than 1 %; the response is then 1 and no entry is supported. `diffuse`,
         albedo of the diffuse part in each channel, and `coated_share`, the share of the diffuse part that is under a

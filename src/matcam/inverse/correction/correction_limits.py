@@ -49,15 +49,20 @@ class LobeRatio(NamedTuple):
         log: ln(true / recorded).
         std: relative standard deviation of the ratio, due to fitted parameters, shape, rig and alternatives.
         seen: True for entries that are corrected.
-        recorded: recorded lobe divided by its peak in the slice (no unit). A correction by the ratio is meaningless for
-            entries whose lobe is below the noise. Default: None, not computed.
+        recorded: recorded lobe for F = 1, 1/sr. A correction by the ratio is meaningless for
+            entries whose lobe is below the noise.
+        base: recorded / true value of the rough base under the lobe (no unit).
+        mixing: derivative of `log` with respect to a relative change of the lobe that depends on theta_h (no unit), from 0
+            to 1. It is 0 for entries that contain only light of their own theta_h.
         parts: sources of the variance `std`^2 at the peak of each slice, (90, colours). Default: none.
     """
 
     log: np.ndarray
     std: np.ndarray
     seen: np.ndarray
-    recorded: np.ndarray | None = None
+    recorded: np.ndarray
+    base: np.ndarray
+    mixing: np.ndarray
     parts: tuple[VariancePart, ...] = ()
 
     @classmethod
@@ -67,10 +72,12 @@ class LobeRatio(NamedTuple):
         def stacked(arrays: Iterable[Any]) -> np.ndarray:
             return np.stack(list(arrays), axis=-1)
 
-        log, std, seen, recorded = (stacked(arrays) for arrays in zip(*(one[:4] for one in ratios), strict=True))
+        log, std, seen, recorded, base, mixing = (
+            stacked(arrays) for arrays in zip(*(one[:6] for one in ratios), strict=True)
+        )
         sources = zip(*(one.parts for one in ratios), strict=True)
         parts = tuple(own[0]._replace(variance=stacked(part.variance for part in own)) for own in sources)
-        return cls(log, std, seen, recorded, parts)
+        return cls(log, std, seen, recorded, base, mixing, parts)
 
     def parts_with(self, name: str, added: np.ndarray, factor: np.ndarray | float = 1.0) -> tuple[VariancePart, ...]:
         """Add a source of variance, and scale the variances of the other sources.
@@ -104,6 +111,7 @@ def withheld(ratio: LobeRatio) -> LobeRatio:
     return ratio._replace(
         log=np.zeros_like(ratio.log),
         std=np.hypot(change, factor * ratio.std),
+        base=np.ones_like(ratio.log),
         parts=ratio.parts_with("withheld correction", change**2, factor**2),
     )
 
@@ -122,7 +130,8 @@ def shrunk(ratio: LobeRatio, no_camera: float) -> LobeRatio:
     lost = np.expm1(mean * (1 - share))
     parts = ratio.parts_with(NO_CAMERA, no_camera * (1 - no_camera) * ratio.log**2, 1 - no_camera)
     parts = ratio._replace(parts=parts).parts_with("reduction of an uncertain correction", lost**2)
-    return ratio._replace(log=mean * share, std=np.sqrt(variance + lost**2), parts=parts)
+    base = ratio.base ** (1 - no_camera)
+    return ratio._replace(log=mean * share, std=np.sqrt(variance + lost**2), base=base, parts=parts)
 
 
 def above_noise(ratio: LobeRatio, floor: np.ndarray) -> LobeRatio:
@@ -134,8 +143,8 @@ def above_noise(ratio: LobeRatio, floor: np.ndarray) -> LobeRatio:
 
     floor: noise floor of a pixel divided by the peak of the recorded lobe of each slice (no unit), (90,).
     """
-    assert ratio.recorded is not None
-    share = ratio.recorded**2 / (ratio.recorded**2 + floor[:, None, None] ** 2)
+    noise = floor[:, None, None] * ratio.recorded.max(axis=(0, 2), keepdims=True)
+    share = ratio.recorded**2 / (ratio.recorded**2 + noise**2)
     log = share * ratio.log
     lost = np.expm1(ratio.log - log)
     parts = ratio.parts_with("omitted correction below the noise", lost**2)

@@ -22,12 +22,12 @@ _VIEWS = 2
 
 
 class FarthestGlare(NamedTuple):
-    """Largest contribution of glare from the highlight to each entry of a table.
+    """Largest contribution of glare from the highlight to each entry of a table, for a share of glare of 1.
 
     The glare is a halo of any radius that contains a given share of the light of the highlight.
 
     Attributes:
-        strength: Fresnel term F of each slice multiplied by the share of glare (no unit), (90, channels).
+        strength: Fresnel term F of each slice (no unit), (90, channels).
         of_mirror: contribution for F = 1 and a share of 1, 1/sr, (90, 90, 180).
     """
 
@@ -39,13 +39,10 @@ class FarthestGlare(NamedTuple):
         return self.strength[:, None] * self.of_mirror[rows, ..., None]
 
 
-def farthest_glare(
-    glare: float, sampling: Sampling, rig: Rig, found: MaterialFit, workspace: Workspace
-) -> FarthestGlare:
+def farthest_glare(sampling: Sampling, rig: Rig, found: MaterialFit, workspace: Workspace) -> FarthestGlare:
     """Compute the largest contribution of glare from the highlight to each entry of a table.
 
     Args:
-        glare: share of the light that the lens scatters (no unit).
         sampling: sampling of the table.
         rig: rig that recorded the table.
         found: fit of the table, which determines F and the width of the highlight.
@@ -62,7 +59,7 @@ def farthest_glare(
     nearest = max(_NEAREST, width)
     key = view, sampling, nearest
     return FarthestGlare(
-        glare * f, workspace.remember("farthest glare", key, lambda: _of_mirror(view, sampling, nearest), most=_VIEWS)
+        f, workspace.remember("farthest glare", key, lambda: _of_mirror(view, sampling, nearest), most=_VIEWS)
     )
 
 

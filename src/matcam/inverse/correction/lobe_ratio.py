@@ -1,4 +1,4 @@
-"""Ratio of true to recorded lobe in every cell of a table, and its variance. A correction multiplies values by this ratio."""
+"""Ratio of true to recorded lobe in every cell of a table, and its variance."""
 
 from __future__ import annotations
 
@@ -27,6 +27,7 @@ from matcam.inverse.correction.response_lattice import (
     seen_cells,
 )
 from matcam.inverse.correction.rig_refits import RigRefit
+from matcam.inverse.fit.fit_problem import BASE
 from matcam.inverse.fit.fit_readings import FitCoordinates
 from matcam.inverse.fit.fit_statements import fit_readings_source
 from matcam.inverse.fit.lobe_slopes import record_and_slopes
@@ -34,6 +35,7 @@ from matcam.inverse.fit.material_fit import MaterialFit
 from matcam.inverse.normalised_fresnel import OTHER_LOBES
 from matcam.inverse.operator.sample_view import sample_view
 from matcam.inverse.rig.rig_axes import Axis, axis_selection
+from matcam.material.ndf.free_lobe import KNOTS
 from matcam.numerics.fit_budget import VariancePart, scaled_parts, statement_parts
 from matcam.rigs import Rig
 
@@ -118,13 +120,13 @@ def _ratio_of_lens(
     log_slope = fits.fit.log_slope  # the mean of all channels, because they have one ratio
     fine = response_lattice(rig, sampling, FINE, (), workspace).of_fresnel(log_slope)
     axes = fits.axes
-    coarse = response_lattice(rig, sampling, COARSE, axes, workspace).of_fresnel(log_slope)
+    plain = response_lattice(rig, sampling, COARSE, axes, workspace)
+    coarse = plain.of_fresnel(log_slope)
     fitted = at.rig @ axis_selection(at.axes, axes)
 
     log_ratio, log_recorded = _log_ratio_and_record(fine, at)
     log = on_table(log_ratio, fine)
-    recorded = on_table(log_recorded, fine)
-    recorded = np.exp(recorded - recorded.max(axis=(0, 2), keepdims=True))
+    recorded = np.exp(on_table(log_recorded, fine))
     here = _plain(coarse, at, fitted)
     if fitted.any():
         log += on_table(here - _plain(coarse, at, np.zeros(len(axes))), coarse)
@@ -158,7 +160,12 @@ def _ratio_of_lens(
         moved, by_phase = pixel_log_ratio(lattices, at, pixels, sample_view(rig).radius, phase_std)
         log, variance = log + moved, variance + by_phase
         parts = (*parts, VariancePart("phase of the pixels", "B", np.broadcast_to(by_phase, log.shape)[PEAK]))
-    return LobeRatio(log, np.sqrt(variance), seen_cells(fine), recorded, parts)
+    base = np.ones(log.shape)
+    if fits.fit.base is not None:
+        lobe = at._replace(kind=BASE, lobe=np.log([fits.fit.base.roughness]))
+        base = np.exp(-on_table(_plain(plain, lobe, fitted), plain))
+    spread_light = on_table(np.sqrt((columns[-KNOTS:] ** 2).sum(axis=0)), coarse)
+    return LobeRatio(log, np.sqrt(variance), seen_cells(fine), recorded, base, np.clip(spread_light, 0.0, 1.0), parts)
 
 
 def _plain(where: ResponseLattice, at: FitCoordinates, shifts: np.ndarray) -> np.ndarray:

@@ -14,8 +14,7 @@ Wilkie 2007, section 3)
 
 D and G are those of a GGX surface with the roughness of the base, and F is that of a coat of refractive index 1.5.
 Refraction is neglected, so the roughness of the base is its apparent roughness from outside the coat. A fit computes the
-record of D G by the operator of its camera. The transmittances 1 - F are smooth, so their values at each cell are used. A
-corrected table neglects the small difference between the record of a base and its BRDF.
+record of D G by the operator of its camera. The transmittances 1 - F are smooth, so their values at each cell are used.
 """
 
 from __future__ import annotations

@@ -36,7 +36,7 @@ from matcam.inverse.rig.rig_axes import Axis
 from matcam.material.ndf.free_lobe import KNOTS, SHADOWS, STIFFER, slope_of_knot, spline_smoothness
 from matcam.numerics.approximation import smoothness
 
-_BASE = LobeKind("ggx", "smith")
+BASE = LobeKind("ggx", "smith")
 """Lobe of a base."""
 _COATED_STD = 0.3
 """Standard deviation of the prior of the coated share of a diffuse part (no unit): that of a uniform distribution in
@@ -355,7 +355,7 @@ class FitProblem:
         """
         q = np.concatenate([p[self.layout.base_width], p[self.layout.rig]])
         if self._last_base is None or self._last_base[0] != q.tobytes():
-            found = zip(*(record_and_slopes(operator, _BASE, q) for operator in self.operators), strict=True)
+            found = zip(*(record_and_slopes(operator, BASE, q) for operator in self.operators), strict=True)
             self._last_base = q.tobytes(), RecordAndSlopes(*(np.stack(part) * self._transmittance for part in found))
         return self._last_base[1]
 
