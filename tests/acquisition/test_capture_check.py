@@ -60,6 +60,24 @@ def test_faults_are_found_and_named(good, tmp_path):
     assert "O1.tif" in found["sphere-moved"]
 
 
+@pytest.mark.parametrize("times", [True, False])
+def test_frames_with_exchanged_exposures_are_named(good, tmp_path, times):
+    """They are omitted, so that the exposures are measured from the other frames."""
+    frames = dict(good.frames)
+    one, other = "frames/L01_E1.tif", "frames/L01_E2.tif"
+    frames[one], frames[other] = frames[other], frames[one]
+    rows = [row if times else row | {"time_s": ""} for row in good.rows]
+    found = check_capture(read_capture(changed(good, frames=frames, rows=rows).write(tmp_path)))
+    assert {one.code for one in found.findings} == {"frame-mislabelled"}
+    assert [text for text in map(str, found.findings) if other in text and "thus that of exposure E1" in text]
+    assert found.radiometry.exposures["E2"].value == pytest.approx(5.0, rel=5e-3)
+
+
+def test_a_frame_of_another_size_is_named(good, tmp_path):
+    frames = good.frames | {"frames/L01_E1.tif": good.frames["frames/L01_E1.tif"][:-8]}
+    assert "L01_E1.tif" in codes(changed(good, frames=frames), tmp_path)["other-size"]
+
+
 def test_check_and_reconstruct_say_the_same_of_a_lens_without_a_profile(tmp_path):
     """`test_from_photographs_without_a_profile` measures that the lens is determined."""
     drawn = small()

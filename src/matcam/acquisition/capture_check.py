@@ -1,9 +1,9 @@
 """Quick check of a capture in the lab.
 
 The check detects clipping, gaps between lamp angles, wrong exposure times, a drifting lamp, a moved sample, and a rotated
-lamp table. All exposures are read only for a few lamp positions, and usually only the shortest frame for the others, so a
-check takes seconds. A sphere is checked by its outline and highlights, and a cylinder by its outline and bright lines. A
-flat sample is checked by its specified angles.
+lamp table. Every frame of the sample is read once. For a few lamp positions the frames are read again, to compare the
+exposures pixel by pixel. A sphere is checked by its outline and highlights, and a cylinder by its outline and bright lines.
+A flat sample is checked by its specified angles.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from matcam.acquisition.check.unmeasured_lens import lens_sigma, unmeasured_lens
 from matcam.acquisition.light.reference_patch import ReferencePatch, patch_geometry
 from matcam.acquisition.merging import bracket_misfit, merge_position, misfit_remark
 from matcam.acquisition.mirror_ball import MirrorBall
-from matcam.acquisition.radiometry import Radiometry, capture_camera, measure_radiometry
+from matcam.acquisition.radiometry import Progress, Radiometry, capture_camera, measure_radiometry
 from matcam.core.arrays import evenly
 from matcam.core.errors import MatcamError
 from matcam.core.remark import Remark
@@ -33,7 +33,7 @@ from matcam.files.capture import Capture
 from matcam.files.capture_frames import LampGuess
 
 _WHOLE = 4
-"""Number of lamp positions whose exposures are all read: few, so that a check takes seconds."""
+"""Number of lamp positions whose exposures are compared pixel by pixel: few, because the frames are read again."""
 _CHANCE = 0.01
 """Probability that a steady lamp is reported as drifting, if the specified scatter and the errors of its readings are right."""
 _FIRST, _LAST, _GAP = 10.0, 70.0, 12.0
@@ -51,8 +51,8 @@ class CaptureCheck:
     Attributes:
         findings: remarks on faults; empty if no fault was found.
         notes: remarks that are not faults.
-        radiometry: radiometric calibration from the lamp positions that were read completely; None if it is not
-            measurable. `lamp_output` is empty if the reference is diffuse and the lamp table is wrong.
+        radiometry: radiometric calibration; None if it is not measurable. `lamp_output` is empty if the reference is
+            diffuse and the lamp table is wrong.
         highlights: (column, row) of the highlight, px, by lamp position; row is NaN for the bright line of a cylinder.
             Lamp positions without a highlight are omitted.
         centre: column, row and radius of the sample, px, from the outline. Without an outline they are fitted to highlights
@@ -72,21 +72,20 @@ class CaptureCheck:
     turn_std: np.ndarray
 
 
-def check_capture(capture: Capture) -> CaptureCheck:
+def check_capture(capture: Capture, progress: Progress | None = None) -> CaptureCheck:
     """Check a capture without a complete measurement.
 
     Args:
         capture: capture from `read_capture`.
+        progress: function that is called after each lamp position. Default: None.
 
     Returns:
         Faults, notes and estimates. Bad frames are reported as faults and raise no exception.
     """
     found: list[Remark] = []
-    names = list(capture.lamps)
-    chosen = [names[i] for i in evenly(len(names), _WHOLE)]
     radiometry = None
     try:
-        radiometry = measure_radiometry(capture, lamps=chosen)
+        radiometry = measure_radiometry(capture, progress=progress)
         # quick_highlights reports clipped peaks of all lamp positions below
         found += [remark for remark in radiometry.remarks if remark.code != "peak-clipped"]
     except MatcamError as error:
@@ -99,7 +98,8 @@ def check_capture(capture: Capture) -> CaptureCheck:
     except MatcamError as error:
         found.append(Remark("bad-profile", str(error)))
     if radiometry is not None:
-        for lamp in radiometry.used:
+        names = list(radiometry.used)
+        for lamp in [names[i] for i in evenly(len(names), _WHOLE)]:
             misfit = bracket_misfit(capture, lamp, radiometry, merge_position(capture, lamp, radiometry))
             remark = misfit_remark(lamp, misfit)
             if remark is not None:

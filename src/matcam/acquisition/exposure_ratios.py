@@ -140,6 +140,8 @@ def usable(sample: BracketSample, exposures: np.ndarray, clip: ClipLevel, noise:
     """
     relative = exposures[sample.exposures]
     below = sample.codes < clip.threshold
+    if not below.size:  # no pixel is lit
+        return below
     height = max(clip.level - float(np.median(sample.codes[0] - sample.light[0])), 1.0)
     fits = np.ones_like(below)
     total, weight = np.zeros(sample.light.shape[1]), 0.0

@@ -29,6 +29,7 @@ from matcam.acquisition.exposure_ratios import (
 from matcam.acquisition.light.bracket_reading import BracketReading
 from matcam.acquisition.light.flat_field import FlatField, measure_flat
 from matcam.acquisition.light.kept_work import KeptWork
+from matcam.acquisition.light.mislabelled_frames import mislabelled_frames
 from matcam.acquisition.light.pile_up import TopCodes, find_pile_up
 from matcam.acquisition.light.reference_frames import SeenReference, in_own_frames, in_sample_frames, scatter_between
 from matcam.acquisition.light.reference_light import lamp_output, reference_light
@@ -36,7 +37,7 @@ from matcam.acquisition.mosaic_frames import MosaicReader
 from matcam.acquisition.radiometry_remarks import clip_remarks, exposure_remarks, linearity_remarks, tone_exponent
 from matcam.camera.camera import Camera
 from matcam.core.errors import FileFormatError, FitError, MatcamError
-from matcam.core.remark import Remark, some_of
+from matcam.core.remark import Remark, gathered, some_of
 from matcam.core.threads import in_order
 from matcam.files.capture import Capture, Region, Stated
 from matcam.files.capture_frames import CaptureFrame
@@ -217,6 +218,9 @@ def measure_radiometry(
             f"{capture.folder}: no frame of any lamp position can be read: {[*remarks[before:], *remarks, 'see frames.csv'][0]}"
         )
     remarks += reader.remarks.values()
+    top = largest - min(smallest, *(d.mean for d in darkness.values()))
+    samples, said = _without_mislabelled(capture, samples, names, used, top, noise)
+    remarks += said
     order = _order(samples, len(names))
     names = [names[k] for k in order]
     back = np.argsort(order)
@@ -224,7 +228,6 @@ def measure_radiometry(
         sample._replace(exposures=back[sample.exposures]).part(np.argsort(back[sample.exposures])) for sample in samples
     ]
     nominal = np.array([capture.time(name) for name in names])
-    top = largest - min(smallest, *(d.mean for d in darkness.values()))
     if top < 10 * max(noise, 0.3) or not any(sample.codes.size for sample in samples):
         raise FitError(
             f"{capture.folder}: every frame is dark: the brightest code is {top:.0f} DN above dark; expose longer"
@@ -330,6 +333,56 @@ def _clip_level(
     return found.clip, remarks
 
 
+def _without(
+    samples: Sequence[BracketSample],
+    names: Sequence[str],
+    used: dict[str, tuple[CaptureFrame, ...]],
+    out: Sequence[np.ndarray],
+) -> list[BracketSample]:
+    """Remove frames from the samples and from `used`.
+
+    `out` contains the mask of the removed frames of each sample.
+    """
+    kept = []
+    for sample, mask in zip(samples, out, strict=True):
+        gone = [names[k] for k in sample.exposures[mask]]
+        used[sample.lamp] = tuple(frame for frame in used[sample.lamp] if frame.exposure not in gone)
+        if mask.all():
+            del used[sample.lamp]
+        else:
+            kept.append(sample.part(~mask))
+    return kept
+
+
+def _without_mislabelled(
+    capture: Capture,
+    samples: Sequence[BracketSample],
+    names: Sequence[str],
+    used: dict[str, tuple[CaptureFrame, ...]],
+    top: float,
+    noise: float,
+) -> tuple[list[BracketSample], list[Remark]]:
+    """Remove frames whose light contradicts their exposure from the samples and from `used`, and report them.
+
+    A FitError is raised if no frame remains.
+    """
+    nominal = np.array([capture.time(name) for name in names])
+    out, said = [], []
+    for sample, wrong in zip(samples, mislabelled_frames(samples, nominal, top, noise), strict=True):
+        out.append(np.isin(np.arange(len(sample.exposures)), [frame for frame, _, _ in wrong]))
+        for frame, factor, like in wrong:
+            name = names[sample.exposures[frame]]
+            file = next(one.file for one in used[sample.lamp] if one.exposure == name)
+            text = f"{capture.folder / file}: the frame has {factor:.2g} times the light of exposure {name}, according to the "
+            text += f"other lamp positions and time_s{'' if like is None else f', and thus that of exposure {names[like]}'}, "
+            text += "so it was omitted: correct its exposure and time_s in frames.csv, or repeat it"
+            said.append((file, Remark("frame-mislabelled", text)))
+    remarks, kept = gathered(said), _without(samples, names, used, out)
+    if not kept:
+        raise FitError(f"{capture.folder}: no exposure agrees with its time_s: {remarks[0]}")
+    return kept, remarks
+
+
 def _without_clipped(
     samples: Sequence[BracketSample],
     names: Sequence[str],
@@ -345,18 +398,14 @@ def _without_clipped(
     least, level, height = (TopCodes._fields.index(name) for name in ("least", "level", "height"))
     every = np.concatenate([sample.tops for sample in samples])
     even = (every[:, least] == every[:, level]).all()
-    kept, full = [], dict[tuple[str, float], list[str]]()
+    full = dict[tuple[str, float], list[str]]()
+    out = []
     for sample in samples:
         low, high = sample.tops[:, least], sample.tops[:, level]
-        out = (low >= clip.threshold) | ((low == high) & (sample.tops[:, height] > 10 * noise) & ~even)
-        gone = [names[k] for k in sample.exposures[out]]
-        for name, code in zip(gone, high[out].tolist(), strict=True):
-            full.setdefault((name, code), []).append(sample.lamp)
-        used[sample.lamp] = tuple(frame for frame in used[sample.lamp] if frame.exposure not in gone)
-        if out.all():
-            del used[sample.lamp]
-        else:
-            kept.append(sample.part(~out))
+        out.append((low >= clip.threshold) | ((low == high) & (sample.tops[:, height] > 10 * noise) & ~even))
+        for k in np.flatnonzero(out[-1]):
+            full.setdefault((names[sample.exposures[k]], float(high[k])), []).append(sample.lamp)
+    kept = _without(samples, names, used, out)
     return kept, [
         Remark(
             "frame-clipped",

@@ -90,8 +90,8 @@ def check(
     from matcam.files.capture import read_capture
 
     capture = read_capture(folder)
-    with show.working("checking"):
-        found = check_capture(capture)
+    with show.stepping() as watch:
+        found = check_capture(capture, watch)
     if json:
         show.as_json(
             {

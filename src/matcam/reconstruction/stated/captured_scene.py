@@ -44,6 +44,7 @@ INCOMPLETE = (
     "missing-frame",
     "other-size",
     "frame-clipped",
+    "frame-mislabelled",
     "no-direction",
     "no-highlight",
     "outline-left-out",
