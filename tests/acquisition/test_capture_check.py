@@ -73,6 +73,14 @@ def test_frames_with_exchanged_exposures_are_named(good, tmp_path, times):
     assert found.radiometry.exposures["E2"].value == pytest.approx(5.0, rel=5e-3)
 
 
+def test_codes_in_steps_of_64_are_named(good, tmp_path):
+    """A signal of 10 bits in files of 16 bits; 12 bits still resolve a read noise of half a step."""
+    ten = {name: (codes.astype(int) // 16 * 64).astype(np.uint16) for name, codes in good.frames.items()}
+    assert "steps of 64 DN" in codes(changed(good, frames=ten), tmp_path / "ten")["codes-coarse"]
+    fourteen = {name: (codes.astype(int) * 4).astype(np.uint16) for name, codes in good.frames.items()}
+    assert codes(changed(good, frames=fourteen), tmp_path / "fourteen") == {}
+
+
 def test_a_frame_of_another_size_is_named(good, tmp_path):
     frames = good.frames | {"frames/L01_E1.tif": good.frames["frames/L01_E1.tif"][:-8]}
     assert "L01_E1.tif" in codes(changed(good, frames=frames), tmp_path)["other-size"]
@@ -263,6 +271,7 @@ def test_a_cylinder_is_judged_as_a_cylinder(tmp_path):
     drawn = of_cylinder()
     assert codes(drawn, tmp_path / "good") == {}
     assert "about y" in codes(turned(drawn, (0, 5, 0)), tmp_path / "turned")["table-turned"]
+    assert "radians" in codes(with_angles(changed(drawn), np.radians), tmp_path / "radians")["table-radians-as-degrees"]
     frames = drawn.frames | {"outline/O0.tif": drawn.frames["frames/L00_E0.tif"]}
     assert "O0.tif" in codes(changed(drawn, frames=frames), tmp_path / "stripe")["no-stripe"]
     # the stated outline then takes its place, as in `reconstruct`

@@ -27,10 +27,12 @@ class FrameLevel(NamedTuple):
     Attributes:
         low: low code (5 % quantile), DN.
         shape: height and width, px.
+        step: difference of neighbouring codes, DN; NaN for fractional codes.
     """
 
     low: float
     shape: tuple[int, ...]
+    step: float
 
 
 @dataclass(frozen=True)

@@ -34,7 +34,13 @@ from matcam.acquisition.light.pile_up import TopCodes, find_pile_up
 from matcam.acquisition.light.reference_frames import SeenReference, in_own_frames, in_sample_frames, scatter_between
 from matcam.acquisition.light.reference_light import lamp_output, reference_light
 from matcam.acquisition.mosaic_frames import MosaicReader
-from matcam.acquisition.radiometry_remarks import clip_remarks, exposure_remarks, linearity_remarks, tone_exponent
+from matcam.acquisition.radiometry_remarks import (
+    clip_remarks,
+    coarse_remarks,
+    exposure_remarks,
+    linearity_remarks,
+    tone_exponent,
+)
 from matcam.camera.camera import Camera
 from matcam.core.errors import FileFormatError, FitError, MatcamError
 from matcam.core.remark import Remark, gathered, some_of
@@ -42,12 +48,13 @@ from matcam.core.threads import in_order
 from matcam.files.capture import Capture, Region, Stated
 from matcam.files.capture_frames import CaptureFrame
 from matcam.numerics.alternation import alternation
+from matcam.numerics.frame_noise import code_step
 
 Progress = Callable[[str, int, int], None]
 """Function that receives the name of a step, the number of finished parts, and the total number of parts."""
 
 _ROUNDING = 1 / 12
-"""Variance of the rounding error of a code, DN^2: that of a uniform distribution of width 1."""
+"""Variance of the rounding error of a code, relative to the squared step of the codes: that of a uniform distribution."""
 
 
 @dataclass(frozen=True)
@@ -187,7 +194,9 @@ def measure_radiometry(
     levels = _frame_levels(capture, reader, region, names)
     darkness, said = measure_darkness(reader, capture, region, names, levels)
     remarks += said
-    noise = _read_noise(darkness)
+    step = min((level.step for level in levels.values() if math.isfinite(level.step)), default=1.0)
+    noise = _read_noise(darkness, step)
+    remarks += coarse_remarks(step, noise)
     samples: list[BracketSample] = []
     missing: dict[tuple[str, ...], list[str]] = {}
     used: dict[str, tuple[CaptureFrame, ...]] = {}
@@ -453,7 +462,7 @@ def _frame_levels(
     for name in names:
         for frame, codes in reader.readable(capture.of("frames", exposure=name), region):
             low = float(np.quantile(codes[::3, ::3], 0.05))
-            found[name] = FrameLevel(low, codes.shape)
+            found[name] = FrameLevel(low, codes.shape, code_step(codes))
             if reader.cfa is None and (share := alternation(codes - low)) > 0:
                 raise FitError(
                     f"{capture.folder / frame.file}: alternate pixels differ by {share:.0%}, as in a colour mosaic that is "
@@ -476,10 +485,10 @@ def _order(samples: Sequence[BracketSample], count: int) -> np.ndarray:
     return np.argsort(total / np.maximum(weight, 1), kind="stable") if (weight > 0).all() else np.arange(count)
 
 
-def _read_noise(darkness: dict[str, Darkness]) -> float:
-    """Compute the read noise of one frame including rounding, DN; 2 if it is unknown."""
+def _read_noise(darkness: dict[str, Darkness], step: float) -> float:
+    """Compute the read noise of one frame including rounding to multiples of `step`, DN; 2 steps if it is unknown."""
     known = [d.read_noise for d in {id(d): d for d in darkness.values()}.values() if math.isfinite(d.read_noise)]
-    return float(max(np.median(known), math.sqrt(_ROUNDING))) if known else 2.0
+    return float(max(np.median(known), math.sqrt(_ROUNDING) * step)) if known else 2.0 * step
 
 
 def _noise_error(darkness: dict[str, Darkness]) -> float:

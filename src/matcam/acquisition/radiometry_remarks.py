@@ -26,6 +26,10 @@ _PROVEN, _POWER = 5.0, 0.1
 """Number of standard deviations from 1 above which an exponent proves a tone curve, and smallest such difference."""
 _NONLINEAR = 0.01
 """Relative departure from linearity above which there is a remark: good sensors stay below 1 %."""
+_RESOLVED = 0.5
+"""Standard deviation of noise, in steps of the codes, above which rounding hardly biases a mean: by exp(-2 pi^2 0.5^2) / pi
+= 0.2 % of a step.
+"""
 _CORRELATED, _SHARPENED = 0.06, -0.015
 """Correlation of neighbouring pixels' noise above which a frame was smoothed (noise of whole rows is correlated, too),
 and below which it was sharpened (few other causes make it negative).
@@ -63,6 +67,20 @@ def tone_curve_proof(exponent: Stated) -> str | None:
         f"codes increase as the exposure time to the power {exponent.value:.2f} ± {exponent.std:.2f} instead of 1: the frames "
         "have a tone curve, or time_s in frames.csv is wrong"
     )
+
+
+def coarse_remarks(step: float, noise: float) -> list[Remark]:
+    """Report codes in steps that hide the noise of dark frames.
+
+    Args:
+        step: difference of neighbouring codes, DN.
+        noise: read noise including rounding, DN.
+    """
+    if step == 1 or noise > _RESOLVED * step:
+        return []
+    text = f"the codes occur only in steps of {step:g} DN, larger than the noise of dark frames: the signal has fewer bits "
+    text += "than the file, and faint light is rounded; give frames with the full number of bits of the camera"
+    return [Remark("codes-coarse", text)]
 
 
 def exposure_remarks(names: Sequence[str], ratios: ExposureRatios, nominal: np.ndarray) -> list[Remark]:

@@ -21,6 +21,25 @@ _SIGNIFICANT = 5.0
 """Number of standard deviations above which a departure from a straight line is significant."""
 
 
+def code_step(codes: np.ndarray) -> float:
+    """Compute the largest number of which all differences between the codes of a frame are multiples, DN.
+
+    Args:
+        codes: frame as read, (height, width), DN. A ninth of the pixels is used.
+
+    Returns:
+        Step of the codes, such as 64 for a signal of 10 bits that fills 16 bits; NaN for fractional codes.
+
+    Example:
+        >>> code_step(np.array([[256, 320, 0, 640]]))
+        64.0
+    """
+    some = codes[::3, ::3]
+    if not (some == np.round(some)).all():
+        return float("nan")
+    return float(np.gcd.reduce((some - some.min()).astype(np.int64), axis=None)) or 1.0
+
+
 def clipped_variance(values: np.ndarray) -> float:
     """Compute the variance of values about their mean, without outliers.
 

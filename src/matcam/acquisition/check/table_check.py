@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 from matcam.acquisition.check.quick_highlights import Seen
 from matcam.acquisition.check.quick_outline import QuickOutline
 from matcam.acquisition.check.unmeasured_lens import GUESSED_NEARNESS
-from matcam.acquisition.lamps.lamp_table import explain_lamp_table
+from matcam.acquisition.lamps.lamp_table import explain_lamp_table, in_radians
 from matcam.acquisition.mirror_ball import MirrorBall, cylinder_line
 from matcam.acquisition.mosaic_frames import frame_size
 from matcam.core.remark import Remark
@@ -185,8 +185,8 @@ def _of_cylinder(
     rig = _rig(capture)
     columns = np.array([[one.column] for one in seen])
 
-    def expected(p: np.ndarray) -> np.ndarray:
-        turned = Rotation.from_rotvec(p[:3]).apply(directions)
+    def expected(p: np.ndarray, lamps: np.ndarray = directions) -> np.ndarray:
+        turned = Rotation.from_rotvec(p[:3]).apply(lamps)
         positions = [cylinder_line(one, rig.camera, rig.lamp) for one in turned]
         return (p[3] + p[5] * np.array(positions))[:, None]
 
@@ -196,6 +196,9 @@ def _of_cylinder(
     errors = _errors(capture, seen, outline.radius)
     fit = _fitted(expected, start, std, columns, errors)
     if wrong := _whole_remarks(fit, errors):
+        lamps, radians = in_radians(directions)
+        if not _whole_remarks(_fitted(partial(expected, lamps=lamps), start, std, columns, errors), errors):
+            wrong = (radians,)
         return _NOTHING._replace(remarks=wrong)
     remarks = _turn_remarks(fit, std, "cylinder's")
     remarks += _radius_remarks(fit, outline, std[5])

@@ -101,6 +101,21 @@ def explain_lamp_table(lamps: np.ndarray, table: np.ndarray) -> TableVerdict:
     return TableVerdict("unexplained", rms, rms, (Remark("table-contradicts", text),))
 
 
+def in_radians(table: np.ndarray) -> tuple[np.ndarray, Remark]:
+    """Correct a table whose angles are radians that were read as degrees, and describe this mistake.
+
+    Args:
+        table: directions as read, unit vectors (n, 3).
+
+    Returns:
+        The corrected directions (n, 3), and the remark if they agree with the highlights.
+    """
+    angle, azimuth = np.arctan2(np.hypot(table[:, 0], table[:, 1]), table[:, 2]), np.arctan2(table[:, 1], table[:, 0])
+    name = "radians-as-degrees"
+    remark = Remark(f"table-{name}", f"the lamp table deviates from the highlights: {_WORDS[name]}")
+    return _polar(np.degrees(angle), np.degrees(azimuth)), remark
+
+
 def _rms(lamps: np.ndarray, table: np.ndarray) -> float:
     return float(np.sqrt(np.mean(lamp_angles_apart(lamps, table) ** 2)))
 

@@ -21,6 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from matcam.acquisition.exposure_ratios import ClipLevel
+from matcam.numerics.frame_noise import code_step
 from matcam.numerics.normal import robust_std
 
 _HAZARD = 5.5
@@ -97,7 +98,8 @@ def top_codes(codes: np.ndarray, dark: np.ndarray | float, hot: np.ndarray, step
     """
     good = codes[~hot] if hot.any() else codes.ravel()
     level = float(good.max())
-    unit = 1.0 if bool((good[:4096] == np.round(good[:4096])).all()) and level >= 2 else _HALF_FLOAT * abs(level)
+    unit = code_step(codes)
+    unit = unit if math.isfinite(unit) and level >= 2 else _HALF_FLOAT * abs(level)
     near = good[good > level - _width(noise, unit)]
     same = int((near == level).sum())
     gain = math.nan
