@@ -25,7 +25,7 @@ from matcam.camera import PixelNoise, Uncertainty
 from matcam.core.grid import brdf_table
 from matcam.core.jax import jnp
 from matcam.inverse import Correction
-from matcam.inverse.correction.corrected_table import supported_values
+from matcam.inverse.correction.corrected_table import corrected_table, supported_values, zeroed_noise
 from matcam.inverse.correction.correction_limits import (
     ROWS,
     LobeRatio,
@@ -194,6 +194,25 @@ def test_noise_below_zero_is_not_missing_in_a_file():
     table = brdf_table(recorded, "centre")
     done = corrected(table, recorded < 0, np.full(table.shape, 0.01), 1.0)
     np.testing.assert_array_equal(supported_values(done, table).values, np.where(recorded < 0, 0.0, recorded))
+
+
+def test_the_mean_of_noise_about_0_remains():
+    """Far from a highlight the record is noise about a faint body: its albedo may not increase by the correction."""
+    noise = np.random.default_rng(1).normal(0.01, 0.1, (90, 90, 180, 3))
+    table = brdf_table(noise, "centre")
+    lobe = ratio_of(np.zeros((90, 90, 180, 1)), 0.01)
+    found = SimpleNamespace(
+        body=lambda *angles: (np.full((*np.broadcast(*angles).shape, 3), 0.01), 0.0), theta_d=np.zeros(9),
+        freedom=9, noise_given=True, base=None, diffuse_part=SimpleNamespace(albedo=(0.03,), coated=0.0),
+    )  # fmt: skip
+    dark, share = SimpleNamespace(of=lambda rows: 0.0), np.ones((90, 90, 180))
+    done, _, _ = corrected_table(table, found, PixelNoise(0.0, 0.1, 0.0), share, lobe, dark, 0.0)
+    np.testing.assert_allclose(done["brdf"].values, noise, atol=1e-12)
+    raised = albedo(supported_values(done, table).values) - albedo(noise)
+    (remark,) = zeroed_noise(table)
+    assert f"{raised[:80].max():.2f}" in remark.text
+    assert "46% of the recorded entries" in remark.text
+    assert zeroed_noise(abs(table)) == ()
 
 
 def test_a_file_does_not_keep_the_light_of_a_highlight_beside_the_corrected_one():

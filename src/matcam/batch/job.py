@@ -21,7 +21,7 @@ from matcam.core.workspace import Workspace
 from matcam.exchange.contents import read_recorded_table
 from matcam.files.datasets import write_netcdf
 from matcam.files.merl import check_channels, write_merl
-from matcam.inverse.correction.corrected_table import supported_values
+from matcam.inverse.correction.corrected_table import supported_values, zeroed_noise
 from matcam.numerics.budget import write_budgets
 
 
@@ -205,6 +205,9 @@ def write_corrected(job: Job, workspace: Workspace | None = None) -> dict[str, A
         if job.row is not None:
             job.row.write(done.table)
         document = {"file": str(job.source), **done.document, "input": before}
+        if job.writes_merl:
+            remarks = [remark.to_dict() for remark in zeroed_noise(table)]
+            document["remarks"] = [*document.get("remarks", ()), *remarks]
         if job.key is not None:
             sizes = {path.name: where_written(path).stat().st_size for path in job.files[:-1]}
             document["run"] = {"settings": job.key, "files": sizes, "seconds": time.perf_counter() - started}

@@ -10,8 +10,18 @@ from scipy.ndimage import uniform_filter
 
 from matcam.camera.sensor import PixelNoise
 from matcam.core.grid import CORRECTED, GRID_SHAPE, Sampling, merl_grid, sampling_of
+from matcam.core.remark import Remark
 from matcam.core.results.labelled import named
-from matcam.inverse.correction.correction_limits import PEAK, ROWS, EnergyLimit, LobeRatio, above_noise, energy_limit
+from matcam.inverse.correction.correction_limits import (
+    BEFORE_LIMB,
+    PEAK,
+    ROWS,
+    EnergyLimit,
+    LobeRatio,
+    above_noise,
+    albedo,
+    energy_limit,
+)
 from matcam.inverse.correction.farthest_glare import FarthestGlare
 from matcam.inverse.fit.material_fit import MaterialFit
 from matcam.inverse.normalised_fresnel import GAIN
@@ -31,6 +41,8 @@ TABLE_ATTRIBUTES = {
     "response": {"units": "1", "long_name": "recorded / true BRDF of the fitted material"},
 }
 """Attributes of the variables of a corrected table."""
+_RISE = 0.01
+"""Increase of the albedo above which a remark reports negative noise that was set to 0: the accuracy of good photometry."""
 OPERATOR_ACCURACY = 1e-6
 """Error of the modelled record of a lobe, as a share of the largest value of the slice (docs/correct.md, Claims). Fainter parts
 of a recorded lobe are unknown, even without noise.
@@ -82,7 +94,6 @@ def corrected_table(
             camera = np.hypot(camera, wanted - corrected[rows])
             if rows.start == 0:
                 parts.append(VariancePart("energy limit", "B", (wanted - corrected[rows])[PEAK] ** 2))
-        corrected[rows] = np.maximum(corrected[rows], 0.0)
         pixels = _pixel_variance(noise, noise_share[rows], recorded, peak)
         gains = (noise.picture_gain * recorded) ** 2 * whole**2
         if rows.start == 0:
@@ -241,8 +252,7 @@ def _noise_floor(found: MaterialFit, noise: PixelNoise, peak: np.ndarray, sampli
 def recorded_table(table: xr.Dataset) -> xr.DataArray:
     """Recover the recorded table from a corrected table.
 
-    The result differs from the recorded values for entries that the energy limit reduced, and for negative entries that were
-    set to 0.
+    The result differs from the recorded values for entries that the energy limit reduced.
 
     Args:
         table: Dataset that `correct` returned.
@@ -261,7 +271,7 @@ def supported_values(table: xr.Dataset, recorded: xr.DataArray) -> xr.DataArray:
     Beside a highlight, a corrected value is often far below the recorded value, which consists of blurred light of the
     highlight. The standard deviation of the correction may then exceed 5 % of the corrected value, although it is below 5 % of
     the recorded value. Such a corrected value is kept, because the corrected peak already contains the blurred light.
-    Negative values, which are noise about 0, become 0, because a MERL file uses them for missing values.
+    Negative values, which are noise about 0, become 0, because a MERL file uses them for missing values (`zeroed_noise`).
 
     Args:
         table: Dataset that `correct` returned.
@@ -276,3 +286,19 @@ def supported_values(table: xr.Dataset, recorded: xr.DataArray) -> xr.DataArray:
     lowered = (table["response"].values > 1) & (table["correction_std"].values < SUPPORTED)
     kept = table["supported"].values | lowered
     return table["brdf"].copy(data=np.maximum(np.where(kept, table["brdf"].values, recorded.values), 0))
+
+
+def zeroed_noise(recorded: xr.DataArray) -> tuple[Remark, ...]:
+    """Report how much the albedo of a table increases if negative noise is set to 0.
+
+    Args:
+        recorded: table with noise, 1/sr.
+    """
+    share = float((recorded.values < 0).mean())
+    raised = albedo(np.maximum(-recorded.values, 0.0), sampling_of(recorded))
+    rise = float(raised[: int(np.degrees(BEFORE_LIMB))].max())
+    if rise < _RISE:
+        return ()
+    text = f"{share:.0%} of the recorded entries are negative noise. A MERL file cannot contain them, so they are 0 there, "
+    text += f"which increases its albedo by up to {rise:.2f}: use the NetCDF file, which keeps them"
+    return (Remark("negative-noise", text),)

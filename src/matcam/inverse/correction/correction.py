@@ -392,9 +392,10 @@ def correct(
         workspace: store of results that depend only on the rig. Default: None, that of the process.
 
     Returns:
-        Dataset over the dimensions of the table. `brdf`: corrected BRDF, 1/sr. Missing values remain missing, negative
-        values are set to 0, and reciprocity is preserved. Uncertain corrections are reduced towards the recorded value. In
-        directions with an albedo above 1, entries are reduced within the standard deviation of the correction.
+        Dataset over the dimensions of the table. `brdf`: corrected BRDF, 1/sr. Missing values remain missing,
+        negative noise remains, no other value becomes negative, and reciprocity is preserved. Uncertain corrections are
+        reduced towards the recorded value. In directions with an albedo above 1, entries are reduced within the standard
+        deviation of the correction.
         `correction_std`: standard deviation of true / recorded value (no unit), due to fitted parameters, the other
         explanations, the uncertainty of the camera, the shape of the lens, the body, a free lamp, and glare. `noise_std`:
         standard deviation of `brdf` due to pixel noise, 1/sr. `brdf_std`: standard deviation of `brdf` due to correction

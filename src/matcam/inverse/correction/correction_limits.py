@@ -34,7 +34,7 @@ wrong absolute scale of the table is the more likely cause.
 _TRIED_STEPS = np.linspace(0, _MOST_STEPS, 41)[1:]
 _HALF_CELL = np.radians(0.5)
 """Half of a cell in theta_d and phi_d, rad."""
-_BEFORE_LIMB = np.radians(80.5)
+BEFORE_LIMB = np.radians(80.5)
 """Largest angle to the normal, rad, up to which the albedo of a recorded table is judged. At larger angles its pixels contain
 the limb, and the albedo may exceed 1 for this reason.
 """
@@ -233,7 +233,7 @@ def energy_limit(recorded: np.ndarray, corrected: np.ndarray, std: np.ndarray, s
         steps[better], left[better] = tried, np.maximum(now, 0)[better]
     # an entry lies between two directions, and the larger reduction of both is used
     steps = np.maximum(steps, np.maximum(np.r_[steps[1:], steps[-1:]], np.r_[steps[:1], steps[:-1]]))
-    judged = sent[merl_grid(sampling).theta_d < _BEFORE_LIMB]
+    judged = sent[merl_grid(sampling).theta_d < BEFORE_LIMB]
     return EnergyLimit(steps, left, sampling, float(judged.max()))
 
 
