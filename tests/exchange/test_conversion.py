@@ -139,8 +139,14 @@ def test_other_results_go_where_they_can(folder, tmp_path):
         assert not (tmp_path / new).exists()
     table = read_merl(folder / "a.binary")
     write_netcdf(tmp_path / "corrected.nc", xr.Dataset({"brdf": table, "brdf_std": table}))
-    with pytest.raises(ArgumentError, match=r"convert the \.binary file that `matcam correct` or"):
-        convert(tmp_path / "corrected.nc", tmp_path / "c.bsdf")
+    assert convert(tmp_path / "corrected.nc", tmp_path / "c.binary")["omitted"] == ["brdf_std"]
+    np.testing.assert_array_equal(read_merl(tmp_path / "c.binary").values, table.values)
+    write_netcdf(tmp_path / "noisy.nc", (table - 1.0).to_dataset(name="brdf"))
+    with pytest.raises(ArgumentError, match=r"write a table with noise about 0 to a \.nc file"):
+        convert(tmp_path / "noisy.nc", tmp_path / "n.binary")
+    convert(tmp_path / "corrected.nc", tmp_path / "c.csv")
+    with pytest.raises(FileFormatError, match=r"for a result of matcam, give the \.nc file"):
+        convert(tmp_path / "c.csv", tmp_path / "n.nc")
     (tmp_path / "s.csv").write_text("theta_h_rad,theta_d_rad,phi_d_rad,R_per_sr\n0.1,0.2,0.3,1\n")
     with pytest.raises(ArgumentError, match="scattered samples cannot be stored"):
         convert(tmp_path / "s.csv", tmp_path / "s.bsdf")

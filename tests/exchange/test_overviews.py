@@ -8,9 +8,10 @@ import tifffile
 from matcam import inspect, write_merl
 from matcam.core.errors import FileFormatError
 from matcam.core.grid import brdf_table
-from matcam.core.io import write_json
+from matcam.core.io import write_columns, write_json
 from matcam.files.capture_listing import list_photographs
 from matcam.files.capture_writing import write_template
+from matcam.files.float_pictures import read_exr, read_exr_layers, write_exr_layers
 
 RECONSTRUCTION = {
     "format": "matcam reconstruction",
@@ -75,6 +76,35 @@ def test_a_correction(tmp_path):
     assert report["lens"] == "gaussian, sigma_px 0.5"
 
 
+def test_a_fit_and_its_budgets(tmp_path):
+    fit = {"files": ["a.binary"], "ndf": "epd", "params": {"beta": 0.01}, "std": {"beta": 1e-4}, "remarks": []}
+    write_json(tmp_path / "f.json", fit)
+    report = inspect(tmp_path / "f.json")
+    assert report["holds"] == "the result of a fit to a.binary"
+    assert report["parameters"] == {"beta": {"value": 0.01, "std": 1e-4}}
+    budget = {"result": "F(9.5 deg), R", "value": 1.0, "combined_standard_uncertainty": 6e-5}
+    write_json(tmp_path / "b.json", {"budgets": [budget]})
+    assert "1 ± 6e-05" in str(inspect(tmp_path / "b.json"))
+
+
+def test_layers_of_an_image(tmp_path):
+    layers = {"corrected": np.full((4, 5, 3), 2.0), "supported": np.array([[0.0] * 5] * 3 + [[1.0] * 5])}
+    write_exr_layers(tmp_path / "a.exr", layers)
+    for name, read in read_exr_layers(tmp_path / "a.exr").items():
+        np.testing.assert_array_equal(read, layers[name])
+    report = inspect(tmp_path / "a.exr")
+    assert report["layers"]["corrected"] == "5 x 4 px, 3 channels, values 2 to 2"
+    with pytest.raises(FileFormatError, match="the file has the layers corrected, supported"):
+        read_exr(tmp_path / "a.exr")
+
+
+def test_columns_of_a_result(tmp_path):
+    write_columns(tmp_path / "c.csv", {"theta_d_rad": [0.1, 0.2], "channel": ["R", "G"], "raw": [0.5, np.nan]})
+    report = inspect(tmp_path / "c.csv")
+    assert report["rows"] == 2
+    assert report["columns"] == {"theta_d_rad": "0.1 to 0.2", "channel": "-", "raw": "0.5 to 0.5"}
+
+
 @pytest.mark.parametrize(
     ("changed", "words"),
     [
@@ -111,6 +141,11 @@ def test_other_folders(tmp_path, codes):
     tifffile.imwrite(tmp_path / "p.tif", codes)
     report = inspect(tmp_path)
     assert (report["tables"], report["photographs"]) == (1, 1)
+    for name in ("a-corrected.binary", "a-corrected.nc"):
+        (tmp_path / name).touch()
+    report = inspect(tmp_path)
+    assert (report["tables"], report["results"]) == (1, 1)
+    (tmp_path / "a-corrected.nc").unlink()
     rig = {"sample": {"kind": "sphere", "radius_px": 256.0}, "camera": {"optics": {"model": "gaussian"}}}
     write_json(tmp_path / "settings.json", {"format": "matcam run", "rig": rig})
     write_json(tmp_path / "failed.json", {"failed": [{"file": "b", "reason": "b: it is damaged"}]})

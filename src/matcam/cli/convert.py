@@ -84,8 +84,12 @@ def command(
 
 def _print(report: dict[str, Any]) -> None:
     show.say(f"{report['input']}: {report['holds']} ({report['format']}) -> {report['output']}")
+    if report.get("omitted"):
+        show.say(f"not written, because the format contains only a BRDF: {', '.join(report['omitted'])}")
+    if "supported" in report.get("omitted", ()):
+        show.say("entries that are not supported have their recorded values")
     if not report["resampled"]:
-        show.say("all values are unchanged")
+        show.say("all other values are unchanged" if report.get("omitted") else "all values are unchanged")
     else:
         how = report["resampled"]
         show.say(how if how.startswith("fitted") else f"resampled {how}")

@@ -46,7 +46,7 @@ def command(
         _print_photograph(report)
     elif "shape" in report and "range" in report:
         _print_image(report)
-    elif "verdict" in report:
+    elif "parameters" in report:
         _print_result(report)
     elif report["format"] == "folder":
         _print_folder(report)
@@ -171,7 +171,8 @@ def _print_result(report: dict[str, Any]) -> None:
     from matcam.core.results.summary import Quantity
 
     show.say(f"{report['file']}: {report['holds']}")
-    show.say(report["verdict"])
+    if report["verdict"]:
+        show.say(report["verdict"])
     if "lens" in report:
         show.say(f"table: {report['table']}; lens {report['lens']}")
     found = [Quantity(name, one["value"], _known(one["std"])) for name, one in report["parameters"].items()]
@@ -198,7 +199,8 @@ def _print_folder(report: dict[str, Any]) -> None:
             show.say(f"pages of the results: {report['page']}")
         show.notes(report["failed"])
     else:
-        show.say(f"tables (.binary): {report['tables']}; images: {report['photographs']}")
+        results = f"results with a .nc file: {report['results']}; " if report["results"] else ""
+        show.say(f"tables (.binary): {report['tables']}; {results}images: {report['photographs']}")
         if report["photographs"]:
             show.say(
                 "matcam calibrate measures a camera from photographs of a chart in a folder, and matcam capture init --from "

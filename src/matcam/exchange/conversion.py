@@ -10,19 +10,21 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from matcam.core import checks
 from matcam.core.errors import ArgumentError
-from matcam.core.grid import Sampling
+from matcam.core.grid import Sampling, checked_table
 from matcam.core.io import check_output, write_json
 from matcam.core.readers.names import check_within, is_there
 from matcam.core.shading import Vector, local_shading, vector
 from matcam.exchange.contents import Contents, material_of, read_contents, write_contents
 from matcam.exchange.materialx import fit_openpbr, write_openpbr
 from matcam.exchange.parameterisation import GRID_SIZES, SQUARE, adaptive_grid, resampled_grid
-from matcam.files.formats import MEASUREMENTS, Format, format_for, suffixes_for
+from matcam.files.formats import MEASUREMENTS, Format, format_for
 from matcam.files.sidecar import read_sidecar, sidecar_path
 from matcam.forward.measurement import true_table
+from matcam.inverse.correction.corrected_table import TABLE_ATTRIBUTES, recorded_table, supported_values
 from matcam.material.material import Material, cell_values
 from matcam.material.measured import Adaptive, Tabulated
 
@@ -60,7 +62,8 @@ def convert(
     Returns:
         Report as plain values. `input` and `output` are the paths; `format`, `content` and `holds` (a description)
         refer to the data of the input; `sidecar` is the path of a copied sidecar. `resampled` describes the resampling;
-        it is None if every value is kept.
+        it is None if every value is kept. `omitted` lists the variables of a result that the format cannot contain, such
+        as standard deviations.
 
         A report of resampled data also has `missing_share`, the share of interpolated values, and `error`, the relative
         differences of the BRDF. These are `median`, `p99` and `largest` at 4096 random pairs of directions, and `peak`,
@@ -98,18 +101,16 @@ def convert(
     }
     if form.name == "materialx":
         return {**report, **_write_surface(target, contents, force)}
-    if contents.content == "result" and "brdf" in contents.data and "result" not in form.written:
-        raise ArgumentError(
-            f"{source} contains a table and its standard deviations, which cannot be stored in {form.suffixes[0]}: convert the "
-            ".binary file that `matcam correct` or `matcam reconstruct` writes with it, or use "
-            f"{', '.join(suffixes_for('result'))}"
-        )
+    omitted: dict[str, Any] = {}
+    if contents.content == "result" and contents.brdf is not None and "result" not in form.written:
+        omitted["omitted"] = [str(name) for name in contents.data.data_vars if name != "brdf"]
+        contents = Contents("table", _table_of(contents.data), contents.format)
     contents, details = _resample(contents, form, sampling, square, error)
     form.writer(contents.content)
     if contents.content == "picture":
         details |= _write_sidecar(source, target, force)
     write_contents(target, contents, force=force)
-    return {**report, "resampled": None, **details}
+    return {**report, "resampled": None, **omitted, **details}
 
 
 def resampling_error(before: Material, after: Material) -> dict[str, float]:
@@ -141,6 +142,13 @@ def resampling_error(before: Material, after: Material) -> dict[str, float]:
         "known": relative.size / _PAIRS,
         "peak": float(np.median(peak)) if peak.size else np.nan,
     }
+
+
+def _table_of(result: xr.Dataset) -> xr.DataArray:
+    """Select the table of a result. The table of a correction has recorded values where it is not supported."""
+    if not set(TABLE_ATTRIBUTES) <= set(result):
+        return checked_table(result["brdf"])
+    return supported_values(result, recorded_table(result))
 
 
 def _differences(first: np.ndarray, second: np.ndarray, floor: np.ndarray) -> np.ndarray:

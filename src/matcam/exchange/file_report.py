@@ -14,7 +14,14 @@ from matcam.camera.kernel import mtf50
 from matcam.core import checks
 from matcam.core.grid import Sampling
 from matcam.core.readers.names import is_folder
-from matcam.exchange.overviews import folder_overview, is_photograph, photograph_overview, result_overview
+from matcam.exchange.overviews import (
+    columns_overview,
+    folder_overview,
+    is_photograph,
+    layers_overview,
+    photograph_overview,
+    result_overview,
+)
 from matcam.files.formats import identify
 
 
@@ -72,6 +79,9 @@ def _file_report(path: Path, sampling: Sampling, radius: float) -> dict[str, Any
         return {"format": kind, **read_sidecar(path)}
     if kind == "chart":
         return {"format": kind, "holds": "a chart's description", **_chart_report(read_chart(path))}
+    overviews = {"csv": columns_overview, "exr": layers_overview}
+    if kind in overviews and (found := overviews[kind](path)):
+        return found
     from matcam.exchange.contents import read_contents
     from matcam.exchange.inspection import inspect_contents
 

@@ -9,15 +9,20 @@ from typing import Any
 import numpy as np
 
 from matcam.core.errors import FileFormatError
+from matcam.core.io import reading
+from matcam.core.readers.apart import read_apart
 from matcam.core.readers.names import is_file
-from matcam.core.readers.texts import read_json
+from matcam.core.readers.texts import SMALL_TEXT, read_json
 from matcam.files.capture import KINDS, SETTINGS, read_capture
+from matcam.files.float_pictures import read_exr_layers
 from matcam.files.photographs import PICTURES, SUFFIXES, open_photograph
 from matcam.files.picture_header import read_exif
+from matcam.files.table_decoders import is_samples
 
 _RUN_SETTINGS, _RUN_FAILURES, _RUN_PAGES = "settings.json", "failed.json", "index.html"
 """Files in the folder of a run of `matcam correct` (`batch/folder.py`)."""
 _RUN = "matcam run"
+_DECODERS = "matcam.files.table_decoders"
 _CODED = (b"\x89PNG", b"\xff\xd8\xff")
 """First bytes of PNG and JPEG, whose values are always integers."""
 
@@ -54,17 +59,29 @@ def photograph_overview(path: Path) -> dict[str, Any]:
 
 
 def result_overview(path: Path) -> dict[str, Any] | None:
-    """Report on the JSON file of a correction or a reconstruction.
+    """Report on the JSON file of a correction, a reconstruction, a fit or uncertainty budgets.
 
     The result is None for any other JSON file.
     """
     document = read_json(path, "a result")
-    if not isinstance(document, dict) or not isinstance(document.get("verdict"), str):
+    if not isinstance(document, dict):
+        return None
+    if not (isinstance(document.get("verdict"), str) or "budgets" in document or {"params", "ndf"} <= set(document)):
         return None
     fit = document.get("fit")
     known = {**fit, **document} if isinstance(fit, dict) else document
     try:
-        if "params" in known:  # a correction
+        if "budgets" in known:
+            budgets = {
+                one["result"]: f"{one['value']:.6g} ± {one['combined_standard_uncertainty']:.2g}"
+                for one in known["budgets"]
+            }
+            return {"format": "result (JSON)", "holds": "uncertainty budgets", "value ± standard uncertainty": budgets}
+        about: dict[str, Any]
+        if "verdict" not in known:
+            about = {"holds": f"the result of a fit to {', '.join(known['files'])}", "family": known["ndf"]}
+            pairs = {name: [value, known["std"][name]] for name, value in known["params"].items()}
+        elif "params" in known:  # a correction
             about = {"holds": "the result of a correction", "table": known["file"], "family": known["ndf"]}
             about["lens"] = _in_words(known["camera"]["optics"])
             pairs = {name: [value, known["std"][name]] for name, value in known["params"].items()}
@@ -79,7 +96,7 @@ def result_overview(path: Path) -> dict[str, Any] | None:
         return {
             "format": "result (JSON)",
             **about,
-            "verdict": known["verdict"],
+            "verdict": known.get("verdict"),
             "supported_share": known.get("supported_share"),
             "parameters": {name: {"value": value, "std": std} for name, (value, std) in pairs.items()},
             "remarks": [remark["text"] for remark in known["remarks"]],
@@ -90,6 +107,35 @@ def result_overview(path: Path) -> dict[str, Any] | None:
         ) from None
 
 
+def layers_overview(path: Path) -> dict[str, Any] | None:
+    """Report on an OpenEXR file with layers. The result is None for an image without layers."""
+    layers = read_exr_layers(path)
+    if list(layers) == [""]:
+        return None
+    return {
+        "format": "exr",
+        "holds": "an image with layers",
+        "layers": {n: _in_numbers(one) for n, one in layers.items()},
+    }
+
+
+def _in_numbers(picture: np.ndarray) -> str:
+    height, width, *channels = picture.shape
+    known = picture[np.isfinite(picture)]
+    values = f"values {known.min():.6g} to {known.max():.6g}" if known.size else "all values are missing"
+    return f"{width} x {height} px, {(*channels, 1)[0]} channels, {values}"
+
+
+def columns_overview(path: Path) -> dict[str, Any] | None:
+    """Report on a CSV file of a result. The result is None for samples of a BRDF."""
+    with reading(path), path.open("rb") as file:
+        if is_samples(file.readline(4096).decode("utf-8", "replace")):
+            return None
+    found = read_apart(f"{_DECODERS}:decode_columns", path, "a CSV file", libraries=("pandas",), small=SMALL_TEXT)
+    columns = {name: " to ".join(f"{end:.6g}" for end in ends) or "-" for name, ends in found["ranges"].items()}
+    return {"format": "csv", "holds": "columns of a result", "rows": found["rows"], "columns": columns}
+
+
 def folder_overview(folder: Path) -> dict[str, Any]:
     if is_file(folder / SETTINGS):
         return _capture_overview(folder)
@@ -98,13 +144,20 @@ def folder_overview(folder: Path) -> dict[str, Any]:
         if isinstance(settings, dict) and settings.get("format") == _RUN:
             return _run_overview(folder, settings)
     suffixes = Counter(path.suffix.lower() for path in folder.iterdir() if is_file(path))
+    results = sum(is_file(path.with_suffix(".nc")) for path in folder.iterdir() if path.suffix.lower() == ".binary")
     tables, photographs = suffixes[".binary"], sum(suffixes[suffix] for suffix in PICTURES)
     if not tables and not photographs:
         raise FileFormatError(
             f"{folder}: the folder contains no capture ({SETTINGS}), no results of a run ({_RUN_SETTINGS}), no tables "
             "(.binary) and no photographs: give another folder, or a file"
         )
-    return {"format": "folder", "holds": "a folder of files", "tables": tables, "photographs": photographs}
+    return {
+        "format": "folder",
+        "holds": "a folder of files",
+        "tables": tables - results,
+        "results": results,
+        "photographs": photographs,
+    }
 
 
 def _capture_overview(folder: Path) -> dict[str, Any]:

@@ -212,16 +212,39 @@ def read_exr(path: str | Path) -> np.ndarray:
         ...     matcam.io.read_exr(Path(folder) / "a.exr")[0]
         array([0.25, 0.25, 0.25], dtype=float32)
     """
+    layers = read_exr_layers(path)
+    if list(layers) != [""]:
+        raise FileFormatError(
+            f"{path}: the file has the layers {some_of(one[:40] for one in layers)}, but must contain one image: store one "
+            "layer in a file of its own"
+        )
+    return layers[""]
+
+
+def read_exr_layers(path: str | Path) -> dict[str, np.ndarray]:
+    """Read the images in the layers of an OpenEXR file of 32-bit floats.
+
+    Args:
+        path: OpenEXR file as for `read_exr`, such as `write_exr_layers` writes.
+
+    Returns:
+        Images by the name of the layer, float32, (height, width) or (height, width, channels). The name of an image
+        without a layer is empty.
+    """
     path = Path(path)
-    channels, height, width = _checked_header(path)
+    layers, height, width = _checked_header(path)
+    channels = [f"{layer}.{name}".removeprefix(".") for layer, names in layers.items() for name in names]
     check_memory(path, height, width, len(channels), 4, picture_memory())
     stored = read_apart(f"{_DECODERS}:decode_exr", path, "an image", libraries=("OpenEXR",), channels=channels)
-    planes = [stored[name] for name in channels]
-    if any(p.shape != (height, width) or p.dtype != np.float32 for p in planes):
+    if any(stored[name].shape != (height, width) or stored[name].dtype != np.float32 for name in channels):
         raise FileFormatError(
             f"{path}: the OpenEXR file is damaged, because its channels differ from its header: create it again"
         )
-    return planes[0] if channels == ("Y",) else np.stack(planes, axis=-1)
+    planes = iter([stored[name] for name in channels])
+    return {
+        layer: next(planes) if names == ("Y",) else np.stack([next(planes) for _ in names], axis=-1)
+        for layer, names in layers.items()
+    }
 
 
 def _names(channels: int | None) -> tuple[str, ...]:
@@ -230,7 +253,8 @@ def _names(channels: int | None) -> tuple[str, ...]:
     return ("R", "G", "B") if channels == 3 else tuple(f"C{i:04}" for i in range(channels))
 
 
-def _checked_header(path: Path) -> tuple[tuple[str, ...], int, int]:
+def _checked_header(path: Path) -> tuple[dict[str, tuple[str, ...]], int, int]:
+    """Check the header, and read the names of the channels by layer, the height and the width."""
     try:
         with reading(path, "an image"), path.open("rb") as file:
             size = path.stat().st_size
@@ -244,7 +268,7 @@ def _checked_header(path: Path) -> tuple[tuple[str, ...], int, int]:
                     "with scan lines"
                 )
             attributes, start = _attributes(head)
-            channels, height, width = _described(path, attributes, size)
+            layers, height, width = _described(path, attributes, size)
             compression = attributes["compression"][0]
             if compression not in _LINES_PER_CHUNK:
                 raise FileFormatError(
@@ -272,7 +296,7 @@ def _checked_header(path: Path) -> tuple[tuple[str, ...], int, int]:
                     )
     except (struct.error, IndexError, KeyError, UnicodeDecodeError):
         raise FileFormatError(f"{path}: the header of the OpenEXR file is damaged: create it again") from None
-    return channels, height, width
+    return layers, height, width
 
 
 def _attributes(head: bytes) -> tuple[dict[str, bytes], int]:
@@ -289,7 +313,7 @@ def _attributes(head: bytes) -> tuple[dict[str, bytes], int]:
     return found, at + 1
 
 
-def _described(path: Path, attributes: dict[str, bytes], size: int) -> tuple[tuple[str, ...], int, int]:
+def _described(path: Path, attributes: dict[str, bytes], size: int) -> tuple[dict[str, tuple[str, ...]], int, int]:
     left, top, right, bottom = struct.unpack("<4i", attributes["dataWindow"])
     listed, names, at = attributes["channels"], [], 0
     while listed[at]:
@@ -310,14 +334,18 @@ def _described(path: Path, attributes: dict[str, bytes], size: int) -> tuple[tup
             raise FileFormatError(
                 f"{path}: the image has more than {_MOST_CHANNELS} channels: give an image with fewer channels"
             )
-    expected = _names(None if names == ["Y"] else len(names))
-    if sorted(names) != sorted(expected):
+    listed_names = dict[str, list[str]]()
+    for name in names:
+        layer, _, own = name.rpartition(".")
+        listed_names.setdefault(layer, []).append(own)
+    layers = {layer: _names(None if own == ["Y"] else len(own)) for layer, own in listed_names.items()}
+    if any(sorted(own) != sorted(layers[layer]) for layer, own in listed_names.items()):
         raise FileFormatError(
             f"{path}: the channels are {some_of(one[:40] for one in names)}, but must be Y, or R, G, B, or C0000, C0001 and "
             "so on"
         )
     check_promised(path, bottom - top + 1, right - left + 1, len(names), size)
-    return expected, bottom - top + 1, right - left + 1
+    return layers, bottom - top + 1, right - left + 1
 
 
 def _text(head: bytes, at: int) -> tuple[str, int]:

@@ -112,7 +112,8 @@ def write_merl(path: str | Path, brdf: xr.DataArray, *, force: bool = False) -> 
         raise ArgumentError("a MERL file must have at least one value: all values of this table are missing")
     if lowest < 0:
         raise ArgumentError(
-            f"a MERL file cannot contain negative values, got {lowest:g} 1/sr: use NaN for missing values"
+            f"a MERL file cannot contain negative values, got {lowest:g} 1/sr: use NaN for missing values; write a table with "
+            "noise about 0 to a .nc file, or set its negative values to 0, which increases the albedo"
         )
     with np.errstate(over="ignore"):
         stored /= SCALE[:, None, None, None]

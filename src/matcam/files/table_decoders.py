@@ -42,6 +42,35 @@ def decode_csv(path: Path) -> dict[str, Any]:
     return {"names": names, "scale": scale, "values": _values(path, len(names))}
 
 
+def decode_columns(path: Path) -> dict[str, Any]:
+    """Decode the ranges of the columns of a CSV file.
+
+    The result has `rows`, the number of lines below the names, and `ranges`, the smallest and the largest value of each
+    column by name; columns of texts have an empty list.
+    """
+    import pandas as pd
+
+    _check_lines(path)
+    rows, ranges = 0, dict[str, list[float]]()
+    try:
+        with pd.read_csv(path, chunksize=_LINES_AT_ONCE) as reader:
+            for block in reader:
+                rows += len(block)
+                for name in map(str, block.columns):
+                    numbers = block[name].dropna() if block[name].dtype.kind in "iuf" else block[name][:0]
+                    known = [*ranges.get(name, []), *map(float, (numbers.min(), numbers.max()) if len(numbers) else ())]
+                    ranges[name] = [min(known), max(known)] if known else []
+    except (ValueError, pd.errors.ParserError) as error:
+        raise FileFormatError(f"{path}: the file is not a CSV file: {' '.join(str(error).split())[:120]}") from None
+    return {"rows": rows, "ranges": ranges}
+
+
+def is_samples(head: str) -> bool:
+    """Check whether the first line of a CSV file has only the columns of samples of a BRDF."""
+    names = [name.strip() for name in head.lstrip("\ufeff").split(",")]
+    return all(name.endswith(VALUE) or name.rpartition("_")[0] in (*HALF, *PAIR) for name in names)
+
+
 def _check_lines(path: Path) -> None:
     """Reject a line of more than 16 KiB.
 
@@ -78,7 +107,8 @@ def _columns(path: Path) -> tuple[list[str], list[float]]:
             scale.append(1.0)
         else:
             raise FileFormatError(
-                f"{path}: line 1: column {name!r:.40} is neither an angle (theta_h_rad, ...) nor a channel (R_per_sr, ...)"
+                f"{path}: line 1: column {name!r:.40} is neither an angle (theta_h_rad, ...) nor a channel (R_per_sr, ...); "
+                "for a result of matcam, give the .nc file that was written with it"
             )
     if len(set(names)) < len(names) or not (set(HALF) <= set(names) or set(PAIR) <= set(names)):
         raise FileFormatError(
