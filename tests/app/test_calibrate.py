@@ -8,6 +8,7 @@ import tifffile
 from typer.testing import CliRunner
 
 from matcam.app.calibrated import calibrated, edges_in, measured_edge, open_picture, profiles
+from matcam.app.transfers import worded
 from matcam.cli.app import app
 from matcam.core.errors import FileFormatError
 
@@ -38,6 +39,11 @@ def test_more_pixels_than_can_be_shown_are_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(calibrated, "_LARGEST", 5000)
     with pytest.raises(FileFormatError, match=r"edge.tif: the image has 0 megapixels"):
         open_picture(edge_picture(tmp_path / "edge.tif"))
+
+
+def test_messages_name_neither_options_nor_temporary_folders():
+    text = "/tmp/matcam-app-x1_y/2/a b.tif: 8 bits: specify the tone curve (--tone)"
+    assert worded(text) == "a b.tif: 8 bits: specify the tone curve"
 
 
 @pytest.mark.slow

@@ -75,6 +75,16 @@ def test_a_slider_shows_what_it_sets():
         assert one.low <= one.from_slider(one.to_slider(one.high) + 1) <= one.high
 
 
+def test_a_number_at_a_limit_says_so():
+    """The browser replaces a number beyond a limit by the limit."""
+    from matcam.app.controls import NumberControl, Setting
+
+    control = NumberControl(Setting("sigma", "blur [px]", 0.1, 3.0, 0.5), lambda: None, lambda: None)
+    for value, words in ((3.0, "blur [px]: largest value"), (1.0, "blur [px]"), (0.1, "blur [px]: smallest value")):
+        control.field.value = value
+        assert control.label.text == words
+
+
 def test_roughnesses_are_drawn_from_the_smoothest_on():
     assert replace(DEFAULTS, roughness=0.01).roughnesses == [0.001, 0.005, 0.01, 0.02, 0.1]
     assert replace(DEFAULTS, roughness=0.005).roughnesses == [0.001, 0.005, 0.02, 0.1]

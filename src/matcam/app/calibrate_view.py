@@ -28,7 +28,7 @@ from matcam.app.calibrated import (
 )
 from matcam.app.controls import note, watch
 from matcam.app.plots import WIDTH, curve_figure, empty_source, hover, picture_figure
-from matcam.app.transfers import Downloads, Upload
+from matcam.app.transfers import Downloads, Upload, worded
 from matcam.app.worker import Newest
 from matcam.core.errors import MatcamError
 from matcam.core.readers.names import is_file
@@ -285,7 +285,7 @@ class CalibrateView:
         lines = [
             picture.about,
             f"tone curve: {_TONES[self._tone.value]}",
-            *(str(getattr(one, "text", one)) for one in remarks),
+            *(worded(str(getattr(one, "text", one))) for one in remarks),
         ]
         self._about.text = "<br>".join(escape(line) for line in lines)
 

@@ -125,6 +125,7 @@ class NumberControl:
         self.field.value = None if math.isinf(value) else value
         self.slider.value = self.setting.to_slider(value)
         self._own = False
+        self._say_limit()
 
     def _ticked(self) -> None:
         if not self._own:
@@ -140,6 +141,7 @@ class NumberControl:
             self.infinite.active = False  # moving the slider implies a finite number
             self.field.value = self.setting.from_slider(new)
             self._own = False
+            self._say_limit()
             self._changed()
 
     def _typed(self, attribute: str, old: float, new: float | None) -> None:
@@ -148,8 +150,15 @@ class NumberControl:
             self.infinite.active = False
             self.slider.value = self.setting.to_slider(new)
             self._own = False
+            self._say_limit()
             self._changed()
             self._released()
+
+    def _say_limit(self) -> None:
+        """Show in the label that the value is a limit, because the browser replaces values beyond it."""
+        limits = {self.setting.low: "smallest", self.setting.high: "largest"}
+        which = limits.get(self.value)
+        self.label.text = self.setting.title + (f": {which} value" if which else "")
 
     def _end(self) -> None:
         if not self._own:

@@ -17,7 +17,7 @@ from matcam.app.controls import watch
 from matcam.app.exploring.explore import ExploreView
 from matcam.app.plan import PlanView
 from matcam.app.plots import THEME
-from matcam.app.transfers import Downloads
+from matcam.app.transfers import Downloads, worded
 
 
 class Page:
@@ -59,7 +59,7 @@ class Page:
         document.on_event("document_ready", lambda event: self._begin())
 
     def complain(self, line: str) -> None:
-        self._message.text = escape(" ".join(line.split()))
+        self._message.text = escape(worded(" ".join(line.split())))
 
     def close(self) -> None:
         for view in self._views.values():

@@ -62,6 +62,8 @@ class _Saved(RequestHandler):
         self.finish(content)
 
 
+_FOLDER = "matcam-app-"
+"""Start of the name of the temporary folder of dropped files."""
 LARGEST = 40 << 20
 """Largest size of a file that can be dropped, bytes. Larger files are given on the command line, and are not copied."""
 
@@ -109,7 +111,7 @@ class Upload:
             self._complain(f"{name}: the file did not arrive completely: drop it again")
             return
         if self._folder is None:
-            self._folder = Path(tempfile.mkdtemp(prefix="matcam-app-"))
+            self._folder = Path(tempfile.mkdtemp(prefix=_FOLDER))
         self._count += 1
         folder = self._folder / str(self._count)
         folder.mkdir()
@@ -117,6 +119,11 @@ class Upload:
         path.write_bytes(content)
         self._complain("")
         self._dropped(path)
+
+
+def worded(text: str) -> str:
+    """Adapt a message to the page: without the folders of dropped files, and without options of the command line."""
+    return re.sub(rf"\S*{_FOLDER}\w+[\\/]\d+[\\/]", "", text).replace(" (--tone)", "")
 
 
 def safe_name(name: str) -> str:
