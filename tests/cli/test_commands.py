@@ -12,7 +12,7 @@ import pytest
 import tifffile
 import xarray as xr
 
-from matcam import BoxPixel, Camera, DiffractionOptics, GaussianOptics, convert, write_merl
+from matcam import BoxPixel, Camera, ColourOptics, DiffractionOptics, GaussianOptics, convert, write_merl
 from matcam.camera import Uncertainty
 from matcam.core.grid import brdf_table
 from matcam.core.io import write_json
@@ -191,6 +191,21 @@ def test_inspect(matcam, measured, tmp_path):
     text = matcam("inspect", "maps.nc").stdout
     assert re.search(r"map +3 y x 4 x +1", text)
     assert "{" not in text
+
+
+@pytest.mark.parametrize("command", ["limits", "predict"])
+def test_a_camera_of_several_lenses_is_refused_in_words_of_the_command_line(matcam, tmp_path, command):
+    lenses = (GaussianOptics(0.5), GaussianOptics(0.4), GaussianOptics(0.6))
+    Camera(ColourOptics(*lenses)).save(tmp_path / "c.json")
+    said = matcam(command, "0.01", "--camera", "c.json", code=2).stderr
+    assert "(--camera)" in said
+    assert "GaussianOptics" not in said
+    assert "Camera(" not in said
+
+
+def test_a_metal_of_figures_is_checked_first(matcam, tmp_path):
+    assert "did you mean 'Cr'?" in matcam("figures", "--metal", "Crr", code=2).stderr
+    assert not (tmp_path / "figures").exists()
 
 
 @pytest.mark.slow

@@ -143,8 +143,10 @@ def test_a_server_without_ranges_and_one_that_is_away(server, tmp_path, monkeypa
     monkeypatch.setattr(Server, "plain", True)
     with pytest.raises(DownloadError, match="sends only the whole archive"):
         downloads.fetch_merl("chrome", tmp_path, f"{server}/database.zip")
-    with pytest.raises(DownloadError, match="cannot be fetched"):
+    with pytest.raises(DownloadError, match="there is no connection to the server; check"):
         downloads.fetch_merl("chrome", tmp_path, "http://127.0.0.1:9/folder")
+    with pytest.raises(DownloadError, match="an address must begin with https"):
+        downloads.fetch_merl("chrome", tmp_path, "folder")
 
 
 def test_an_archive_that_breaks_off_or_is_spoiled_inside(server, tmp_path, monkeypatch):

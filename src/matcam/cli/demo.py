@@ -57,5 +57,5 @@ def _show_all(output: Path, table: Path, loss: Path, term: Path, force: bool) ->
     show.say("4. The paper's figures:")
     extracted = read_netcdf(where_written(term.with_suffix(".nc")))  # result of the fit above
     stems = {"figure-3": None, "figure-4": None, "figure-5": None, f"figure-6-{table.stem}": extracted}
-    figures.draw_all(stems, output, "svg", force=force, quiet=False)
+    figures.draw_all(stems, output, "svg", metal="Cr", force=force, quiet=False)
     show.say(f"Done. Open {term} first.")

@@ -43,7 +43,11 @@ _RENAMED = {
 _PHRASES = {
     "(Camera(..., uncertainty=...))": "(--camera: a profile with an uncertainty)",
     "Camera(optics, pixel, sensor=Sensor(...))": "a profile with a sensor (--camera)",
+    "give the lens of one colour, or a GaussianOptics that is as wide as this lens": "give a profile with a Gaussian lens that "
+    "is as wide as this lens (--camera)",
     "page must lie in": "--size must lie in",
+    "use Camera(optics.at(x, y), pixel)": "give the profile of a lens that is equal in the field (--camera)",
+    "use Camera(optics.red, pixel), or optics.green or optics.blue": "give the profile of one colour (--camera)",
 }
 """Replacements for Python expressions in messages."""
 

@@ -116,8 +116,13 @@ def _pieces(source: str, material: str) -> Generator[bytes]:
     except zipfile.BadZipFile:
         raise DownloadError(f"{material}: {source} is not a zip archive, or is damaged: use another source") from None
     except (requests.RequestException, urllib3.exceptions.HTTPError) as error:
+        why = one_line(error)
+        if isinstance(error, requests.exceptions.InvalidSchema | requests.exceptions.MissingSchema):
+            why = "an address must begin with https:// or http://"
+        elif isinstance(error, requests.ConnectionError):  # its text describes objects of the library
+            why = "there is no connection to the server"
         raise DownloadError(
-            f"{material}: the file cannot be fetched from {source}: {one_line(error)}; check the address and the connection"
+            f"{material}: the file cannot be fetched from {source}: {why}; check the address and the connection"
         ) from None
     except (EOFError, zlib.error, ValueError, OverflowError, struct.error, NotImplementedError, RuntimeError) as error:
         raise DownloadError(
