@@ -142,9 +142,10 @@ class Recipe:
 
     def in_words(self) -> str:
         family = "GGX or EPD, the more probable" if self.options.ndf == "auto" else self.options.ndf
+        source = self.rig.camera.provenance.source
         return (
             f"Lobe: {family}; masking: {self.options.masking or 'none'}; {self.rig.sample.in_words()}; "
-            f"camera: {known_lens(self.rig.camera).words}."
+            f"camera: {known_lens(self.rig.camera).words}{f', from {source}' if source else ''}."
         )
 
 

@@ -285,9 +285,10 @@ class Correction(Summarised):
                 "Rig and data contradict each other, so the table is not corrected. The remarks name the contradiction. "
                 "No entry is supported."
             )
-        lost = [
-            f"{loss:.0%} at {angle}°" for angle, loss in zip(_ANGLES, self.peak_loss(np.radians(_ANGLES)), strict=True)
-        ]
+        losses = self.peak_loss(np.radians(_ANGLES))
+        lost = [f"{loss:.0%} at {angle}°" for angle, loss in zip(_ANGLES, losses, strict=True)]
+        if np.abs(losses).max() < _MATTERS:
+            lost = [f"less than {_MATTERS:.0%} up to {_ANGLES[-1]}°"]
         known = "well determined" if self._determined else "NOT determined by these images"
         rows = self._grid.index(theta_h=0.0, theta_d=np.radians(np.arange(_ANGLES[0], _ANGLES[-1] + 1)))
         supported, recorded = self.table["supported"].values[rows], np.isfinite(self.recorded.values[rows])
