@@ -77,6 +77,20 @@ def test_the_peaks_make_the_fresnel_term(table):
     assert np.isnan(term["corrected"]).all()
 
 
+def test_a_legend_has_no_entry_without_data():
+    """The browser draws no symbol for such an entry."""
+    from matcam.app.plots import curve_figure, empty_source, update_legend
+
+    plot, sources = curve_figure("a", "x [px]", "y [px]", height=200), [empty_source(name, "x", "y") for name in "ab"]
+    for source in sources:
+        plot.line("x", "y", source=source, legend_label=source.name)
+    for full in ([], ["b"], ["a", "b"]):
+        for source in sources:
+            source.data = {"x": [0.0], "y": [0.0]} if source.name in full else {"x": [], "y": []}
+        update_legend(plot)
+        assert [item.label.value for item in plot.legend.items if item.visible] == full
+
+
 def test_the_lamp_moves_the_highlight(table):
     size = 101
     for lamp, azimuth in ((0.0, 0.0), (1.0, 0.0), (1.0, np.pi / 2), (1.6, np.pi)):

@@ -54,6 +54,12 @@ def empty_source(name: str, *columns: str) -> ColumnDataSource:
     return ColumnDataSource({column: [] for column in columns}, name=name)
 
 
+def update_legend(plot: Any) -> None:
+    """Hide the entries of a legend without data, for which the browser draws no symbol."""
+    for item in plot.legend.items:
+        item.visible = any(any(map(len, one.data_source.data.values())) for one in item.renderers)
+
+
 def curve_figure(title: str, x: str, y: str, *, height: int, **more: Any) -> Any:
     """Create a plot for curves. The names of the axes must include units.
 
