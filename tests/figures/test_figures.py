@@ -32,6 +32,7 @@ def figures():
         "figure 4": highlight_figure(paper.figure_3_4(1.0)),
         "figure 5": loss_figure(paper.figure_5()),
         "figure 6": fresnel_figure(result, tabulated_fresnel(result, "Cr")),
+        "figure 6 with the closest materials": fresnel_figure(result, tabulated_fresnel(result)),
         "figure 6 without tables": fresnel_figure(result),
         "targets": targets_figure(_samples(), Camera(GaussianOptics(0.5)), "a-rather-long-name-of-a-photograph.tif"),
         "targets without a camera": targets_figure(_samples()),
@@ -40,7 +41,7 @@ def figures():
 
 
 NAMES = ["edge", "figure 3", "figure 4", "figure 5", "figure 6", "figure 6 without tables", "prediction"]
-NAMES += ["targets", "targets without a camera"]
+NAMES += ["figure 6 with the closest materials", "targets", "targets without a camera"]
 
 
 def _samples():
@@ -49,6 +50,15 @@ def _samples():
         MTFSamples(kind, (9, 9), f, 0 * f, np.exp(-9 * f**2), 1e-4 * np.eye(3))
         for kind in ("star", "grating", "dots", "edge")
     ]
+
+
+def test_materials_that_were_chosen_by_the_data_are_called_the_closest(figures):
+    close, given = (
+        {text.get_text() for text in figures[name].legends[0].get_texts()}
+        for name in ("figure 6 with the closest materials", "figure 6")
+    )
+    assert sum(text.startswith("closest: ") for text in close) == 4
+    assert any(text.startswith("Cr (") for text in given)
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -76,9 +76,11 @@ def draw_fresnel(axes: Axes, result: xr.Dataset, tables: xr.Dataset | None, chan
     draw_with_std(axes, theta, corrected, std, BLUE, lw=2, label=label)
     if tables is not None:
         best = np.argsort(tables["rms_corrected"].isel(channel=channel).values, kind="stable")[:4]
+        among = "closest: " if tables.sizes["table"] > len(best) else ""
         for index, colour in zip(sorted(best), (GREEN, ORANGE, PURPLE, BLACK), strict=False):
             table = tables.isel(table=index, channel=channel)
-            axes.plot(theta, table["tabulated"], color=colour, lw=1.2, ls="--", label=str(table["table"].values))
+            label = f"{among}{table['table'].values}"
+            axes.plot(theta, table["tabulated"], color=colour, lw=1.2, ls="--", label=label)
     if supported < theta[-1]:
         axes.axvline(supported, color=GREY, lw=0.8)
         axes.annotate(
