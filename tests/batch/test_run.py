@@ -431,7 +431,9 @@ def test_the_index(tmp_path, here):
         assert image.startswith("data:image/png;base64,")
         assert imagecodecs.png_decode(base64.b64decode(image.partition(",")[2])).shape == (64, 128, 3)
     assert "bad.binary: the file has only 8 bytes" in page
-    assert "camera: assumed lens blur 0.50 ± 0.50 px; measure it with matcam calibrate." in page
+    assert (
+        "camera: assumed lens blur 0.50 ± 0.50 px; measure it with matcam calibrate; source of the camera: Holz" in page
+    )
     assert not re.search(r"(src|href)='?http", page)
     sorted_by = [row[found.heads.index("roughness(slope)")] for row in found.rows]
     assert sorted_by == ["0.01", "0.01"]

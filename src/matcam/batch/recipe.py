@@ -145,7 +145,7 @@ class Recipe:
         source = self.rig.camera.provenance.source
         return (
             f"Lobe: {family}; masking: {self.options.masking or 'none'}; {self.rig.sample.in_words()}; "
-            f"camera: {known_lens(self.rig.camera).words}{f', from {source}' if source else ''}."
+            f"camera: {known_lens(self.rig.camera).words}{f'; source of the camera: {source}' if source else ''}."
         )
 
 
