@@ -198,14 +198,22 @@ def _multiplied(
 
 
 def _strengths(ratio: LobeRatio, data: np.ndarray, recorded_body: np.ndarray) -> np.ndarray:
-    """Fit the strength of the recorded lobe in each slice and channel to the entries above the body, (90, channels)."""
+    """Fit the strength of the recorded lobe in each slice and channel to the entries above the body, (90, channels).
+
+    Strengths of slices without entries are interpolated.
+    """
     power, product = np.zeros((2, GRID_SHAPE[1], data.shape[-1]))
     for rows in ROWS:
         used = ratio.seen[rows] & np.isfinite(data[rows])
         lobe = np.where(used, ratio.recorded[rows], 0.0)
         power += np.einsum("hdpc,hdpc->dc", lobe, lobe)
         product += np.einsum("hdpc,hdpc->dc", lobe, np.where(used, data[rows] - recorded_body[rows], 0.0))
-    return np.maximum(np.divide(product, power, out=np.zeros_like(power), where=power > 0), 0.0)[:, None]
+    slices = np.arange(len(power))
+    strengths = [
+        np.interp(slices, slices[there > 0], np.maximum(one[there > 0] / there[there > 0], 0.0))
+        for one, there in zip(product.T, power.T, strict=True)
+    ]
+    return np.stack(strengths, axis=-1)[:, None]
 
 
 def _mean_of_neighbours(sums: np.ndarray, counts: np.ndarray) -> np.ndarray:
