@@ -18,11 +18,11 @@ from tests.oracle.merl_lobe import conductor
 INDEX, ALPHA, REFLECTANCE = 1.5, 0.15, 0.3
 
 
-def base_of(theta_h, theta_d, phi_d):
+def base_of(theta_h, theta_d, phi_d, alpha=ALPHA):
     """BRDF of the oracle's base, 1/sr, and the smaller cosine."""
     mean, half = np.cos(theta_h) * np.cos(theta_d), np.sin(theta_h) * np.sin(theta_d) * np.cos(phi_d)
     cos_i, cos_o = mean - half, mean + half
-    light = whole_tables.Base(oracle.GGX(ALPHA), (1.0,), INDEX).light(np.tan(theta_h) ** 2, cos_i, cos_o)
+    light = whole_tables.Base(oracle.GGX(alpha), (1.0,), INDEX).light(np.tan(theta_h) ** 2, cos_i, cos_o)
     return light / (4 * cos_i * cos_o), np.minimum(cos_i, cos_o)
 
 
@@ -37,17 +37,21 @@ def test_a_base_has_the_light_of_the_oracle():
     assert not found[..., 1].any()
 
 
-@pytest.fixture(scope="module")
-def table():
-    """Table of a Beckmann coat over the base, one channel, with noise."""
+def table_of(alpha):
+    """Table of a Beckmann coat over a base, one channel, with noise."""
     shot = recorded.made(18, oracle.Setup())
     cells = shot.cells
     coat = shot.rule.directions(oracle.EPD(0.002, 1.0)) * 0.04
     base, cosine = base_of(
-        recorded.GRID.theta_h[cells.i_theta_h], cells.theta_d[:, None], recorded.GRID.phi_d[cells.i_phi_d]
+        recorded.GRID.theta_h[cells.i_theta_h], cells.theta_d[:, None], recorded.GRID.phi_d[cells.i_phi_d], alpha
     )
     base = np.where(cells.valid & (cosine > 0), REFLECTANCE * base, 0.0)
     return shot.table(shot.rule.noisy(coat + base[..., None], np.random.default_rng(5)))
+
+
+@pytest.fixture(scope="module")
+def table():
+    return table_of(ALPHA)
 
 
 def fitted(table, **more):
@@ -77,9 +81,16 @@ def test_without_a_base_the_fit_leaves_more_than_noise(table):
     assert found.base is None
 
 
-def test_the_body_of_a_fit_is_base_and_lambertian_part(table):
+def test_a_base_at_the_smallest_roughness_has_a_remark(coated):
+    found = fitted(table_of(0.02), base=True)
+    assert found.params["base_alpha"] == pytest.approx(8 / 256, rel=0.05)
+    assert "base-too-narrow" in {remark.code for remark in found.remarks}
+    assert "base-too-narrow" not in {remark.code for remark in coated.remarks}
+
+
+def test_the_body_of_a_fit_is_base_and_lambertian_part(coated):
     """Its standard deviation is the propagated one: by differences of its parameters."""
-    found = fitted(table, base=True)
+    found = coated
     angles = np.array([0.05, 0.3]), np.array([0.4, 0.9]), np.array([1.5, 1.0])
     value, std = found.body(*angles)
     names = ["base_alpha", "diffuse[G]", "base[G]"]

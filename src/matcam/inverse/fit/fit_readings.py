@@ -301,6 +301,13 @@ def fit_remarks(
     elif not verdict.determined:
         text = "the data do not determine the lobe: the width is not known to 5 %, or the last parameter not to 15 %"
         remarks.append(Remark("roughness-not-determined", text))
+    base_width = solution.problem.layout.base_width
+    if (solution.p[base_width] < solution.problem.bounds()[0][base_width] + _BOUND).any():
+        text = (
+            f"the base has the smallest roughness that a fit allows, {float(np.exp(solution.p[base_width][0])):.2g}, so this "
+            "roughness is an upper bound, and its standard deviation is too small"
+        )
+        remarks.append(Remark("base-too-narrow", text))
     if noise_given and solution.misfit > 1 + 5 * np.sqrt(2 / max(solution.freedom, 1)):
         text = f"the residuals are {np.sqrt(solution.misfit):.1f} times the given noise: the model does not explain the data"
         remarks.append(Remark("misfit", text))
