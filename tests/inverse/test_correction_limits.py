@@ -47,7 +47,7 @@ EVERY = 18
 
 
 def ratio_of(log, std, recorded=1.0):
-    """Ratio without a body, of which all entries are seen."""
+    """Ratio for a material without a body. All entries are corrected."""
     log, one = np.asarray(log, dtype=float), np.ones(np.shape(log))
     return LobeRatio(log, std * one, one.astype(bool), recorded * one, one, 0 * one)
 

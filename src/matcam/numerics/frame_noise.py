@@ -22,7 +22,9 @@ _SIGNIFICANT = 5.0
 
 
 def code_step(codes: np.ndarray) -> float:
-    """Compute the largest number of which all differences between the codes of a frame are multiples, DN.
+    """Compute the step of the codes of a frame, DN.
+
+    All codes differ by multiples of this step, and no larger number has this property.
 
     Args:
         codes: frame as read, (height, width), DN. A ninth of the pixels is used.

@@ -164,8 +164,8 @@ def _ratio_of_lens(
     if fits.fit.base is not None:
         lobe = at._replace(kind=BASE, lobe=np.log([fits.fit.base.roughness]))
         base = np.exp(-on_table(_plain(plain, lobe, fitted), plain))
-    spread_light = on_table(np.sqrt((columns[-KNOTS:] ** 2).sum(axis=0)), coarse)
-    return LobeRatio(log, np.sqrt(variance), seen_cells(fine), recorded, base, np.clip(spread_light, 0.0, 1.0), parts)
+    mixing = np.clip(on_table(np.sqrt((columns[-KNOTS:] ** 2).sum(axis=0)), coarse), 0.0, 1.0)
+    return LobeRatio(log, np.sqrt(variance), seen_cells(fine), recorded, base, mixing, parts)
 
 
 def _plain(where: ResponseLattice, at: FitCoordinates, shifts: np.ndarray) -> np.ndarray:
