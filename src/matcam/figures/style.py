@@ -46,6 +46,7 @@ _RC: Any = {
     "font.size": 9.5,
     "axes.titlesize": 10.5,
     "axes.titleweight": "bold",
+    "axes.titley": 1.0,  # otherwise Matplotlib computes all labels to find the height of a title
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.grid": True,

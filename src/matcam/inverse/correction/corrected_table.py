@@ -81,7 +81,7 @@ def corrected_table(
         Dataset of the corrected table, energy limit, and sources of the variance of the peaks.
     """
     data, sampling = brdf.values, sampling_of(brdf)
-    peak = np.nanmax(np.where(np.isfinite(data), data, 0), axis=(0, 2))
+    peak = np.fmax.reduce(data, axis=(0, 2), initial=0.0)
     ratio = above_noise(ratio_of_lobes, _noise_floor(found, noise, peak, sampling))
     multiplied = _multiplied(data, _angles(sampling), found, noise, noise_share, peak, ratio, scattered, glare)
     corrected, camera_std, factor, parts = multiplied

@@ -9,6 +9,7 @@ monotone cubic polynomials are used. Cells within a few pixels of the limb are n
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -186,10 +187,15 @@ def on_table(values: np.ndarray, where: ResponseLattice) -> np.ndarray:
     n_h, n_d, _ = GRID_SHAPE
     along = PchipInterpolator(slices, lattice, axis=0)(np.arange(n_d))
     along = PchipInterpolator(rings, along, axis=1)(np.arange(n_h))
-    phi = merl_grid(where.sampling).phi_d
-    if where.spacing.mirrored:
-        across = CubicSpline(np.radians(azimuths), along, axis=2, bc_type="clamped")(np.minimum(phi, np.pi - phi))
-    else:
-        whole = np.concatenate([along, along[:, :, :1]], axis=2)
-        across = CubicSpline(np.radians([*azimuths, 180]), whole, axis=2, bc_type="periodic")(phi)
-    return np.ascontiguousarray(across.transpose(1, 0, 2))
+    return np.ascontiguousarray(along.transpose(1, 0, 2)) @ _across(where.spacing, where.sampling)
+
+
+@cache
+def _across(spacing: Spacing, sampling: Sampling) -> np.ndarray:
+    """Compute the weights of the azimuths of a lattice at phi_d of a table, (azimuths, 180)."""
+    azimuths, phi = np.radians(spacing.azimuths), merl_grid(sampling).phi_d
+    unit = np.eye(azimuths.size)
+    if spacing.mirrored:
+        return np.asarray(CubicSpline(azimuths, unit, axis=1, bc_type="clamped")(np.minimum(phi, np.pi - phi)))
+    period = np.concatenate([unit, unit[:, :1]], axis=1)
+    return np.asarray(CubicSpline([*azimuths, np.pi], period, axis=1, bc_type="periodic")(phi))

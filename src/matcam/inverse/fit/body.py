@@ -29,7 +29,6 @@ from matcam.core.jax import AnyArray, jax, jnp, placed
 from matcam.core.programs import kept_program
 from matcam.material.microfacet import Microfacet
 from matcam.material.ndf.ggx import GGX
-from matcam.material.reflectance import fresnel_conductor
 
 NARROWEST_PX = 8.0
 """Smallest product of the roughness of a base and the radius of the sphere, px. At this value a lens with a blur of 0.5 px
@@ -39,8 +38,6 @@ _INDEX = 1.5
 """Assumed refractive index of a coat. Varnishes and clear coats have 1.45 to 1.55; within this range the product of the
 transmittances into and out of the coat changes by 2 % at 60 degrees.
 """
-_ALONG = 1 - 1e-12
-"""Upper limit of a cosine, so that the derivative of its arccosine is finite."""
 
 
 class DiffusePart(NamedTuple):
@@ -107,9 +104,16 @@ def transmittance(theta_h: AnyArray, theta_d: AnyArray, phi_d: AnyArray) -> AnyA
 
     The product has the broadcast shape of the angles, rad.
     """
-    angles = (xp.arccos(xp.clip(cosine, 0.0, _ALONG)) for cosine in cosines(theta_h, theta_d, phi_d))
-    into, out = (1 - fresnel_conductor(theta, _INDEX, 0.0) for theta in angles)
+    into, out = (1 - _fresnel_of_coat(cosine) for cosine in cosines(theta_h, theta_d, phi_d))
     return into * out
+
+
+def _fresnel_of_coat(cos: AnyArray) -> AnyArray:
+    """Compute the unpolarised reflectance of a coat (Born & Wolf, 1.5.2); cosines below 0 count as 0."""
+    cos = xp.maximum(cos, 0.0)
+    refracted = xp.sqrt(_INDEX**2 - 1 + cos**2)  # times the index
+    r_s, r_p = (cos - refracted) / (cos + refracted), (_INDEX**2 * cos - refracted) / (_INDEX**2 * cos + refracted)
+    return (r_s**2 + r_p**2) / 2
 
 
 def loss_in_coat(theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> np.ndarray:

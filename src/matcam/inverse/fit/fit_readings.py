@@ -222,7 +222,7 @@ def body_at(
         for name, (index, slope) in shared.items():
             indices, columns = [*indices, index], [*columns, amounts[name] * slope]
         covariance = solution.covariance[np.ix_(indices, indices)]
-        variance[..., u] = np.einsum("k...,kl,l...->...", columns, covariance, columns)
+        variance[..., u] = np.einsum("k...,k...->...", columns, np.tensordot(covariance, columns, 1))
     return value, np.sqrt(np.maximum(variance, 0.0))
 
 

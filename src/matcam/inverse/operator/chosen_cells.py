@@ -8,6 +8,7 @@ flanks of a lobe would only improve values that are known to a fraction of a per
 
 from __future__ import annotations
 
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -34,6 +35,7 @@ SLICE_CELLS = 112
 """Largest number of cells of a slice. The arrays of all slices are padded to this length."""
 _RINGS = np.concatenate([np.arange(12), np.arange(12, 26, 2), np.arange(26, 90, 5)])
 _MOST_IN_RING = 4
+_MOST_NEAR = 24
 
 
 class RealPixels(NamedTuple):
@@ -213,7 +215,10 @@ def _slice_cells(view: SampleView, sampling: Sampling, slice_: int, pixels: Pixe
     """
     theta_h, theta_d, phi_d = merl_grid(sampling)
     td, radius = theta_d[slice_], view.radius
-    rings = [_ring_azimuths(ring, radius * theta_h[ring], td, phi_d.size) for ring in _RINGS]
+    # half the circumference of each ring, px, foreshortened in one direction
+    lengths = np.pi * radius * theta_h[_RINGS] * np.sqrt((1 + np.cos(td) ** 2) / 2)
+    positions = np.where(_RINGS < NEAR_RINGS, np.clip(np.ceil(2 * lengths), 1, _MOST_NEAR), _MOST_IN_RING)
+    rings = [_ring_azimuths(int(p), bool(ring % 2), phi_d.size) for p, ring in zip(positions, _RINGS, strict=True)]
     i, k = np.repeat(_RINGS, [one.size for one in rings]), np.concatenate(rings)
     x, y, cos_i, cos_o = positions_in(view, theta_h[i], np.full(k.size, td), phi_d[k])
     seen = np.minimum(cos_i, cos_o).min(axis=-1) > np.where(i < NEAR_RINGS, NEAR_COSINE, FAR_COSINE)
@@ -231,12 +236,11 @@ def _slice_cells(view: SampleView, sampling: Sampling, slice_: int, pixels: Pixe
     first = 0
     for ring, azimuths in zip(_RINGS, rings, strict=True):
         wanted = 5 if ring < NEAR_RINGS else _MOST_IN_RING if ring < 26 else 3
-        # in an order in which any first few cells are spread over the ring
-        for n in first + np.argsort((np.arange(azimuths.size) * 0.618) % 1):
+        for n in range(first, first + azimuths.size):
             own = set(numbers[n])
             if wanted and seen[n] and not own & occupied and len(chosen) < SLICE_CELLS:
                 occupied |= own
-                chosen.append(int(n))
+                chosen.append(n)
                 wanted -= 1
         first += azimuths.size
     valid = np.arange(SLICE_CELLS) < len(chosen)
@@ -246,13 +250,12 @@ def _slice_cells(view: SampleView, sampling: Sampling, slice_: int, pixels: Pixe
     return _SliceCells(np.where(valid, i[rows], 0), np.where(valid, k[rows], 0), valid, behind)
 
 
-def _ring_azimuths(ring: int, radius: float, theta_d: float, count: int) -> np.ndarray:
-    """Choose the indices of phi_d that are considered in a ring.
+@cache
+def _ring_azimuths(positions: int, odd: bool, count: int) -> np.ndarray:
+    """Choose the indices of phi_d that are considered in a ring, in an order in which any first few are spread over the ring.
 
-    `radius` is the radius of the ring, px. `count` is the number of values of phi_d in a table.
+    Neighbouring rings, odd and even ones, have other azimuths. `count` is the number of values of phi_d in a table.
     """
-    # half the circumference of the ring, px, foreshortened in one direction
-    length = np.pi * radius * np.sqrt((1 + np.cos(theta_d) ** 2) / 2)
-    positions = int(np.clip(np.ceil(2 * length), 1, 24)) if ring < NEAR_RINGS else _MOST_IN_RING
-    share = (np.arange(positions) + (0.5 if ring % 2 else 0.2)) / positions
-    return np.unique((share * count).astype(int))
+    share = (np.arange(positions) + (0.5 if odd else 0.2)) / positions
+    azimuths = np.unique((share * count).astype(int))
+    return azimuths[np.argsort((np.arange(azimuths.size) * 0.618) % 1)]

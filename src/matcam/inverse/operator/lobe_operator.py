@@ -28,7 +28,7 @@ from matcam.camera.optics.colour import ColourOptics
 from matcam.camera.optics.optics import checked_isotropic
 from matcam.core import checks
 from matcam.core.errors import ArgumentError
-from matcam.core.grid import Sampling, azimuth_difference
+from matcam.core.grid import Sampling
 from matcam.core.jax import jax
 from matcam.core.threads import available_cores, in_order
 from matcam.core.workspace import Workspace, default_workspace
@@ -60,6 +60,8 @@ from matcam.sample.curved import Cylinder, Sphere
 
 _LEAST_COSINE = 1e-4
 """Smallest cosine of incidence and view at which masking is evaluated. Lambda is therefore also finite below the horizon."""
+_NO_AZIMUTH = 1e-30
+"""Smallest square of a product of two sines, so that the azimuth of a direction along the normal is finite."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -204,14 +206,16 @@ class _Rules(NamedTuple):
         assert theta_d is not None
         mean = np.cos(theta) * np.cos(theta_d)
         half = np.sin(theta) * np.sin(theta_d) * self.cos_psi
-        azimuth = azimuth_difference(theta, theta_d, np.pi - np.arccos(self.cos_psi))
         cos_i, cos_o = (np.maximum(c, _LEAST_COSINE) for c in (mean + half, mean - half))
+        # azimuth between light and view about the normal, by the spherical law of cosines
+        across = np.sqrt(np.maximum((1 - cos_i**2) * (1 - cos_o**2), _NO_AZIMUTH))
+        azimuth = np.arccos(np.clip((np.cos(2 * theta_d) - cos_i * cos_o) / across, -1.0, 1.0))
         return NodeArrays(
             slope2=np.tan(self.theta) ** 2,
             weight=self.weight,
             along=self.along,
             light_and_view=TabulatedDirections.of(np.stack([cos_i, cos_o], axis=1), COTS.size),
-            azimuth=np.broadcast_to(azimuth, cos_i.shape),
+            azimuth=azimuth,
             share=self.share,
         )
 
