@@ -6,6 +6,7 @@ tails. Its rings, and what differs by direction, are a table of their own."""
 
 import numpy as np
 import pytest
+from scipy.interpolate import PchipInterpolator
 
 from matcam import (
     GGX,
@@ -20,6 +21,7 @@ from matcam import (
     measure,
 )
 from matcam.core.workspace import Workspace
+from matcam.inverse.correction.response_lattice import FINE, Spacing, response_lattice
 from matcam.inverse.operator.lobe_operator import lobe_operator
 from tests.oracle import aberrated
 from tests.oracle.airy_record import AROUND, recorded_way
@@ -125,3 +127,19 @@ def test_any_lens_serves_any_rig(distances, azimuth):
 def test_lenses_from_open_to_closed(lens):
     """1e-4 of the peak, from a lobe of a quarter of a pixel to one of 5 px."""
     assert errors(lens, [0.001, 0.003, 0.02], [0.0, 1.0, 2.5, 6.0, 12.0]).max() < 1e-4
+
+
+@pytest.mark.slow
+def test_a_lattice_of_responses_has_the_rings_that_airy_patterns_need():
+    """Rings between those of the lattice are interpolated. At f/8 the response of a mirror changes from ring to ring."""
+    some = Spacing(tuple(range(10, 25)), (70,), (0, 24, 53, 80, 90))
+    rig = Rig(Camera(DiffractionOptics(8, 550e-9, 5e-6), BoxPixel()), Sphere(256.0))
+    lattice = response_lattice(rig, "centre", some, (), Workspace())
+    true, recorded = (one.record(GGX(0.003), "smith", ()) for one in (lattice.true, lattice.recorded))
+    ratios = np.where(lattice.cells.valid, np.log(true / recorded), np.nan).reshape(len(some.rings), -1)
+    ratios = ratios[:, np.isfinite(ratios).all(axis=0)]
+    there = np.isin(some.rings, FINE.rings)
+    between = PchipInterpolator(np.array(some.rings)[there], ratios[there], axis=0)(some.rings)
+    assert ratios.shape[1] > 1
+    assert np.ptp(ratios) > 0.1
+    np.testing.assert_allclose(between, ratios, atol=0.01)
