@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Literal
 
@@ -101,8 +101,6 @@ class FitSetup:
         free_masking: True to fit G as any smooth function of the angle. Default: False.
         noise: noise of a pixel and of the image gain. Default: None, estimated from the residuals.
         slice_step: spacing of the slices of theta_d (no unit), from 1 to 30. Default: 1, all slices.
-        rule_step: spacing of the slices of a larger quadrature rule from which the rule of this setup is selected, for setups
-            that share the larger rule. Default: None, `slice_step`.
         view: sphere that defines the pixels if `rig` is None. Default: a radius of 256 px, distant camera and lamp.
         pixels: pixel grid from which cells are read if `rig` is None. Default: None, each cell has its own pixels.
         workspace: store of results that depend only on the rig. Default: None, the store of the process.
@@ -142,10 +140,11 @@ class FitSetup:
     free_masking: bool = False
     noise: PixelNoise | None = None
     slice_step: int = 1
-    rule_step: int | None = None
     view: SampleView = FAR_AWAY
     pixels: PixelGrid | None = None
     workspace: Workspace | None = None
+    _rule_step: int | None = field(default=None, repr=False)
+    """Spacing of the slices of a larger quadrature rule from which the rule of this setup is selected; None: `slice_step`."""
 
     def __post_init__(self) -> None:
         tables = tuple(checked_table(table) for table in self.tables)
@@ -157,8 +156,6 @@ class FitSetup:
         checks.choice("fresnel", self.fresnel, tuple(FRESNEL_MODELS))
         checks.choice("masking", self.masking, MASKINGS)
         checks.whole_number("slice_step", self.slice_step, 1, 30)
-        if self.rule_step is not None:
-            checks.whole_number("rule_step", self.rule_step, 1, self.slice_step)
         checks.scalar("spline", checks.within("spline", self.spline, 0, 10))
         for name in ("diffuse", "coated", "base", "per_channel", "nearby", "lens_shape", "free_masking"):
             checks.flag(name, getattr(self, name))
@@ -181,7 +178,7 @@ class FitSetup:
         """Copy the setup with changed fields.
 
         Args:
-            **changes: new values of fields, by name. A new `slice_step` resets `rule_step` to its default.
+            **changes: new values of fields, by name.
 
         Returns:
             The new setup.
@@ -191,7 +188,7 @@ class FitSetup:
             FitError: the cells of the first table contradict the rig.
         """
         if "slice_step" in changes:
-            changes = {"rule_step": None, **changes}
+            changes = {"_rule_step": None, **changes}
         return dataclasses.replace(self, **changes)
 
     def with_few_slices(self) -> FitSetup:
@@ -208,7 +205,7 @@ class FitSetup:
             18
         """
         shared = SEARCH_STEP if self.slice_step == SEARCH_STEP else None
-        return self.with_(slice_step=max(LOOK_STEP, self.slice_step), rule_step=shared)
+        return self.with_(slice_step=max(LOOK_STEP, self.slice_step), _rule_step=shared)
 
     def solve(self, start: MaterialFit | None = None, *, weights: Literal["data", "start"] = "data") -> MaterialFit:
         """Find the best fit.
@@ -329,7 +326,7 @@ class FitSetup:
     @property
     def _whole(self) -> WholeRule:
         """Slices and axes for which the rule is computed, including those of later fits."""
-        slice_step, axes = self.rule_step or self.slice_step, self.prior.axes
+        slice_step, axes = self._rule_step or self.slice_step, self.prior.axes
         refitted = self.axes_with_refits if slice_step >= SEARCH_STEP else axes
         return WholeRule(slice_step, refitted if set(axes) <= set(refitted) else axes)
 
