@@ -79,15 +79,15 @@ def test_the_peaks_make_the_fresnel_term(table):
 
 def test_a_legend_has_no_entry_without_data():
     """The browser draws no symbol for such an entry."""
-    from matcam.app.plots import curve_figure, empty_source, update_legend
+    from matcam.app.plots import curve_figure, empty_source, follow_data
 
     plot, sources = curve_figure("a", "x [px]", "y [px]", height=200), [empty_source(name, "x", "y") for name in "ab"]
     for source in sources:
         plot.line("x", "y", source=source, legend_label=source.name)
+    follow_data(plot)
     for full in ([], ["b"], ["a", "b"]):
         for source in sources:
-            source.data = {"x": [0.0], "y": [0.0]} if source.name in full else {"x": [], "y": []}
-        update_legend(plot)
+            source.data = {"x": [0.0], "y": [0.0 if source.name in full else np.nan]}
         assert [item.label.value for item in plot.legend.items if item.visible] == full
 
 

@@ -27,7 +27,7 @@ from matcam.app.calibrated import (
     targets_in,
 )
 from matcam.app.controls import note, watch
-from matcam.app.plots import WIDTH, curve_figure, empty_source, hover, picture_figure
+from matcam.app.plots import WIDTH, curve_figure, empty_source, follow_data, hover, picture_figure
 from matcam.app.transfers import Downloads, Upload, worded
 from matcam.app.worker import Newest
 from matcam.core.errors import MatcamError
@@ -203,6 +203,7 @@ class CalibrateView:
             legend_label="other targets",
         )
         self._curve.line([0.5, 0.5], [-0.1, 1.1], color=GREY, line_width=1, legend_label="Nyquist")
+        follow_data(self._curve)
         hover(self._curve, [lines], [("frequency", "@frequency{0.000} cycles/px"), ("MTF", "@mtf{0.0000}")])
         return column(
             self._status,

@@ -54,10 +54,24 @@ def empty_source(name: str, *columns: str) -> ColumnDataSource:
     return ColumnDataSource({column: [] for column in columns}, name=name)
 
 
-def update_legend(plot: Any) -> None:
-    """Hide the entries of a legend without data, for which the browser draws no symbol."""
-    for item in plot.legend.items:
-        item.visible = any(any(map(len, one.data_source.data.values())) for one in item.renderers)
+def follow_data(plot: Any) -> None:
+    """Hide the entries of a legend without finite data, now and after every change of the data.
+
+    The browser draws no symbol for such an entry.
+    """
+
+    def update(attr: str, old: Any, new: Any) -> None:
+        for item in plot.legend.items:
+            item.visible = any(map(_has_data, item.renderers))
+
+    for source in {one.data_source for item in plot.legend.items for one in item.renderers}:
+        source.on_change("data", update)
+    update("data", None, None)
+
+
+def _has_data(drawn: Any) -> bool:
+    values = drawn.data_source.data[getattr(drawn.glyph, "y1", None) or drawn.glyph.y]
+    return bool(np.isfinite(np.asarray(values, dtype=float)).any())
 
 
 def curve_figure(title: str, x: str, y: str, *, height: int, **more: Any) -> Any:

@@ -29,7 +29,7 @@ from matcam.app.exploring.explored import (
 from matcam.app.exploring.fitted_pictures import opened_captures
 from matcam.app.exploring.opened import Openable, OpenedTable, entries_of
 from matcam.app.exploring.photographs_panel import PhotographsPanel
-from matcam.app.plots import WIDTH, curve_figure, empty_source, hover, on_black, picture_figure, update_legend
+from matcam.app.plots import WIDTH, curve_figure, empty_source, follow_data, hover, on_black, picture_figure
 from matcam.app.transfers import Downloads, Upload
 from matcam.app.worker import DRAINED, Newest
 from matcam.core.errors import ArgumentError, MatcamError
@@ -178,7 +178,7 @@ class ExploreView:
             )
         for plot in (self._slice, self._fresnel):
             plot.legend.location = "bottom_left"
-            update_legend(plot)
+            follow_data(plot)
         self._spheres = [_SpherePlot(name) for name in ("material", "beside it")]
         self._table = column(
             self._slice,
@@ -315,8 +315,6 @@ class ExploreView:
         top = np.nanmax([np.nanquantile(found["fresnel"][name], 0.97) if np.isfinite(found["fresnel"][name]).any() else 1.0
                          for name in ("recorded", "corrected", "metal")])  # fmt: skip
         self._fresnel.y_range.end = float(1.2 * top)
-        for plot in (self._slice, self._fresnel):
-            update_legend(plot)
         for sphere, light, name in zip(self._spheres, found["light"], found["names"], strict=True):
             sphere.show(light, name, found["exposure"])
 

@@ -14,7 +14,7 @@ from bokeh.palettes import Greys256, RdBu11
 
 from matcam.app.controls import note, watch
 from matcam.app.exploring.fitted_pictures import WINDOWS, FittedPicture, Shot, shots_of
-from matcam.app.plots import empty_source, hover, picture_figure
+from matcam.app.plots import empty_source, follow_data, hover, picture_figure
 from matcam.app.worker import Newest
 from matcam.core.errors import MatcamError
 from matcam.figures.style import ORANGE, SKY, VERMILION
@@ -86,6 +86,7 @@ class PhotographsPanel:
             line_dash="dashed", legend_label="window",
         )  # fmt: skip
         self._plot.legend.location = "bottom_left"
+        follow_data(self._plot)
         hover(self._plot, [cross], [("highlight", "column @x, row @y px")])
         return self._plot
 
