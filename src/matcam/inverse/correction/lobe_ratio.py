@@ -188,12 +188,10 @@ def _plain(where: ResponseLattice, at: FitCoordinates, shifts: np.ndarray) -> np
 
 def _log_slopes(where: ResponseLattice, at: FitCoordinates, shifts: np.ndarray) -> np.ndarray:
     """Compute the derivatives of the log ratio with respect to lobe and rig, (coordinates, slices, cells)."""
-    relative = []
-    for operator, along in ((where.true, np.zeros(0)), (where.recorded, shifts)):
-        record, slopes = record_and_slopes(operator, at.kind, np.concatenate([at.lobe, along]))
-        known = where.cells.valid & (record > VANISHED)
-        relative.append(np.where(known, slopes / np.where(known, record, 1.0), 0.0))
-    by_true, by_recorded = relative
+    by_true, by_recorded = (
+        _relative(where, *record_and_slopes(operator, at.kind, np.concatenate([at.lobe, along])))
+        for operator, along in ((where.true, np.zeros(0)), (where.recorded, shifts))
+    )
     return np.pad(by_true, ((0, len(shifts)), (0, 0), (0, 0))) - by_recorded
 
 
@@ -203,40 +201,35 @@ def _at(where: ResponseLattice, at: FitCoordinates, axes: tuple[Axis, ...]) -> n
 
 def _log_ratio_and_record(where: ResponseLattice, at: FitCoordinates) -> tuple[np.ndarray, np.ndarray]:
     """Compute ln(true / recorded) and ln(recorded) for the specified rig, (slices, cells) each."""
-    (recorded, _), (true, _) = _lobes_and_shares(where, at, np.zeros(len(where.recorded.axes)))
-    log_recorded = np.where(where.cells.valid, np.log(recorded), np.log(VANISHED))
-    return np.where(where.cells.valid, np.log(true) - log_recorded, 0.0), log_recorded
-
-
-def _lobes_and_shares(
-    where: ResponseLattice, at: FitCoordinates, shifts: np.ndarray
-) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Compute the recorded and the true lobe on a lattice, (slices, cells), each with relative derivatives.
-
-    The relative derivatives are those of the logarithm of the lobe with respect to the coefficients b_k of a factor
-    1 + sum_k b_k B_k of D (`lobe_shape.py`), (k, slices, cells). Invalid cells have the value 1.
-
-    shifts: coordinates along the axes of the lattice.
-    """
-    ndf = at.kind.ndf(placed(at.lobe))
-    pairs = [
-        operator.by_shape(ndf, at.kind.masking, rig) for operator, rig in ((where.recorded, shifts), (where.true, ()))
-    ]
-    lobes = [np.where(where.cells.valid, np.maximum(lobe, VANISHED), 1.0) for lobe, _ in pairs]
-    return [(lobe, np.where(lobe > VANISHED, parts / lobe, 0.0)) for (_, parts), lobe in zip(pairs, lobes, strict=True)]
+    ndf, valid = at.kind.ndf(placed(at.lobe)), where.cells.valid
+    recorded, true = (
+        np.log(np.maximum(operator.record(ndf, at.kind.masking, np.zeros(axes)), VANISHED))
+        for operator, axes in ((where.recorded, len(where.recorded.axes)), (where.true, 0))
+    )
+    return np.where(valid, true - recorded, 0.0), np.where(valid, recorded, np.log(VANISHED))
 
 
 def _columns(where: ResponseLattice, at: FitCoordinates, axes: tuple[Axis, ...], shifts: np.ndarray) -> np.ndarray:
     """Compute the derivatives of the log ratio with respect to lobe, rig and shape, (coordinates, slices, cells).
 
-    `shifts` are coordinates along the axes `axes` of the lattice.
+    The coordinates of the shape are the coefficients b_k of a factor 1 + sum_k b_k B_k of D (`lobe_shape.py`). `shifts` are
+    coordinates along the axes `axes` of the lattice.
     """
-    (_, by_recorded), (_, by_true) = _lobes_and_shares(where, at, shifts)
+    ndf = at.kind.ndf(placed(at.lobe))
+    by_true, by_recorded = (
+        _relative(where, *operator.by_shape(ndf, at.kind.masking, along))
+        for operator, along in ((where.true, ()), (where.recorded, shifts))
+    )
     slopes = _log_slopes(where, at, shifts)
     own = len(at.lobe)
     by_rig = np.tensordot(axis_selection(at.axes, axes), slopes[own:], 1)
-    columns = np.concatenate([slopes[:own], by_rig, by_true - by_recorded])
-    return np.where(where.cells.valid, columns, 0.0)
+    return np.concatenate([slopes[:own], by_rig, by_true - by_recorded])
+
+
+def _relative(where: ResponseLattice, record: np.ndarray, slopes: np.ndarray) -> np.ndarray:
+    """Divide the derivatives of a record by the record. The result is 0 for invalid cells and vanished records."""
+    known = where.cells.valid & (record > VANISHED)
+    return np.where(known, slopes / np.where(known, record, 1.0), 0.0)
 
 
 def _variance(columns: np.ndarray, shape: ShapeUncertainty) -> np.ndarray:
