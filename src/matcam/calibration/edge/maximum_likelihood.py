@@ -51,12 +51,12 @@ class Noise(NamedTuple):
     """Noise of a pixel, in the units of the image.
 
     Attributes:
-        gain: system gain; NaN if it is to be estimated.
-        read: standard deviation of the read noise; NaN if it is to be estimated.
+        gain: system gain. Default: NaN, estimated from the image.
+        read: standard deviation of the read noise. Default: NaN, estimated from the image.
     """
 
-    gain: AnyArray | np.float64
-    read: AnyArray | np.float64
+    gain: AnyArray | np.float64 = np.float64(np.nan)
+    read: AnyArray | np.float64 = np.float64(np.nan)
 
     def variance(self, value: AnyArray, dim: AnyArray | float = 1.0) -> jax.Array:
         """Compute the variance of a pixel with the expected value `value`.
@@ -64,10 +64,6 @@ class Noise(NamedTuple):
         `dim`: factor by which the pixel was multiplied to correct uneven light.
         """
         return self.gain * xp.maximum(value, 0.0) * dim + (self.read * dim) ** 2
-
-
-UNKNOWN_NOISE = Noise(np.float64(np.nan), np.float64(np.nan))
-"""Noise whose parameters are estimated from the image."""
 
 
 class State(NamedTuple):
@@ -172,8 +168,6 @@ class CurveStep(NamedTuple):
     roughness: jax.Array
 
 
-_CLEAR = 4.0
-"""Significance above which an edge is reported as rough, in standard deviations. Noise rarely exceeds it."""
 _BOWS = 3
 """Number of coefficients of the curve up to the second order. Higher orders describe an S shape, dirt or a torn border."""
 
@@ -219,7 +213,8 @@ def curve_step(phased: PhasedRows, cells: EdgeCells, at: EdgeModel, noise: Noise
     weight = information / xp.maximum(information.sum(), 1e-300) * ((information > 0).sum() / count)
     expected = (information > 0).sum() / xp.maximum(information.sum(), 1e-300)
     extra = (weight * shift**2).sum() - expected
-    rough = xp.where(extra > _CLEAR * expected * xp.sqrt(2 / count), xp.sqrt(xp.maximum(extra, 0.0)), 0.0)
+    # Noise rarely exceeds 4 standard deviations.
+    rough = xp.where(extra > 4.0 * expected * xp.sqrt(2 / count), xp.sqrt(xp.maximum(extra, 0.0)), 0.0)
     return CurveStep(curve + change, covariance, rms, rough)
 
 

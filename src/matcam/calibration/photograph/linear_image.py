@@ -30,14 +30,6 @@ SMALLEST = 16
 """Smallest side of a region that is measured, px."""
 SATURATED = 0.02
 """Share of saturated pixels above which a region is rejected."""
-_FLAT_TOP = 0.05
-"""Share of pixels with the largest value above which saturation is tested."""
-_SPREAD = 3.0
-"""Noise of the dark side, in levels, above which the bright side of an image cannot have noise below half a level.
-
-Many pixels have the largest value either at the end of a range, or if the noise is below half a level. The sRGB curve is at
-most six times as steep in dark parts as in bright parts.
-"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -273,7 +265,7 @@ def flaw(values: np.ndarray) -> Remark | None:
     low, high = used.min(), used.max()
     if not low < high:
         return Remark("flat", f"the region has only one value, {low:g}: choose a region that contains the target")
-    if (used == high).mean() > _FLAT_TOP:
+    if (used == high).mean() > 0.05:
         # Noisy pixels have equal values only at the end of a range. Without noise, the dark side is equally flat.
         middle = (low + high) / 2
         flat = (used == high).sum() / (used > middle).sum()
@@ -281,7 +273,10 @@ def flaw(values: np.ndarray) -> Remark | None:
         dark = levels <= middle
         below = index[used <= middle]
         spread = robust_std(below - np.median(below))
-        if count[dark].max() / count[dark].sum() < flat / 2 and spread > _SPREAD:
+        # Many pixels have the largest value either at the end of a range, or if the noise is below half a level. The
+        # sRGB curve is at most six times as steep in dark parts as in bright parts. A noise of 3 levels on the dark
+        # side therefore excludes a noise below half a level on the bright side.
+        if count[dark].max() / count[dark].sum() < flat / 2 and spread > 3.0:
             text = f"the region is saturated: {flat:.0%} of its bright samples have the value {high:g}; reduce the exposure"
             return Remark("saturated", text)
     return None
