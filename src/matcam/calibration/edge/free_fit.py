@@ -248,12 +248,6 @@ def _chosen_light(
     return xp.asarray(xp.take(LIGHTS, xp.argmin(cost), axis=0))
 
 
-def curve_without_glare(fit: LinearFit) -> FreeCurve:
-    covariance = fit.inverse @ ((fit.columns * fit.noisy) @ fit.columns.T) @ fit.inverse
-    with_radius = changed(np.zeros((len(covariance) + 1,) * 2), np.s_[:-1, :-1], covariance)
-    return _per_step(fit, fit.strength, with_radius, xp.ones(()))
-
-
 def glare_candidate(fit: LinearFit) -> tuple[jax.Array, jax.Array]:
     """Find the most probable glare.
 
@@ -265,8 +259,8 @@ def glare_candidate(fit: LinearFit) -> tuple[jax.Array, jax.Array]:
     return radii[best], rises[best]
 
 
-def curve_with_glare(fit: LinearFit, log_radius: jax.Array) -> FreeCurve:
-    """Fit the curve with glare, whose radius is also fitted. `log_radius`: ln of the initial radius in px."""
+def fitted_curve(fit: LinearFit, log_radius: jax.Array, glares: jax.Array) -> FreeCurve:
+    """Fit the curve, with glare of a fitted radius if `glares` is true. `log_radius`: ln of the initial radius in px."""
     radii = _radii(fit.shape)
     # 17 radii are tested. A parabola through the best radius and its neighbours determines the maximum.
     step = (radii[1] - radii[0]) / 8
@@ -277,14 +271,14 @@ def curve_with_glare(fit: LinearFit, log_radius: jax.Array) -> FreeCurve:
     bend = before - 2 * at + after
     vertex = xp.clip((before - after) / xp.where(bend < 0, 2 * bend, -xp.inf), -1, 1)
     log_radius = xp.clip(xp.take(nearby, best) + step * vertex, radii[0], radii[-1])
-    glaring = fit.solved(changed(fit.columns, _COLUMN, _column(fit, log_radius)))
+    glaring = fit.solved(changed(fit.columns, _COLUMN, xp.where(glares, _column(fit, log_radius), 0.0)))
     slope = slope_along(lambda r: _column(fit, r), log_radius, 1.0)
     # The radius is already optimal. The additional column only provides its covariance.
     full = xp.concatenate([glaring.columns, glaring.strength[_COLUMN] * slope[None]])
     # Normal prior of ln of the radius with a standard deviation of 1.
     inverse = lifted_inverse((full * fit.weight) @ full.T + xp.diag(xp.append(_PRECISIONS, 1.0)))
     covariance = inverse @ ((full * fit.noisy) @ full.T) @ inverse
-    return _per_step(fit, glaring.strength, covariance, xp.exp(log_radius))
+    return _per_step(fit, glaring.strength, covariance, xp.where(glares, xp.exp(log_radius), 1.0))
 
 
 def _per_step(fit: LinearFit, strength: jax.Array, covariance: jax.Array, radius: jax.Array) -> FreeCurve:

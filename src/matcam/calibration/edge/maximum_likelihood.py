@@ -87,13 +87,11 @@ class EdgeModel(NamedTuple):
     Attributes:
         state: parameters.
         value: (n,) model values.
-        light: (n,) factor that multiplies the scene.
         design: (LINEAR + k, n) derivatives with respect to the parameters; 0 for fixed parameters.
     """
 
     state: State
     value: jax.Array
-    light: jax.Array
     design: jax.Array
 
 
@@ -102,13 +100,11 @@ class LitEdge(NamedTuple):
 
     Attributes:
         value: (n,) expected values.
-        factor: (n,) factor of the light.
         step: (n,) bright minus dark level in this light.
         columns: (SHIFT, n) derivatives with respect to the levels and the light.
     """
 
     value: jax.Array
-    factor: jax.Array
     step: jax.Array
     columns: jax.Array
 
@@ -127,7 +123,7 @@ def lit_edge(edge: jax.Array, linear: jax.Array, terms: jax.Array) -> LitEdge:
     step = linear[1] - linear[0]
     level = linear[0] + step * edge
     parts = [((1 - edge) * factor)[None], (edge * factor)[None], level * terms, terms[:ADDED]]
-    return LitEdge(level * factor + addend, factor, step * factor, xp.concatenate(parts))
+    return LitEdge(level * factor + addend, step * factor, xp.concatenate(parts))
 
 
 def edge_model(cells: EdgeCells, state: State, profile: Profile) -> EdgeModel:
@@ -136,7 +132,7 @@ def edge_model(cells: EdgeCells, state: State, profile: Profile) -> EdgeModel:
     lit = lit_edge(edge, state.linear, cells.terms)
     design = xp.concatenate([lit.columns, (lit.step * line)[None], lit.step * slopes])
     free = xp.concatenate([state.used, xp.ones(len(slopes))])
-    return EdgeModel(state, lit.value, lit.factor, design * free[:, None])
+    return EdgeModel(state, lit.value, design * free[:, None])
 
 
 def scoring_step(cells: EdgeCells, state: State, profile: Profile, noise: Noise, longest: AnyArray) -> State:
@@ -188,9 +184,9 @@ def curve_step(phased: PhasedRows, cells: EdgeCells, at: EdgeModel, noise: Noise
     y, distance = aligned.y[:, None], phased.distance[:, near]
     terms = light_terms(aligned.x[:, near], y, distance, aligned.length).reshape(TERMS, -1)
     factor, addend = (part.reshape(distance.shape) for part in light_of(state.linear, terms))
-    _, of_cell = light_of(state.linear, cells.terms)
-    slope = of_row(at.design[SHIFT] / at.light) * factor
-    scene = of_row((at.value - of_cell) / at.light)
+    cell_factor, cell_addend = light_of(state.linear, cells.terms)
+    slope = of_row(at.design[SHIFT] / cell_factor) * factor
+    scene = of_row((at.value - cell_addend) / cell_factor)
     expected = scene * factor + addend + slope * (distance - of_row(cells.distance))
     weight = aligned.valid[:, near] / noise.variance(expected, 1 / aligned.light[:, None])
     # A shift of the curve by 1 px along x changes the distance by `tilt` px.

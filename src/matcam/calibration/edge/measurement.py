@@ -193,8 +193,7 @@ def edge_fits(
     # If the noise is unknown, the significance of glare follows from the residual with glare.
     left = (linear.weight * linear.left**2).sum() - rise
     glares = rise > free_fit.FOUND * xp.where(known, 1.0, xp.maximum(left / linear.degrees, 1.0))
-    plain = lambda fit, _: free_fit.curve_without_glare(fit)  # noqa: E731
-    free = either(glares, free_fit.curve_with_glare, plain, linear, log_radius)
+    free = free_fit.fitted_curve(linear, log_radius, glares)
     # An estimate of the noise from neighbouring pixels may be too small. Therefore, a significant scatter about the free curve
     # increases all variances.
     scatter = (linear.chi2 - xp.where(glares, rise, 0.0)) / linear.degrees

@@ -31,10 +31,6 @@ if TYPE_CHECKING:
 
 _LARGEST = 1 << 22
 """Largest number of pixels of a region. The search for structure in larger regions requires much time and memory."""
-_LEAST_CONTRAST = 3.0
-"""Smallest step of an edge, in standard deviations of a pixel. Smaller steps may be noise."""
-_WIDEST_GAP = 0.55
-"""Largest gap between the sampled distances from the edge, px. Larger gaps do not determine the MTF50 of a sharp lens."""
 SHARPENED = 0.02
 """Overshoot, relative to the step, above which an edge is assumed to be sharpened. A lens does not cause an overshoot."""
 MISFIT = 0.002
@@ -42,8 +38,6 @@ MISFIT = 0.002
 CLEAR = 4.6
 """Distance of an edge from the borders of the region below which the levels are uncertain, in standard deviations of its
 blur."""
-_BLUR = 0.2
-"""Largest standard deviation of the line spread function, relative to the region width. A wider blur leaves no flat sides."""
 
 
 class RegionFrame(NamedTuple):
@@ -214,25 +208,28 @@ def refusals(found: EdgeFits, region: EdgeRegions, clear: np.ndarray, *, accept_
         if lost[i]:
             text = "no edge was found that crosses the region from one side to the other: choose another region"
             return Remark("no-edge", text)
-        if contrast[i] < _LEAST_CONTRAST:
+        # Smaller steps may be noise.
+        if contrast[i] < 3.0:
             text = f"no edge was found: the step is {contrast[i]:.1f} times the scatter of the pixels, but must be "
-            text += f"at least {_LEAST_CONTRAST:g} times the scatter"
+            text += "at least 3 times the scatter"
             seen = describe_content(region.value[i])
             return Remark(
                 "no-edge", f"{text}; {seen}: choose another region" if seen else f"{text}: choose another region"
             )
-        if gap[i] > _WIDEST_GAP:
+        # Larger gaps do not determine the MTF50 of a sharp lens.
+        if gap[i] > 0.55:
             return Remark(
                 "phases-missing",
                 f"the edge is at {np.degrees(abs(found.angle[i])):.1f} degrees to the pixel grid, so that the pixels sample "
-                f"too few distances from the edge (the largest gap is {gap[i]:.2f} px, but must be at most {_WIDEST_GAP} "
+                f"too few distances from the edge (the largest gap is {gap[i]:.2f} px, but must be at most 0.55 "
                 "px): rotate the target by a few degrees",
             )
-        if blur[i] > _BLUR * width:
+        # A blur wider than a fifth of the region leaves no flat sides.
+        if blur[i] > width / 5:
             return Remark(
                 "too-narrow",
                 f"the region of {width:.0f} px is too narrow for an edge whose blur has a standard deviation of "
-                f"{blur[i]:.1f} px: choose a region of at least {blur[i] / _BLUR:.0f} px across the edge",
+                f"{blur[i]:.1f} px: choose a region of at least {5 * blur[i]:.0f} px across the edge",
             )
         if accept_sharpened:
             return None

@@ -42,13 +42,13 @@ class GhostShare(NamedTuple):
 
     Attributes:
         share: mean share of the ghost, no unit.
-        square: mean square of the share, no unit.
+        std: standard deviation of the share, no unit.
         position: mean distance of the ghost from the edge, weighted by the share, px.
         position_std: standard deviation of the distance, px.
     """
 
     share: float = 0.0
-    square: float = 0.0
+    std: float = 0.0
     position: float = 0.0
     position_std: float = 0.0
 
@@ -65,15 +65,12 @@ class GhostShare(NamedTuple):
         position, squared = (one / max(share, 1e-300) for one in (at, at_square))
         # The variance of a position within a step of 1 px is 1/12.
         position_std = float(np.sqrt(max(squared - position**2, 0.0) + 1 / 12))
-        return cls(share / (1 + share), square / (1 + share) ** 2, position, position_std)
+        std = float(np.sqrt(max(square - share**2, 0.0)))
+        return cls(share / (1 + share), std / (1 + share), position, position_std)
 
     @property
     def rms(self) -> float:
-        return float(np.sqrt(self.square))
-
-    @property
-    def std(self) -> float:
-        return float(np.sqrt(max(self.square - self.share**2, 0.0)))
+        return float(np.hypot(self.share, self.std))
 
 
 class LightField(NamedTuple):
