@@ -29,8 +29,6 @@ from matcam.numerics.normal import SIGNIFICANT, robust_std
 if TYPE_CHECKING:
     from matcam.core.jax import AnyArray
 
-_LARGEST = 1 << 22
-"""Largest number of pixels of a region. The search for structure in larger regions requires much time and memory."""
 SHARPENED = 0.02
 """Overshoot, relative to the step, above which an edge is assumed to be sharpened. A lens does not cause an overshoot."""
 MISFIT = 0.002
@@ -124,9 +122,10 @@ def edge_region(
     """
     region = measurable_region(LinearImage.of(image, channel, cfa, tone, roi))
     height, width = region.values.shape
-    if height * width > _LARGEST:
+    # The search for structure in larger regions requires much time and memory.
+    if height * width > (largest := 1 << 22):
         raise RegionError(
-            f"a region of {width} x {height} px is too large for one edge: choose a region of at most {_LARGEST} pixels"
+            f"a region of {width} x {height} px is too large for one edge: choose a region of at most {largest} pixels"
         )
     refuse_unnamed_mosaic(region)
     return region, edge_regions(region.values[None], mosaic=region.cfa is not None)

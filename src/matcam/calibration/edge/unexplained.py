@@ -18,7 +18,7 @@ from matcam.calibration.edge.geometry import AlignedRows, PhasedRows
 from matcam.calibration.edge.maximum_likelihood import Noise
 from matcam.calibration.edge.start import side_levels
 from matcam.calibration.photograph.flat_noise import clipped_mean
-from matcam.core.arrays import either, xp
+from matcam.core.arrays import repeated, xp
 
 if TYPE_CHECKING:
     from matcam.core.jax import AnyArray, jax
@@ -55,8 +55,7 @@ def without_outliers(phased: PhasedRows, noise: Noise) -> AlignedRows:
         return valid * ~(far & of(count > 3))
 
     # A large outlier may hide other outliers in its group. Therefore the test is repeated.
-    valid = again(aligned.valid)
-    valid = either((valid < aligned.valid).any(), again, lambda same: same, valid)
+    valid = repeated(2, again, aligned.valid)
     return aligned._replace(valid=valid, value=aligned.value * valid)
 
 

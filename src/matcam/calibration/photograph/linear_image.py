@@ -94,7 +94,8 @@ class LinearImage:
                 f"saturated must have the shape of values, {values.shape}, got {np.shape(self.saturated)}"
             )
         if self.cfa is not None:
-            sites = _repeated(sites_of(self.cfa, self.channel), values.shape)
+            (height, width), cell = values.shape, sites_of(self.cfa, self.channel)
+            sites = np.tile(cell, (height // 2 + 1, width // 2 + 1))[:height, :width]
             values = np.where(sites, values, np.nan)
             if self.saturated is not None:
                 object.__setattr__(self, "saturated", self.saturated & sites)
@@ -362,10 +363,6 @@ def _plane(codes: np.ndarray, channel: str, tone: Tone, saturation: float) -> tu
     if codes.ndim == 3:
         codes = codes[..., column]
     return linear_values(codes, tone, column), (codes >= saturation) if known else None
-
-
-def _repeated(sites: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    return np.tile(sites, (shape[0] // 2 + 1, shape[1] // 2 + 1))[: shape[0], : shape[1]]
 
 
 def _shifted(cfa: str, x: int, y: int) -> str:

@@ -33,8 +33,6 @@ _ROWS = (48, 64, 96, 128, 192)
 """Possible lengths of a strip across its rows, px. A small set of shapes limits the number of compiled programs."""
 _COLUMNS = (32, 48)
 """Possible lengths of the rows of a strip, px."""
-_CONTRAST = 0.2
-"""Contrast (bright - dark) / (bright + dark) below which a remark is given. A printed chart has a higher contrast."""
 
 
 class Strips(NamedTuple):
@@ -125,8 +123,9 @@ def edge_remarks(result: EdgeStack, channel: str) -> list[Remark]:
             remarks.append(Remark(f"{code}-edges", f"{channel}: {text}"))
     dark, bright = result.dark[good], result.bright[good]
     contrast = float(np.median((bright - dark) / (np.abs(bright) + np.abs(dark))))
-    if contrast < _CONTRAST:
-        text = f"the contrast is only {contrast:.0%} ({_CONTRAST:.0%} or more is recommended), which increases the standard "
+    # A printed chart has a higher contrast.
+    if contrast < 0.2:
+        text = f"the contrast is only {contrast:.0%} (20% or more is recommended), which increases the standard "
         text += "deviations: use a print with darker blacks, or reduce stray light"
         remarks.append(Remark("low-contrast", f"{channel}: {text}"))
     if text := _directional_blur(result):
