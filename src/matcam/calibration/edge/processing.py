@@ -200,6 +200,7 @@ def _veiled(region: _EdgeRegion) -> list[Trace]:
     unsure = max(min(glare, possible), 0.0)
     # Glare decreases MTF50 by 0.72 of its share.
     share = 0.72 * unsure
+    # An error below 0.5 % is not reported.
     text = f"{seen}{'' if unsure == glare else ' in part'} uneven light: MTF50 with glare may be too low by {share:.0%}"
     return [Trace(share, Remark("wide-glare", text) if share > 0.005 else None, "glare")]
 

@@ -79,6 +79,7 @@ class FlatNoise(NamedTuple):
 
     @property
     def smoothed(self) -> bool:
+        # Weaker correlations are left to `linear_filters.py`, which compares filters by their probabilities.
         return self.neighbour_ratio < 0.75 and 1 - self.neighbour_ratio > SIGNIFICANT * self.neighbour_ratio_std
 
     @property
@@ -96,6 +97,7 @@ class FlatNoise(NamedTuple):
     @property
     def tone_curve_suspected(self) -> bool:
         """True if the noise of dark pixels is larger than that of bright ones, as after a tone curve."""
+        # Only an excess of more than 8 %, at 4 standard deviations, indicates a tone curve.
         return not self.smoothed and self.tilt > 1.08 and self.tilt - 1 > 4.0 * self.tilt_std
 
     @property

@@ -325,6 +325,7 @@ def _bins(
     std = np.sqrt(np.maximum(noise[0] * np.maximum(mean, 0) + noise[1] ** 2, 1e-300))
     # The first estimate of each bin is its median, which is robust to dust and hot pixels.
     middle = ndimage.median(some, name, np.arange(count.size))
+    # A pixel with a larger deviation than 3.5 standard deviations is excluded.
     used = np.abs(some - middle[name]) < 3.5 * std[name] * (1 + 1 / np.sqrt(count[name]))
     good = np.bincount(name, used) >= np.maximum(0.5 * count, 6)
     if good.sum() < _FEWEST_BINS:

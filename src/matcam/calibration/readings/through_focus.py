@@ -107,6 +107,7 @@ def best_focus(position: ArrayLike, mtf50: ArrayLike, mtf50_std: ArrayLike) -> B
     bend, slope, level = value
     at = -slope / (2 * bend)
     lowest = level + slope * at + bend * at**2
+    # A curvature below 3 standard deviations does not determine a best focus.
     if bend < 3.0 * np.sqrt(covariance[0, 0]) or abs(at) > 1 or lowest <= 0:
         raise FitError(
             f"no maximum of MTF50 lies between the positions {low:g} and {high:g}: add positions on both sides of the focus"

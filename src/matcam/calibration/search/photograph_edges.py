@@ -265,7 +265,7 @@ def _bright(value: np.ndarray) -> np.ndarray:
 def _directional_blur(result: EdgeStack) -> str:
     """Describe the dependence of the blur on direction, for example by motion; empty if it is not significant."""
     good = result.good
-    # The test fits three parameters.
+    # The fit of three parameters requires at least 6 edges.
     if good.size < 6:
         return ""
     sigma, angle = result.parametric.values[good, 0], result.angle[good]
