@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from matcam.calibration.edge.edge_result import EdgeMTF, EdgeStack, stack_result
 from matcam.calibration.edge.free_curve import GHOSTS, GLARE, line_width
 from matcam.calibration.edge.geometry import Rows, aligned_rows
-from matcam.calibration.edge.maximum_likelihood import UNKNOWN_NOISE, Noise
+from matcam.calibration.edge.maximum_likelihood import Noise
 from matcam.calibration.edge.measurement import EdgeFits, edge_fits, fits_program, lens_fit
 from matcam.calibration.edge.processing import with_traces
 from matcam.calibration.edge.profiles import Gaussian, LensModel, check_light, lens_model
@@ -42,15 +42,6 @@ from matcam.files.photographs import Photograph
 
 AT_ONCE = 10
 """Number of edges that are processed together. The data of ten edges fit into the cache of the processor."""
-_WIDEST = 0.1
-"""Largest standard deviation of the blur, as a share of the region width, at which the illumination is estimated.
-
-With a wider blur, too little of the two flat sides remains.
-"""
-_OF_REGION = ("no-edge", "unexplained")
-"""Codes of problems that may be absent in another region of the image."""
-_BRIGHTEST = 0.2
-"""Largest relative standard deviation of uneven light. A larger variation is attributed to a pattern of the scene."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +56,7 @@ class EdgeSettings:
     """
 
     lens: LensModel = field(default_factory=Gaussian)
-    noise: Noise = UNKNOWN_NOISE
+    noise: Noise = field(default_factory=Noise)
     half_width: float = 0.5
     accept_sharpened: bool = False
 
@@ -142,7 +133,8 @@ def edge_mtf(
     rows = _placed(rows, *region.corner)
     stack = edge_stack([(rows, [None])], settings, even_light=True)
     if problem := stack.problems[0]:
-        raise (RegionError if problem.code in _OF_REGION else FitError)(problem.text)
+        # These problems may be absent in another region of the image.
+        raise (RegionError if problem.code in ("no-edge", "unexplained") else FitError)(problem.text)
     result = stack[0]
     return replace(result, given=region.remarks + result.given)
 
@@ -291,7 +283,8 @@ def _in_even_light(rows: EdgeRegions, fits: EdgeFits) -> tuple[EdgeRegions, list
         shape, curve = fits.free.shape, fits.curve[i]
         blur = float(widths[i])
         field: LightField | None = None
-        if np.isfinite([*curve, blur]).all() and blur < _WIDEST * np.isfinite(region).sum(1).max() * rows.step:
+        # With a wider blur, too little of the two flat sides remains.
+        if np.isfinite([*curve, blur]).all() and blur < 0.1 * np.isfinite(region).sum(1).max() * rows.step:
             distance = rows.distances(i, curve, fits.length[i])
             gain, read = (float(np.asarray(part)[i]) for part in fits.noise)
             glare = bool(fits.free.coefficients[i, GLARE] != 0)
@@ -301,7 +294,8 @@ def _in_even_light(rows: EdgeRegions, fits: EdgeFits) -> tuple[EdgeRegions, list
             own = Rows.of(region, rows.y[i], rows.start[i], rows.step)
             by_row = in_even_rows(aligned_rows(own, curve)).light[:, None]
             field = light_field(region / by_row, x, y, distance, (gain, read), blur=blur, glare=glare)
-            if field is not None and field.amplitude and (field.amplitude > _BRIGHTEST or describe_content(region)):
+            # A variation of the light above 20 % is attributed to a pattern of the scene.
+            if field is not None and field.amplitude and (field.amplitude > 0.2 or describe_content(region)):
                 field = None
             if field is not None and field.amplitude:
                 value[i] = (region / by_row - field.addend) / field.factor
@@ -345,7 +339,7 @@ def _settings(
     checks.scalar("half_width", checks.within("half_width", half_width, 0, 0.5, "px", open_low=True))
     if (gain is None) != (read_noise is None):
         raise ArgumentError("gain and read_noise must be given together: give both, or omit both to estimate them")
-    noise = UNKNOWN_NOISE
+    noise = Noise()
     if gain is not None and read_noise is not None:
         for name, number in (("gain", gain), ("read_noise", read_noise)):
             checks.scalar(name, checks.within(name, number, 0, np.inf, open_high=True))

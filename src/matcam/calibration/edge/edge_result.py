@@ -40,8 +40,6 @@ _NAMES = {
     "parametric_mtf_std": "standard deviation of parametric_mtf",
 }  # fmt: skip
 """Descriptions of the variables of `EdgeMTF.dataset`."""
-_ROUGH = 0.03
-"""Roughness above which a remark is given, px. The blur by a smaller roughness is negligible."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -139,7 +137,8 @@ class EdgeMTF(Summarised, EdgeValues[float]):
                 "shadow or dirt; standard deviations were increased"
             )
             remarks.append(Remark("unexplained", text))
-        if self.roughness > _ROUGH:
+        # The blur by a roughness below 0.03 px is negligible.
+        if self.roughness > 0.03:
             text = f"the edge has a roughness of {self.roughness:.2f} px, which blurs it: standard deviations were increased"
             remarks.append(Remark("rough-edge", text))
         if self.outliers:

@@ -34,12 +34,13 @@ if TYPE_CHECKING:
 
 PAIRS = 7
 """Number of pairs of basis functions in the core. With a spacing of 0.6 s, their centres extend to 3.9 s on both sides."""
-CENTRES = 0.6 * (np.arange(PAIRS) + 0.5)
+SPACING, GHOST_WIDTH = 0.6, 0.7
+"""Spacing of neighbouring basis functions, which is also the standard deviation of those of the core, and standard deviation of
+those of a ghost, in units of s."""
+CENTRES = SPACING * (np.arange(PAIRS) + 0.5)
 """Centres of the basis functions of the core, in units of s."""
 GHOSTS = np.arange(PAIRS, PAIRS + 3)
 """Indices of the ghost coefficients, both among the even and among the odd coefficients."""
-GHOST_STEP, GHOST_WIDTH = 0.6, 0.7
-"""Spacing and standard deviation of the basis functions of a ghost, in units of s. They are similar to those of the core."""
 EVEN = PAIRS + GHOSTS.size + 2
 """Number of even coefficients, which determine the MTF: those of the core, the ghosts, the tail and the glare."""
 GLARE = EVEN - 1
@@ -48,8 +49,6 @@ ODD = PAIRS + GHOSTS.size + 1
 """Number of odd coefficients: those of the core and the ghosts, and the shift of the edge."""
 FREQUENCIES = np.arange(81) / 64
 """Frequencies at which an MTF is tabulated, cycles/px."""
-_WIDTH = 0.6
-"""Standard deviation of the basis functions of the core, in units of s. It equals the spacing of their centres."""
 _TAIL = 1.5
 """Half width at half maximum of the Cauchy line spread function of the tail, in units of s."""
 
@@ -220,7 +219,7 @@ def ghost_of(curve: FreeCurve) -> Ghost:
     at = EVEN + GHOSTS
     odd = -np.asarray(curve.coefficients)[..., at]
     share, covariance = odd.sum(-1), curve.covariance[..., at[:, None], at]
-    step = GHOST_STEP * line_width(curve.shape)[..., None] * np.arange(GHOSTS.size)
+    step = SPACING * line_width(curve.shape)[..., None] * np.arange(GHOSTS.size)
     weight = np.maximum(odd * np.sign(share)[..., None], 0.0)
     position = curve.shape.apart + (weight * step).sum(-1) / np.maximum(weight.sum(-1), 1e-300)
     return Ghost(np.abs(share), np.sqrt(np.maximum(covariance.sum((-1, -2)), 0.0)), position, share > 0)
@@ -249,8 +248,8 @@ def half_frequency(value: AnyArray, response: Callable[[jax.Array], SampledCurve
 def _bumps(shape: CoreShape) -> tuple[AnyArray, AnyArray]:
     """Compute the centres of the basis functions on the bright side, and their standard deviations, px."""
     s = line_width(shape)
-    ghosts = shape.apart + GHOST_STEP * s * xp.arange(GHOSTS.size)
-    return xp.concatenate([CENTRES * s, ghosts]), np.repeat([_WIDTH, GHOST_WIDTH], [PAIRS, GHOSTS.size]) * s
+    ghosts = shape.apart + SPACING * s * xp.arange(GHOSTS.size)
+    return xp.concatenate([CENTRES * s, ghosts]), np.repeat([SPACING, GHOST_WIDTH], [PAIRS, GHOSTS.size]) * s
 
 
 def _combined(curve: FreeCurve, pilot: jax.Array, columns: jax.Array) -> SampledCurve:

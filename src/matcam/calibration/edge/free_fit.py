@@ -27,11 +27,11 @@ from scipy.special import chdtri
 from matcam.calibration.edge.free_curve import (
     CENTRES,
     EVEN,
-    GHOST_STEP,
     GHOST_WIDTH,
     GHOSTS,
     GLARE,
     ODD,
+    SPACING,
     CoreShape,
     FreeCurve,
     edge_basis,
@@ -50,23 +50,10 @@ if TYPE_CHECKING:
 
 FOUND = SIGNIFICANT**2
 """Increase of 2 ln likelihood above which glare is accepted: that of one significant parameter."""
-GHOST_FOUND = 24.0
-"""Increase of 2 ln likelihood above which a ghost is accepted. At one position, noise exceeds it with probability 1/2,000."""
-_EXPLAINED = 0.7
-"""Share of the excess of chi-square that a ghost must explain. In the images of tests/oracle, ghosts explain at least 80 %,
-and dust and banding mostly less than 55 %.
-"""
-_FARTHEST_GHOST = 25.0
-"""Largest distance of a ghost from the edge in the search, px. Farther ghosts are part of the light (`uneven_light.py`)."""
 _PRIOR_GHOST = 0.3
 """Prior standard deviation of the coefficients of a ghost, relative to the step. Ghosts are weaker than the edge."""
 VEIL = 0.25
 """Radius, relative to the width of a region, beyond which glare resembles uneven light or another edge."""
-_VEIL_COST = 4.0
-"""Additional increase of 2 ln likelihood that glare with a radius beyond `VEIL` requires.
-
-Such glare resembles uneven light, which is more frequent.
-"""
 _COLUMN = SHIFT + GLARE
 """Index of the column of the glare. The column is 0 until glare is tested."""
 
@@ -181,21 +168,25 @@ def ghost_found(fit: LinearFit, glare: tuple[jax.Array, jax.Array], known: jax.A
     beside = fit.solved(changed(fit.columns, _COLUMN, xp.where(rise > FOUND, _column(fit, log_radius), 0.0)))
     # A ghost beyond 0.3 of the width of the region resembles uneven light.
     first = 2.2 * line_width(fit.shape)
-    last = xp.minimum(_FARTHEST_GHOST, 0.3 * _width(fit.cells))
+    # Ghosts beyond 25 px are part of the light (`uneven_light.py`).
+    last = xp.minimum(25.0, 0.3 * _width(fit.cells))
     positions = xp.linspace(first, last, 60)
 
     rises = _rises(beside, _ghosts(beside, positions), _PRIOR_GHOST)
     best = xp.argmax(rises)
     left = (beside.chi2 - rises[best]) / beside.degrees
-    found = rises[best] > GHOST_FOUND * xp.where(known, 1.0, xp.maximum(left, 1.0))
-    found &= rises[best] > _EXPLAINED * (beside.chi2 - beside.degrees)
+    # At one position, noise increases 2 ln likelihood by more than 24 with probability 1/2,000.
+    found = rises[best] > 24.0 * xp.where(known, 1.0, xp.maximum(left, 1.0))
+    # In the images of tests/oracle, ghosts explain at least 80 % of the excess of chi-square, and dust and banding
+    # mostly less than 55 %.
+    found &= rises[best] > 0.7 * (beside.chi2 - beside.degrees)
     return found & (first < last), positions[best]
 
 
 def _ghosts(fit: LinearFit, positions: jax.Array) -> jax.Array:
     """Compute the even and odd columns (m, 6, n) of ghosts with coefficient 1. `positions`: distances (m,), px."""
     s = line_width(fit.shape)
-    at = (positions[:, None] + GHOST_STEP * s * xp.arange(GHOSTS.size))[..., None]
+    at = (positions[:, None] + SPACING * s * xp.arange(GHOSTS.size))[..., None]
     right, left = (glare_edge(GHOST_WIDTH * s, fit.cells.distance - sign * at, fit.cells.spread) for sign in (1, -1))
     return xp.concatenate([(right + left) / 2 - fit.pilot, (left - right) / 2], 1) * fit.step
 
@@ -239,7 +230,9 @@ def _chosen_light(
         """Compute chi-square with the priors, and the decrease of chi-square by glare, (1, 2)."""
         fit = problem(linear[0], used[0])
         radii = _radii(fit.shape)
-        unlikely = xp.where(xp.exp(radii) > VEIL * _width(cells), _VEIL_COST, 0.0)
+        # Glare with a radius beyond `VEIL` resembles uneven light, which is more frequent. It requires a larger
+        # increase of 2 ln likelihood.
+        unlikely = xp.where(xp.exp(radii) > VEIL * _width(cells), 4.0, 0.0)
         rise = xp.maximum((_glare_rises(fit, radii) - unlikely).max(), 0.0)
         return xp.stack([(fit.weight * fit.residual * fit.left).sum(), rise])[None]
 
@@ -255,12 +248,6 @@ def _chosen_light(
     return xp.asarray(xp.take(LIGHTS, xp.argmin(cost), axis=0))
 
 
-def curve_without_glare(fit: LinearFit) -> FreeCurve:
-    covariance = fit.inverse @ ((fit.columns * fit.noisy) @ fit.columns.T) @ fit.inverse
-    with_radius = changed(np.zeros((len(covariance) + 1,) * 2), np.s_[:-1, :-1], covariance)
-    return _per_step(fit, fit.strength, with_radius, xp.ones(()))
-
-
 def glare_candidate(fit: LinearFit) -> tuple[jax.Array, jax.Array]:
     """Find the most probable glare.
 
@@ -272,8 +259,8 @@ def glare_candidate(fit: LinearFit) -> tuple[jax.Array, jax.Array]:
     return radii[best], rises[best]
 
 
-def curve_with_glare(fit: LinearFit, log_radius: jax.Array) -> FreeCurve:
-    """Fit the curve with glare, whose radius is also fitted. `log_radius`: ln of the initial radius in px."""
+def fitted_curve(fit: LinearFit, log_radius: jax.Array, glares: jax.Array) -> FreeCurve:
+    """Fit the curve, with glare of a fitted radius if `glares` is true. `log_radius`: ln of the initial radius in px."""
     radii = _radii(fit.shape)
     # 17 radii are tested. A parabola through the best radius and its neighbours determines the maximum.
     step = (radii[1] - radii[0]) / 8
@@ -284,14 +271,14 @@ def curve_with_glare(fit: LinearFit, log_radius: jax.Array) -> FreeCurve:
     bend = before - 2 * at + after
     vertex = xp.clip((before - after) / xp.where(bend < 0, 2 * bend, -xp.inf), -1, 1)
     log_radius = xp.clip(xp.take(nearby, best) + step * vertex, radii[0], radii[-1])
-    glaring = fit.solved(changed(fit.columns, _COLUMN, _column(fit, log_radius)))
+    glaring = fit.solved(changed(fit.columns, _COLUMN, xp.where(glares, _column(fit, log_radius), 0.0)))
     slope = slope_along(lambda r: _column(fit, r), log_radius, 1.0)
     # The radius is already optimal. The additional column only provides its covariance.
     full = xp.concatenate([glaring.columns, glaring.strength[_COLUMN] * slope[None]])
     # Normal prior of ln of the radius with a standard deviation of 1.
     inverse = lifted_inverse((full * fit.weight) @ full.T + xp.diag(xp.append(_PRECISIONS, 1.0)))
     covariance = inverse @ ((full * fit.noisy) @ full.T) @ inverse
-    return _per_step(fit, glaring.strength, covariance, xp.exp(log_radius))
+    return _per_step(fit, glaring.strength, covariance, xp.where(glares, xp.exp(log_radius), 1.0))
 
 
 def _per_step(fit: LinearFit, strength: jax.Array, covariance: jax.Array, radius: jax.Array) -> FreeCurve:

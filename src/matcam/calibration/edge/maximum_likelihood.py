@@ -51,12 +51,12 @@ class Noise(NamedTuple):
     """Noise of a pixel, in the units of the image.
 
     Attributes:
-        gain: system gain; NaN if it is to be estimated.
-        read: standard deviation of the read noise; NaN if it is to be estimated.
+        gain: system gain. Default: NaN, estimated from the image.
+        read: standard deviation of the read noise. Default: NaN, estimated from the image.
     """
 
-    gain: AnyArray | np.float64
-    read: AnyArray | np.float64
+    gain: AnyArray | np.float64 = np.float64(np.nan)
+    read: AnyArray | np.float64 = np.float64(np.nan)
 
     def variance(self, value: AnyArray, dim: AnyArray | float = 1.0) -> jax.Array:
         """Compute the variance of a pixel with the expected value `value`.
@@ -64,10 +64,6 @@ class Noise(NamedTuple):
         `dim`: factor by which the pixel was multiplied to correct uneven light.
         """
         return self.gain * xp.maximum(value, 0.0) * dim + (self.read * dim) ** 2
-
-
-UNKNOWN_NOISE = Noise(np.float64(np.nan), np.float64(np.nan))
-"""Noise whose parameters are estimated from the image."""
 
 
 class State(NamedTuple):
@@ -91,13 +87,11 @@ class EdgeModel(NamedTuple):
     Attributes:
         state: parameters.
         value: (n,) model values.
-        light: (n,) factor that multiplies the scene.
         design: (LINEAR + k, n) derivatives with respect to the parameters; 0 for fixed parameters.
     """
 
     state: State
     value: jax.Array
-    light: jax.Array
     design: jax.Array
 
 
@@ -106,13 +100,11 @@ class LitEdge(NamedTuple):
 
     Attributes:
         value: (n,) expected values.
-        factor: (n,) factor of the light.
         step: (n,) bright minus dark level in this light.
         columns: (SHIFT, n) derivatives with respect to the levels and the light.
     """
 
     value: jax.Array
-    factor: jax.Array
     step: jax.Array
     columns: jax.Array
 
@@ -131,7 +123,7 @@ def lit_edge(edge: jax.Array, linear: jax.Array, terms: jax.Array) -> LitEdge:
     step = linear[1] - linear[0]
     level = linear[0] + step * edge
     parts = [((1 - edge) * factor)[None], (edge * factor)[None], level * terms, terms[:ADDED]]
-    return LitEdge(level * factor + addend, factor, step * factor, xp.concatenate(parts))
+    return LitEdge(level * factor + addend, step * factor, xp.concatenate(parts))
 
 
 def edge_model(cells: EdgeCells, state: State, profile: Profile) -> EdgeModel:
@@ -140,7 +132,7 @@ def edge_model(cells: EdgeCells, state: State, profile: Profile) -> EdgeModel:
     lit = lit_edge(edge, state.linear, cells.terms)
     design = xp.concatenate([lit.columns, (lit.step * line)[None], lit.step * slopes])
     free = xp.concatenate([state.used, xp.ones(len(slopes))])
-    return EdgeModel(state, lit.value, lit.factor, design * free[:, None])
+    return EdgeModel(state, lit.value, design * free[:, None])
 
 
 def scoring_step(cells: EdgeCells, state: State, profile: Profile, noise: Noise, longest: AnyArray) -> State:
@@ -172,8 +164,6 @@ class CurveStep(NamedTuple):
     roughness: jax.Array
 
 
-_CLEAR = 4.0
-"""Significance above which an edge is reported as rough, in standard deviations. Noise rarely exceeds it."""
 _BOWS = 3
 """Number of coefficients of the curve up to the second order. Higher orders describe an S shape, dirt or a torn border."""
 
@@ -194,9 +184,9 @@ def curve_step(phased: PhasedRows, cells: EdgeCells, at: EdgeModel, noise: Noise
     y, distance = aligned.y[:, None], phased.distance[:, near]
     terms = light_terms(aligned.x[:, near], y, distance, aligned.length).reshape(TERMS, -1)
     factor, addend = (part.reshape(distance.shape) for part in light_of(state.linear, terms))
-    _, of_cell = light_of(state.linear, cells.terms)
-    slope = of_row(at.design[SHIFT] / at.light) * factor
-    scene = of_row((at.value - of_cell) / at.light)
+    cell_factor, cell_addend = light_of(state.linear, cells.terms)
+    slope = of_row(at.design[SHIFT] / cell_factor) * factor
+    scene = of_row((at.value - cell_addend) / cell_factor)
     expected = scene * factor + addend + slope * (distance - of_row(cells.distance))
     weight = aligned.valid[:, near] / noise.variance(expected, 1 / aligned.light[:, None])
     # A shift of the curve by 1 px along x changes the distance by `tilt` px.
@@ -219,7 +209,8 @@ def curve_step(phased: PhasedRows, cells: EdgeCells, at: EdgeModel, noise: Noise
     weight = information / xp.maximum(information.sum(), 1e-300) * ((information > 0).sum() / count)
     expected = (information > 0).sum() / xp.maximum(information.sum(), 1e-300)
     extra = (weight * shift**2).sum() - expected
-    rough = xp.where(extra > _CLEAR * expected * xp.sqrt(2 / count), xp.sqrt(xp.maximum(extra, 0.0)), 0.0)
+    # Noise rarely exceeds 4 standard deviations.
+    rough = xp.where(extra > 4.0 * expected * xp.sqrt(2 / count), xp.sqrt(xp.maximum(extra, 0.0)), 0.0)
     return CurveStep(curve + change, covariance, rms, rough)
 
 

@@ -42,9 +42,6 @@ from matcam.numerics.normal import SIGNIFICANT
 if TYPE_CHECKING:
     from matcam.core.jax import AnyArray, jax
 
-_STEPS = 3
-"""Number of steps of Fisher scoring for the Gaussian lens in each turn. The next turn continues the iteration."""
-
 
 class LensFit(NamedTuple):
     """Maximum likelihood fit of a lens model.
@@ -160,7 +157,7 @@ def edge_fits(
         phased = geometry.phased_rows(aligned, curve)
         cells = geometry.edge_cells(phased)
         profile = lens.profile(xp.arctan(curve[1] / rows.length), half)
-        state = _climb(cells, state._replace(used=used), lens, profile, noise, _STEPS)
+        state = _climb(cells, state._replace(used=used), lens, profile, noise)
         now = edge_model(cells, state, profile)
         moved = curve_step(phased, cells, now, noise)
         centred = state._replace(linear=changed(state.linear, SHIFT, 0.0))
@@ -192,12 +189,11 @@ def edge_fits(
     linear, (log_radius, rise) = either(ghost, lambda _, at: fitted(at, 1.0), lambda same, _: same, first, position)
     # Fit the Gaussian lens in the selected light.
     chosen = at.state._replace(linear=at.state.linear * linear.used, used=linear.used)
-    model = edge_model(cells, _climb(cells, chosen, lens, profile, noise, _STEPS), profile)
+    model = edge_model(cells, _climb(cells, chosen, lens, profile, noise), profile)
     # If the noise is unknown, the significance of glare follows from the residual with glare.
     left = (linear.weight * linear.left**2).sum() - rise
     glares = rise > free_fit.FOUND * xp.where(known, 1.0, xp.maximum(left / linear.degrees, 1.0))
-    plain = lambda fit, _: free_fit.curve_without_glare(fit)  # noqa: E731
-    free = either(glares, free_fit.curve_with_glare, plain, linear, log_radius)
+    free = free_fit.fitted_curve(linear, log_radius, glares)
     # An estimate of the noise from neighbouring pixels may be too small. Therefore, a significant scatter about the free curve
     # increases all variances.
     scatter = (linear.chi2 - xp.where(glares, rise, 0.0)) / linear.degrees
@@ -275,7 +271,8 @@ def _fits_of_stack(
     return jax.vmap(fit)(values, y, start)
 
 
-def _climb(cells: EdgeCells, state: State, lens: LensModel, profile: Profile, noise: Noise, steps: int) -> State:
+def _climb(cells: EdgeCells, state: State, lens: LensModel, profile: Profile, noise: Noise, steps: int = 3) -> State:
+    # Three steps suffice for a Gaussian lens, because the next turn continues the iteration.
     longest = np.array([np.inf] * SHIFT + [1.0, *lens.longest])
     return repeated(steps, partial(scoring_step, cells, profile=profile, noise=noise, longest=longest), state)
 

@@ -46,26 +46,10 @@ from matcam.core.remark import Remark
 from matcam.numerics.crossing import first_fall
 from matcam.numerics.normal import SIGNIFICANT
 
-_SIDE = 40.0
-"""Largest distance from the edge at which its response is sampled, px."""
-_TRANSFORM = 4096
-"""Number of samples of the Fourier transform of a line spread function. The frequencies are 2.4e-3 cycles/px apart."""
-_TONE_PROBABILITIES, _RAISED = (0.02, 0.5), 1.15
-"""Prior probabilities of a tone curve, without and with excess noise of the dark side; ratio of the noise variance to that of
-photon noise above which the noise is in excess. A tone curve increases the noise of dark pixels."""
-_SURE_TONE, _NO_TONE = 0.99, 0.01
-"""Probabilities of a tone curve above which it is reported, and below which its effect is not computed."""
-_OVERSHOOT, _SURE = 0.003, 3.5
-"""Thresholds of sharpening: overshoot relative to the step; combined significance of overshoot and noise, in standard
-deviations."""
-_CRUSHED, _LEAST_REPORTED, _SURE_GLARE = 0.01, 1e-3, 0.005
-"""Relative errors of MTF50: smallest error due to crushed blacks, smallest reported error, smallest reported error due to
-glare."""
-_MOST_LEVELS, _NEAR_LEVELS = 2000, 4
-"""Number of different values above which codes are not coarse; number of levels on both sides of a flat side at which the
-smallest distance of levels is searched for. Several levels are needed, because an image without noise lacks some levels."""
-_GHOST, _SURE_GHOST = 0.01, 4.0
-"""Height relative to the step, and number of standard deviations, above which a ghost is reported."""
+_LEAST_REPORTED = 1e-3
+"""Smallest relative error of MTF50 that is reported."""
+_GHOST = 0.01
+"""Height relative to the step above which a ghost is reported."""
 
 
 class Trace(NamedTuple):
@@ -216,13 +200,14 @@ def _veiled(region: _EdgeRegion) -> list[Trace]:
     unsure = max(min(glare, possible), 0.0)
     # Glare decreases MTF50 by 0.72 of its share.
     share = 0.72 * unsure
+    # An error below 0.5 % is not reported.
     text = f"{seen}{'' if unsure == glare else ' in part'} uneven light: MTF50 with glare may be too low by {share:.0%}"
-    return [Trace(share, Remark("wide-glare", text) if share > _SURE_GLARE else None, "glare")]
+    return [Trace(share, Remark("wide-glare", text) if share > 0.005 else None, "glare")]
 
 
 def _ghost(region: _EdgeRegion) -> list[Trace]:
     ghost, light = region.ghost, region.light
-    if ghost.share < max(_GHOST, _SURE_GHOST * ghost.std):
+    if ghost.share < max(_GHOST, 4.0 * ghost.std):
         if light is None or light.amplitude or light.ghost.rms < _GHOST:
             return []
         text = f"a ghost with {light.ghost.rms:.1%} of the step may lie {light.ghost.position:.0f} px from the edge"
@@ -278,7 +263,9 @@ def _sharpened(region: _EdgeRegion) -> list[Trace]:
     apart = 0.0 if noise.smoothed else noise.apart
     sure = over > max(SHARPENED, SIGNIFICANT * std)
     # JPEG compression causes ringing next to an edge, which resembles an overshoot.
-    if not sure and (noise.compressed or over < _OVERSHOOT or (over / std + apart) / np.sqrt(2) < _SURE):
+    # A weaker sign of sharpening is an overshoot above 0.3 %, if overshoot and noise together have a significance of
+    # 3.5.
+    if not sure and (noise.compressed or over < 0.003 or (over / std + apart) / np.sqrt(2) < 3.5):
         return []
     # An unsharp mask increases MTF50 by 12 times its overshoot.
     share = 12.0 * over
@@ -329,7 +316,8 @@ def _crushed(region: _EdgeRegion) -> list[Trace]:
     piled = crushed_share(*(count for _, count in region.levels))
     if not piled:
         return []
-    share = max(_CRUSHED, _effect_of_crushing(region))
+    # The smallest error due to crushed blacks is 1 %.
+    share = max(0.01, _effect_of_crushing(region))
     text = (
         f"blacks are crushed: {piled:.0%} of the dark side has the lowest value; MTF50 may be too high by {share:.0%}"
     )
@@ -342,17 +330,17 @@ def _coarse(region: _EdgeRegion) -> list[Trace]:
     If levels have the distance a and the noise has the standard deviation s, the error of the mean of rounded values is
     at most (a / pi) exp(-2 pi^2 s^2 / a^2) (Widrow & Kollar, Quantization Noise, 2008, ch. 9).
     """
-    value, sides, of_sides = region.value, region.sides, [levels for levels, _ in region.levels]
-    if not all(0 < levels.size <= _MOST_LEVELS for levels in of_sides):
-        return []
-    levels = np.unique(np.concatenate([*of_sides, value[np.isfinite(value) & ~sides[0] & ~sides[1]]]))
-    if not 2 <= levels.size <= _MOST_LEVELS:
+    value, of_sides = region.value, [levels for levels, _ in region.levels]
+    levels = np.unique(value[np.isfinite(value)])
+    # Codes with more than 2000 different values are not coarse.
+    if not all(own.size for own in of_sides) or not 2 <= levels.size <= 2000:
         return []
     gaps, errors = np.diff(levels), []
     for (own, count), variance in zip(region.levels, region.noise.variance, strict=True):
         middle = own[np.searchsorted(np.cumsum(count), (count.sum() + 1) // 2)]
+        # Four levels on both sides are compared, because an image without noise lacks some levels.
         at = int(np.searchsorted(levels, middle))
-        apart = float(gaps[max(at - _NEAR_LEVELS, 0) : at + _NEAR_LEVELS].min())
+        apart = float(gaps[max(at - 4, 0) : at + 4].min())
         # Rounding adds variance. Noise that extends to a third level can be separated from it.
         beyond = float(np.clip(np.sort(count)[:-2].sum(), 0.5, None) / count.sum())
         noisy = min(max(variance - apart**2 / 12, 0.0), (apart / ndtri(beyond / 2)) ** 2)
@@ -392,10 +380,12 @@ def _asymmetric(region: _EdgeRegion) -> list[Trace]:
     prior = 0.3**2
     gain = curvature**2 / variance * prior / (prior + variance) / 2
     odds = np.exp(min(gain, 50.0)) / np.sqrt(1 + prior / variance)
-    raised = ndtr((noise.tilt - _RAISED * edge.dark / edge.bright) / noise.tilt_std)
-    first = float(np.interp(raised, (0.0, 1.0), _TONE_PROBABILITIES)) if np.isfinite(raised) else _TONE_PROBABILITIES[0]
+    # Dark noise in excess, by 15 % of the variance of photon noise, increases the prior probability from 2 % to 50 %.
+    raised = ndtr((noise.tilt - 1.15 * edge.dark / edge.bright) / noise.tilt_std)
+    first = 0.02 + 0.48 * float(np.nan_to_num(raised))
     probability = first * odds / (1 + first * (odds - 1))
-    if probability < _NO_TONE:
+    # A tone curve with a probability below 1 % has no noticeable effect. One is reported above 99 %.
+    if probability < 0.01:
         return []
     lowest = float(np.clip(edge.dark / edge.bright, 0.0, 0.9))
     share = float(np.sqrt(probability)) * _effect_of_tone(edge, lambda seen: _shoulder_undone(seen, lowest, curvature))
@@ -403,7 +393,7 @@ def _asymmetric(region: _EdgeRegion) -> list[Trace]:
     remark = Remark(
         "asymmetric", f"{text}; MTF50 may be wrong by {share:.1%}: specify the tone curve if there is one (--tone)"
     )
-    return [Trace(share, remark if probability >= _SURE_TONE and share >= _LEAST_REPORTED else None)]
+    return [Trace(share, remark if probability >= 0.99 and share >= _LEAST_REPORTED else None)]
 
 
 def _shoulder_undone(response: FloatArray, lowest: float, curvature: float) -> FloatArray:
@@ -426,12 +416,13 @@ def _effect_of_tone(edge: EdgeMTF, undone: Callable[[FloatArray], FloatArray]) -
 
     `undone`: function that converts an edge response (0 to 1) after the tone curve to light.
     """
-    distance = np.linspace(-_SIDE, _SIDE, 801)  # 0.1 px apart
+    # The samples are 0.1 px apart, and the frequencies 2.4e-3 cycles/px.
+    distance, count = np.linspace(-40.0, 40.0, 801), 4096
     response = np.clip(edge_response(edge.fits.free, distance).value, 0, 1)
 
     def half(light: FloatArray) -> float:
-        transfer = np.abs(np.fft.rfft(np.diff(light), _TRANSFORM)) / (light[-1] - light[0])
-        return float(first_fall(np.fft.rfftfreq(_TRANSFORM, distance[1] - distance[0]), transfer))
+        transfer = np.abs(np.fft.rfft(np.diff(light), count)) / (light[-1] - light[0])
+        return float(first_fall(np.fft.rfftfreq(count, distance[1] - distance[0]), transfer))
 
     effect = half(response) / half(undone(response)) - 1
     return abs(effect) if np.isfinite(effect) else 0.0

@@ -60,9 +60,9 @@ class LensModel(Module):
     def optics(self, parameters: jax.Array) -> Optics:
         """Create the optics with fitted parameters (k,)."""
 
-    @abstractmethod
     def numbers(self, parameters: jax.Array) -> jax.Array:
-        """Convert the parameters (k,) to the units of their names."""
+        """Convert the parameters (k,), which are logarithms unless a lens defines others, to the units of their names."""
+        return xp.exp(parameters)
 
     def profile(self, angle: jax.Array, half_width: jax.Array) -> Profile:
         """Create the edge profile of the lens.
@@ -120,9 +120,6 @@ class Gaussian(LensModel):
 
     def start(self, log_sigma: jax.Array) -> jax.Array:
         return log_sigma[None]
-
-    def numbers(self, parameters: jax.Array) -> jax.Array:
-        return xp.exp(parameters)
 
     def optics(self, parameters: jax.Array) -> Optics:
         return GaussianOptics(xp.exp(parameters[0]))
@@ -182,9 +179,6 @@ class Diffraction(LensModel):
     def start(self, log_sigma: jax.Array) -> jax.Array:
         """Compute ln of the f-number whose Airy pattern is as wide as the Gaussian: sigma = 0.45 wavelength f_number."""
         return (log_sigma - xp.log(0.45 * self.wavelength / self.pixel_pitch))[None]
-
-    def numbers(self, parameters: jax.Array) -> jax.Array:
-        return xp.exp(parameters)
 
     def optics(self, parameters: jax.Array) -> Optics:
         return DiffractionOptics(xp.exp(parameters[0]), self.wavelength, self.pixel_pitch)

@@ -29,42 +29,13 @@ from matcam.numerics.normal import SIGNIFICANT, robust_std
 if TYPE_CHECKING:
     from matcam.core.jax import AnyArray
 
-_LARGEST = 1 << 22
-"""Largest number of pixels of a region. The search for structure in larger regions requires much time and memory."""
-_FEW_TURNS, _MANY_TURNS = 2, 8
-"""Numbers of alternating fits of profile and position, for rows that sample the phases often enough and for other rows."""
-_ENOUGH_CYCLES = 4.0
-"""Number of times that the rows must sample every phase for `_FEW_TURNS`. With fewer cycles, the fits converge slowly."""
-_LEAST_ROWS = 10
-"""Smallest number of rows that an edge must cross. Fewer rows do not determine the curve of the edge."""
-_LEAST_CONTRAST = 3.0
-"""Smallest step of an edge, in standard deviations of a pixel. Smaller steps may be noise."""
-_WIDEST_GAP = 0.55
-"""Largest gap between the sampled distances from the edge, px. Larger gaps do not determine the MTF50 of a sharp lens."""
 SHARPENED = 0.02
 """Overshoot, relative to the step, above which an edge is assumed to be sharpened. A lens does not cause an overshoot."""
 MISFIT = 0.002
 """Misfit near the edge, relative to the step, above which a remark is given. A lens does not cause such a misfit."""
-_ANYTHING = "the region may contain a ghost, a second edge, the border of a shadow or dirt"
-"""Possible causes of a misfit, for the message about a region whose content is unknown."""
-_STEEP, _ABOVE = 0.3, 4.0
-"""Smallest slope of a step: relative to the 99.5 % quantile of all slopes, and in standard deviations of the slope."""
-_UNLIKE, _ENDS = 1.5, 0.05
-"""Standard deviation of the number of steps per row above which a region is assumed to contain text or a pattern; share of
-rows without an edge above which the edge is assumed to end at a corner."""
-_REPEATED = 1.5
-"""Ratio of the noise variances from pixels 1 px and 2 px apart that indicates a halftone. Sharpening causes smaller ratios."""
-_SECOND = 0.3
-"""Height of a second edge, relative to the step, above which it is not a ghost of the lens."""
-_UNEXPLAINED = 0.015
-"""Misfit near the edge, relative to the step, above which an edge is rejected. A lens causes smaller misfits."""
 CLEAR = 4.6
 """Distance of an edge from the borders of the region below which the levels are uncertain, in standard deviations of its
 blur."""
-_VEILED = 0.15
-"""Share of glare above which, together with a misfit, the glare is not attributed to the lens."""
-_BLUR = 0.2
-"""Largest standard deviation of the line spread function, relative to the region width. A wider blur leaves no flat sides."""
 
 
 class RegionFrame(NamedTuple):
@@ -151,9 +122,10 @@ def edge_region(
     """
     region = measurable_region(LinearImage.of(image, channel, cfa, tone, roi))
     height, width = region.values.shape
-    if height * width > _LARGEST:
+    # The search for structure in larger regions requires much time and memory.
+    if height * width > (largest := 1 << 22):
         raise RegionError(
-            f"a region of {width} x {height} px is too large for one edge: choose a region of at most {_LARGEST} pixels"
+            f"a region of {width} x {height} px is too large for one edge: choose a region of at most {largest} pixels"
         )
     refuse_unnamed_mosaic(region)
     return region, edge_regions(region.values[None], mosaic=region.cfa is not None)
@@ -187,7 +159,7 @@ def edge_regions(values: np.ndarray, *, mosaic: bool = False) -> EdgeRegions:
     frame = RegionFrame((values.shape[2] - 1) / 2, (values.shape[1] - 1) / 2, transposed, mirrored, float(np.ptp(y)))
     start = np.pad(first, more) - (width - 1) / 2
     y, start = (np.broadcast_to(a, value.shape[:2]) for a in (np.pad(y, more), start))
-    return EdgeRegions(value, y, start, step, frame, _MANY_TURNS if mosaic else _FEW_TURNS)
+    return EdgeRegions(value, y, start, step, frame, turns_for(0.0 if mosaic else np.inf))
 
 
 def turns_for(cycles: float) -> int:
@@ -195,7 +167,7 @@ def turns_for(cycles: float) -> int:
 
     `cycles`: number of times that the rows sample every phase. With few cycles, profile and position converge slowly.
     """
-    return _FEW_TURNS if cycles >= _ENOUGH_CYCLES else _MANY_TURNS
+    return 2 if cycles >= 4.0 else 8
 
 
 def program_size(size: int) -> int:
@@ -221,11 +193,13 @@ def refusals(found: EdgeFits, region: EdgeRegions, clear: np.ndarray, *, accept_
     blur = line_width(found.free.shape)
     over, least = found.overshoot.value, np.maximum(SHARPENED, SIGNIFICANT * found.overshoot.std)
     width = region.step * (region.value.shape[2] - 1)
-    lost = ~np.isfinite(contrast + blur + over + least) | (found.crossing < _LEAST_ROWS)
+    # Fewer than 10 rows do not determine the curve of the edge.
+    lost = ~np.isfinite(contrast + blur + over + least) | (found.crossing < 10)
     gap = _largest_gap(found, region)
 
     glare = found.free.coefficients[:, GLARE]
-    veiled = (glare > _VEILED) & (found.free.shape.radius > VEIL * width) & (found.misfit > MISFIT)
+    # Such strong glare, together with a misfit, is not attributed to the lens.
+    veiled = (glare > 0.15) & (found.free.shape.radius > VEIL * width) & (found.misfit > MISFIT)
 
     ghost = ghost_of(found.free)
 
@@ -233,25 +207,28 @@ def refusals(found: EdgeFits, region: EdgeRegions, clear: np.ndarray, *, accept_
         if lost[i]:
             text = "no edge was found that crosses the region from one side to the other: choose another region"
             return Remark("no-edge", text)
-        if contrast[i] < _LEAST_CONTRAST:
+        # Smaller steps may be noise.
+        if contrast[i] < 3.0:
             text = f"no edge was found: the step is {contrast[i]:.1f} times the scatter of the pixels, but must be "
-            text += f"at least {_LEAST_CONTRAST:g} times the scatter"
+            text += "at least 3 times the scatter"
             seen = describe_content(region.value[i])
             return Remark(
                 "no-edge", f"{text}; {seen}: choose another region" if seen else f"{text}: choose another region"
             )
-        if gap[i] > _WIDEST_GAP:
+        # Larger gaps do not determine the MTF50 of a sharp lens.
+        if gap[i] > 0.55:
             return Remark(
                 "phases-missing",
                 f"the edge is at {np.degrees(abs(found.angle[i])):.1f} degrees to the pixel grid, so that the pixels sample "
-                f"too few distances from the edge (the largest gap is {gap[i]:.2f} px, but must be at most {_WIDEST_GAP} "
+                f"too few distances from the edge (the largest gap is {gap[i]:.2f} px, but must be at most 0.55 "
                 "px): rotate the target by a few degrees",
             )
-        if blur[i] > _BLUR * width:
+        # A blur wider than a fifth of the region leaves no flat sides.
+        if blur[i] > width / 5:
             return Remark(
                 "too-narrow",
                 f"the region of {width:.0f} px is too narrow for an edge whose blur has a standard deviation of "
-                f"{blur[i]:.1f} px: choose a region of at least {blur[i] / _BLUR:.0f} px across the edge",
+                f"{blur[i]:.1f} px: choose a region of at least {5 * blur[i]:.0f} px across the edge",
             )
         if accept_sharpened:
             return None
@@ -266,16 +243,19 @@ def refusals(found: EdgeFits, region: EdgeRegions, clear: np.ndarray, *, accept_
             text += f"region width, and a misfit of {found.misfit[i]:.1%} of the step"
             why = describe_content(region.value[i]) or "the region may contain a ghost, a second edge or dirt"
             return Remark("unexplained", f"{text}; {why}: choose another region")
-        second = bool(ghost.share[i] > _SECOND)
+        # A step with more than 0.3 of the height of the edge is not a ghost of the lens.
+        second = bool(ghost.share[i] > 0.3)
         seen = describe_content(region.value[i]) if second or found.misfit[i] > MISFIT else ""
         if second:
             text = seen or f"the region contains 2 edges, {ghost.position[i]:.1f} px apart"
             return Remark("unexplained", f"a single edge is required, but {text}: choose another region")
-        if seen or found.misfit[i] > _UNEXPLAINED:
+        # A lens causes a smaller misfit near the edge.
+        if seen or found.misfit[i] > 0.015:
             return Remark(
                 "unexplained",
                 f"neither a lens nor smooth light explains {found.misfit[i]:.1%} of the step; "
-                f"{seen or _ANYTHING}: choose another region",
+                f"{seen or 'the region may contain a ghost, a second edge, the border of a shadow or dirt'}: "
+                "choose another region",
             )
         return None
 
@@ -291,21 +271,24 @@ def describe_content(value: np.ndarray) -> str:
     known = np.isfinite(value)
     middle = float(np.median(value[known]))
     noise = flat_noise(value, known & (value < middle), known & (value >= middle))
-    if noise.neighbour_ratio > _REPEATED and noise.apart > SIGNIFICANT:
+    # Sharpening causes a smaller ratio than a halftone.
+    if noise.neighbour_ratio > 1.5 and noise.apart > SIGNIFICANT:
         return "the region contains a pattern with a period of a few px, such as a screen or a halftone"
     slope = np.gradient(ndimage.gaussian_filter(np.where(known, value, middle), 1.0), axis=1)[:, 2:-2]
     slope = np.where(known[:, 2:-2], slope, 0.0)
     size = np.abs(slope)
-    least = max(_STEEP * np.quantile(size, 0.995), _ABOVE * robust_std(size))
+    # A step has a slope of at least 0.3 of the 99.5 % quantile, and of 4 standard deviations of all slopes.
+    least = max(0.3 * np.quantile(size, 0.995), 4.0 * robust_std(size))
     up, down = (
         (np.diff(there.astype(int), axis=1, prepend=0) == 1).sum(1) for there in (slope > least, slope < -least)
     )
     steps = up + down
-    if steps.std() > _UNLIKE:
+    # In text or a pattern, the number of steps per row varies.
+    if steps.std() > 1.5:
         return "the rows of the region differ from one another, as in text or a pattern"
     if np.median(steps) > 1:
         return f"the region contains {np.median(steps):.0f} edges"
-    if np.median(steps) == 1 and (steps == 0).mean() > _ENDS:
+    if np.median(steps) == 1 and (steps == 0).mean() > 0.05:
         return f"the edge ends at a corner, because {(steps == 0).mean():.0%} of the rows have no edge"
     return ""
 

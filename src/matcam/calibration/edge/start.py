@@ -30,12 +30,6 @@ _MARGIN = 3
 
 It is also the smallest number of samples on each side of a step.
 """
-_WEAK = 0.4
-"""Step of a row, relative to the median step, below which the row is assumed to have no edge. Noise causes small steps."""
-_OUTLIER = 3.0
-"""A row is an outlier if its distance from the line exceeds the mean distance by more than this value, px."""
-_FAINTEST = 0.2
-"""Smallest light of a row relative to the linear part of the light. The largest relative light is the inverse."""
 
 
 def find_curve(rows: Rows) -> tuple[jax.Array, jax.Array]:
@@ -51,7 +45,8 @@ def find_curve(rows: Rows) -> tuple[jax.Array, jax.Array]:
     def closer(at: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
         line = _polynomial(rows.powers[:2], found, at[1])
         off = xp.abs(found - edge_position(line, rows.powers))
-        return line, crossing * (off < _OUTLIER + (at[1] * off).sum() / xp.maximum(at[1].sum(), 1))
+        # A row is an outlier if its distance from the line exceeds the mean distance by more than 3 px.
+        return line, crossing * (off < 3.0 + (at[1] * off).sum() / xp.maximum(at[1].sum(), 1))
 
     line, _ = repeated(4, closer, (xp.zeros(2), crossing))
     aligned = in_even_rows(aligned_rows(rows, line))
@@ -107,7 +102,8 @@ def in_even_rows(aligned: AlignedRows) -> AlignedRows:
     line = share[:2] @ own[:2]
     full = (share * (order <= best)) @ own
     light = xp.where((best > 1) & (line > 0), full / xp.where(line > 0, line, 1.0), 1.0)
-    light = xp.clip(light, _FAINTEST, 1 / _FAINTEST)
+    # The light of a row differs from the linear part of the light by at most a factor of 5.
+    light = xp.clip(light, 0.2, 5.0)
     return aligned._replace(value=aligned.value / light[:, None], light=light)
 
 
@@ -153,7 +149,8 @@ def _largest_steps(rows: Rows) -> tuple[jax.Array, jax.Array]:
     some = shown.any()
     usual = xp.where(some, xp.nanmedian(xp.where(shown | ~some, size, xp.nan)), xp.nan)
     position = rows.start + (best + 0.5) * rows.step
-    return xp.asarray(position), (shown & (size > _WEAK * usual)).astype(float)
+    # Steps below 0.4 of the median step may be noise.
+    return xp.asarray(position), (shown & (size > 0.4 * usual)).astype(float)
 
 
 def _polynomial(powers: jax.Array, x: AnyArray, weight: jax.Array) -> jax.Array:

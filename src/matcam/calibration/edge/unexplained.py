@@ -18,15 +18,10 @@ from matcam.calibration.edge.geometry import AlignedRows, PhasedRows
 from matcam.calibration.edge.maximum_likelihood import Noise
 from matcam.calibration.edge.start import side_levels
 from matcam.calibration.photograph.flat_noise import clipped_mean
-from matcam.core.arrays import either, xp
+from matcam.core.arrays import repeated, xp
 
 if TYPE_CHECKING:
     from matcam.core.jax import AnyArray, jax
-
-_FAR = 6.0
-"""Deviation above which a pixel is an outlier, in standard deviations. Noise exceeds it with probability 2e-9."""
-_SAME, _COARSEST = 1e-9, 0.1
-"""Difference up to which codes are assumed equal, and largest distance of neighbouring codes, relative to the step."""
 
 
 def without_outliers(phased: PhasedRows, noise: Noise) -> AlignedRows:
@@ -54,13 +49,13 @@ def without_outliers(phased: PhasedRows, noise: Noise) -> AlignedRows:
         others = of(xp.maximum(count - 1, 1.0))
         middle = (first - off) / others
         scatter = xp.maximum((second - off**2) / others - middle**2, variance)
-        far = (off - middle) ** 2 > _FAR**2 * scatter * (1 + 1 / others)
+        # Noise exceeds 6 standard deviations with probability 2e-9.
+        far = (off - middle) ** 2 > 6.0**2 * scatter * (1 + 1 / others)
         # Groups of three or fewer pixels do not determine their scatter.
         return valid * ~(far & of(count > 3))
 
     # A large outlier may hide other outliers in its group. Therefore the test is repeated.
-    valid = again(aligned.valid)
-    valid = either((valid < aligned.valid).any(), again, lambda same: same, valid)
+    valid = repeated(2, again, aligned.valid)
     return aligned._replace(valid=valid, value=aligned.value * valid)
 
 
@@ -88,8 +83,9 @@ def estimated_noise(known: Noise, phased: PhasedRows) -> Noise:
     (low, v_low), (high, v_high) = side(away < 0), side(away > 0)
     # If the noise is below one quantisation level, rounding determines the variance.
     step = xp.abs(aligned.value[:, 1:] - aligned.value[:, :-1])
-    there = aligned.valid[:, 1:] * aligned.valid[:, :-1] * (step > _SAME * (high - low))
-    level = xp.minimum(xp.min(xp.where(there > 0, step, xp.inf)), _COARSEST * xp.abs(high - low))
+    # Codes are assumed equal up to a difference of 1e-9 of the step. Neighbouring codes differ by at most a tenth of it.
+    there = aligned.valid[:, 1:] * aligned.valid[:, :-1] * (step > 1e-9 * (high - low))
+    level = xp.minimum(xp.min(xp.where(there > 0, step, xp.inf)), 0.1 * xp.abs(high - low))
     v_low, v_high = (xp.maximum(v, level**2 / 12) for v in (v_low, v_high))
     gain = xp.clip((v_high - v_low) / (high - low), 0.0, v_high / xp.maximum(high, 1e-300))
     # The smallest noise, 1e-4 of the step, represents rounding and the errors of any model.
@@ -98,13 +94,6 @@ def estimated_noise(known: Noise, phased: PhasedRows) -> Noise:
         xp.where(xp.isnan(known.gain), gain, known.gain),
         xp.where(xp.isnan(known.read), xp.sqrt(read2), known.read),
     )
-
-
-_FEWEST, _TOGETHER = 6, 6.0
-"""Smallest number of bins in a window of the test for a local misfit; significance above which a window contributes to the
-misfit, in standard deviations."""
-_WINDOWS = np.arange(-10.0, 9.0)
-"""Distances from the edge at which the windows of the test for a local misfit begin, px."""
 
 
 def with_unexplained(curve: SampledCurve, f: jax.Array, roughness: jax.Array, misfit: jax.Array) -> SampledCurve:
@@ -130,13 +119,13 @@ def misfit_of(fit: LinearFit, curve: FreeCurve, excess: jax.Array) -> jax.Array:
     # Only bins within 7 px of the edge determine the misfit.
     core = there & (xp.abs(distance) < 7.0)
     everywhere = (1 - 1 / excess) * xp.where(core, (left / fit.step) ** 2, 0.0).sum()
-    # A ghost affects few bins. A window of 2 px contributes if its chi-square exceeds the expectation by 6 standard
-    # deviations.
-    variance = excess / fit.weight
-    window = there & (distance >= _WINDOWS[:, None]) & (distance < _WINDOWS[:, None] + 2.0)
+    # A ghost affects few bins. A window of 2 px with at least 6 bins contributes if its chi-square exceeds the expectation
+    # by 6 standard deviations.
+    variance, begin = excess / fit.weight, np.arange(-10.0, 9.0)[:, None]
+    window = there & (distance >= begin) & (distance < begin + 2.0)
     count = window.sum(1)
     beyond = (window * left**2 / variance).sum(1) - count
-    off = (count >= _FEWEST) & (beyond > _TOGETHER * xp.sqrt(2.0 * count))
+    off = (count >= 6) & (beyond > 6.0 * xp.sqrt(2.0 * count))
     spoilt = (window & off[:, None]).any(0)
     # The variance of an empty bin is infinite.
     locally = xp.where(spoilt, (left**2 - variance) / fit.step**2, 0.0).sum()

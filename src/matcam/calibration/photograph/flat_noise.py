@@ -26,30 +26,8 @@ _LOSS = 4.0
 """Relative variance of a noise variance, times the number of differences. It exceeds 2, because differences share pixels."""
 _FEWEST = 100
 """Smallest number of differences for an estimate of the noise."""
-_CORRELATED = 0.75
-"""Ratio of the noise variances from pixels 1 px and 2 px apart below which the noise is correlated."""
-_WIDE, _WIDE_IN_BLOCKS = 0.8, 0.65
-"""Ratios of the noise variances from pixels 2 px and 3 px apart that indicate denoising, without and with JPEG blocks.
-
-Demosaicing and JPEG correlate pixels over a shorter range.
-"""
-_TONE_RATIO, _SURE_TONE = 1.08, 4.0
-"""Ratio of the noise variances of dark and bright pixels above which a tone curve is suspected; significance in standard
-deviations.
-"""
-_EQUAL, _REVERSALS = 0.5, 0.35
-"""Thresholds of a side without noise: smallest share of equal neighbours; largest share of changes of opposite sign.
-
-Rounded codes of smooth light change along contours, and successive changes have the same sign. With independent noise of
-0.1 levels, 30 to 98 % of the changes are followed by one of opposite sign, and with 0.2 levels at least 59 %, for light that
-changes by at most 0.1 levels/px.
-"""
 _GRID = 1.4
 """Ratio of the squared differences across and within blocks of 8 px above which an image was compressed as JPEG."""
-_BLOCKS_ALONE = 4.0
-"""Value of the ratio of `_GRID` above which JPEG alone explains the correlation. Denoised images have weaker block borders."""
-_PILED, _LEAST_PILE = 2.0, 0.05
-"""Smallest share of crushed blacks: relative to that of the next level, and among the pixels of the dark side."""
 LEAST_NOISE = 2e-4
 """Smallest noise of a photograph relative to the step of an edge. Only rendered images have less noise."""
 TONE_CURVE_UNCERTAINTY = 0.03
@@ -101,13 +79,16 @@ class FlatNoise(NamedTuple):
 
     @property
     def smoothed(self) -> bool:
-        return self.neighbour_ratio < _CORRELATED and 1 - self.neighbour_ratio > SIGNIFICANT * self.neighbour_ratio_std
+        # Weaker correlations are left to `linear_filters.py`, which compares filters by their probabilities.
+        return self.neighbour_ratio < 0.75 and 1 - self.neighbour_ratio > SIGNIFICANT * self.neighbour_ratio_std
 
     @property
     def denoised(self) -> bool:
         """True if the noise is also correlated over 2 px, beyond the effect of JPEG blocks."""
-        wide = _WIDE_IN_BLOCKS if self.grid > _GRID else _WIDE
-        return self.smoothed and self.wide < wide and self.grid < _BLOCKS_ALONE
+        # Demosaicing and JPEG correlate pixels over a shorter range than denoising.
+        wide = 0.65 if self.grid > _GRID else 0.8
+        # Denoised images have weaker block borders than those of JPEG alone.
+        return self.smoothed and self.wide < wide and self.grid < 4.0
 
     @property
     def compressed(self) -> bool:
@@ -116,7 +97,8 @@ class FlatNoise(NamedTuple):
     @property
     def tone_curve_suspected(self) -> bool:
         """True if the noise of dark pixels is larger than that of bright ones, as after a tone curve."""
-        return not self.smoothed and self.tilt > _TONE_RATIO and self.tilt - 1 > _SURE_TONE * self.tilt_std
+        # Only an excess of more than 8 %, at 4 standard deviations, indicates a tone curve.
+        return not self.smoothed and self.tilt > 1.08 and self.tilt - 1 > 4.0 * self.tilt_std
 
     @property
     def correlation(self) -> str:
@@ -196,7 +178,8 @@ def crushed_share(dark: np.ndarray, bright: np.ndarray) -> float:
         return 0.0
     count = dark / dark.sum()
     largest = bright.max() / bright.sum()
-    piled = count[0] > max(_LEAST_PILE, _PILED * max(largest, count[1] if count.size > 1 else 0.0))
+    # Crushed blacks are at least 5 % of the dark side, and twice as frequent as any other value.
+    piled = count[0] > max(0.05, 2.0 * max(largest, count[1] if count.size > 1 else 0.0))
     return float(count[0]) if piled else 0.0
 
 
@@ -217,12 +200,14 @@ def _is_rounded_light(value: FloatArray, there: np.ndarray) -> bool:
     """
     both = there[:, 1:] & there[:, :-1]
     change = np.diff(value, axis=1) * both
-    if not 2 <= np.count_nonzero(change) <= (1 - _EQUAL) * both.sum():
+    if not 2 <= np.count_nonzero(change) <= 0.5 * both.sum():
         return False
     change = np.sign(change)
     rows, columns = np.nonzero(change)
     sign, same_row = change[rows, columns], rows[1:] == rows[:-1]
-    return bool((sign[1:] != sign[:-1])[same_row].sum() < _REVERSALS * same_row.sum())
+    # With independent noise of 0.1 levels, 30 to 98 % of the changes are followed by one of opposite sign, and with 0.2
+    # levels at least 59 %, for light that changes by at most 0.1 levels/px.
+    return bool((sign[1:] != sign[:-1])[same_row].sum() < 0.35 * same_row.sum())
 
 
 def _grid(value: FloatArray, sides: list[np.ndarray]) -> float:

@@ -34,16 +34,8 @@ LAGS = (
 )
 """Offsets (rows, columns) of the pixels whose correlation is compared with that of filters, px. Uneven light, but hardly any
 filter, correlates distant pixels."""
-_NO_FILTER = 0.95
-"""Prior probability that no filter was applied to an image."""
-_LARGEST = 4.0
-"""Number of standard deviations to which deviations are clipped. Larger deviations are not noise."""
 _ORDER = 3
 """Order of the polynomial that models the light on a side of the edge."""
-_FEWEST = 500
-"""Smallest number of pixels on a side for an estimate of correlations."""
-_PATCH, _STRUCTURE = 5, 5.0
-"""Side of the patches whose means are compared, px; multiple of the median above which a difference is not noise."""
 _LOST = 0.4
 """Largest relative error of MTF50, which is also used if no MTF50 can be computed without the filter."""
 _GRID = 32
@@ -135,17 +127,20 @@ def correlations(value: FloatArray, sides: tuple[np.ndarray, np.ndarray]) -> Cor
     """
     noise, there = np.zeros(value.shape), np.zeros(value.shape)
     for side in sides:
-        if side.sum() < _FEWEST:
+        # Fewer pixels do not determine the correlations.
+        if side.sum() < 500:
             return None
         left = value[side] - _smooth_light(value, side)[side]
         scale = left.std()
         if not scale > 0:
             return None
-        noise[side], there[side] = np.clip(left / scale, -_LARGEST, _LARGEST), 1.0
-    # Structure at a few positions, caused by dirt or the border of a shadow, is not noise.
-    weight = np.maximum(ndimage.uniform_filter(there, _PATCH), 1e-3)
-    local = np.abs(ndimage.uniform_filter(noise, _PATCH) / weight)
-    there *= local < _STRUCTURE * np.median(local[there > 0])
+        # Larger deviations are not noise.
+        noise[side], there[side] = np.clip(left / scale, -4.0, 4.0), 1.0
+    # Structure at a few positions, caused by dirt or the border of a shadow, is not noise. There, the mean over a patch of
+    # 5 x 5 px exceeds the median of all patches by a factor of 5.
+    there_mean, noise_mean = (ndimage.uniform_filter(a, 5) for a in (there, noise))
+    local = np.abs(noise_mean / np.maximum(there_mean, 1e-3))
+    there *= local < 5.0 * np.median(local[there > 0])
     total, pairs = (_sums_of_products(a) for a in (noise * there, there))
     # The fit of the light reduces the sum of correlations by one pair for each of its terms.
     return Correlations((total + len(sides) * len(plane_orders(_ORDER))) / np.maximum(pairs, 1.0), pairs)
@@ -306,11 +301,12 @@ def _filters() -> _Filters:
     power, transfer = zip(*itertools.chain(*families), strict=True)
     covariance = np.fft.irfft2(power, (_GRID, _GRID))
     near = covariance[:, *np.transpose(LAGS)] / covariance[:, :1, 0]
-    priors = [(1 - _NO_FILTER) / len(families) / len(family) for family in families for _ in family]
+    # The prior probability of a filter is 5 %.
+    priors = [0.05 / len(families) / len(family) for family in families for _ in family]
     return _Filters(
         np.pad(near, ((1, 0), (0, 0))),
         np.array([np.ones(_GRID // 2 + 1), *transfer]),
-        np.array([_NO_FILTER, *priors]),
+        np.array([0.95, *priors]),
     )
 
 

@@ -30,14 +30,6 @@ SMALLEST = 16
 """Smallest side of a region that is measured, px."""
 SATURATED = 0.02
 """Share of saturated pixels above which a region is rejected."""
-_FLAT_TOP = 0.05
-"""Share of pixels with the largest value above which saturation is tested."""
-_SPREAD = 3.0
-"""Noise of the dark side, in levels, above which the bright side of an image cannot have noise below half a level.
-
-Many pixels have the largest value either at the end of a range, or if the noise is below half a level. The sRGB curve is at
-most six times as steep in dark parts as in bright parts.
-"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +94,8 @@ class LinearImage:
                 f"saturated must have the shape of values, {values.shape}, got {np.shape(self.saturated)}"
             )
         if self.cfa is not None:
-            sites = _repeated(sites_of(self.cfa, self.channel), values.shape)
+            (height, width), cell = values.shape, sites_of(self.cfa, self.channel)
+            sites = np.tile(cell, (height // 2 + 1, width // 2 + 1))[:height, :width]
             values = np.where(sites, values, np.nan)
             if self.saturated is not None:
                 object.__setattr__(self, "saturated", self.saturated & sites)
@@ -273,7 +266,7 @@ def flaw(values: np.ndarray) -> Remark | None:
     low, high = used.min(), used.max()
     if not low < high:
         return Remark("flat", f"the region has only one value, {low:g}: choose a region that contains the target")
-    if (used == high).mean() > _FLAT_TOP:
+    if (used == high).mean() > 0.05:
         # Noisy pixels have equal values only at the end of a range. Without noise, the dark side is equally flat.
         middle = (low + high) / 2
         flat = (used == high).sum() / (used > middle).sum()
@@ -281,7 +274,10 @@ def flaw(values: np.ndarray) -> Remark | None:
         dark = levels <= middle
         below = index[used <= middle]
         spread = robust_std(below - np.median(below))
-        if count[dark].max() / count[dark].sum() < flat / 2 and spread > _SPREAD:
+        # Many pixels have the largest value either at the end of a range, or if the noise is below half a level. The
+        # sRGB curve is at most six times as steep in dark parts as in bright parts. A noise of 3 levels on the dark
+        # side therefore excludes a noise below half a level on the bright side.
+        if count[dark].max() / count[dark].sum() < flat / 2 and spread > 3.0:
             text = f"the region is saturated: {flat:.0%} of its bright samples have the value {high:g}; reduce the exposure"
             return Remark("saturated", text)
     return None
@@ -367,10 +363,6 @@ def _plane(codes: np.ndarray, channel: str, tone: Tone, saturation: float) -> tu
     if codes.ndim == 3:
         codes = codes[..., column]
     return linear_values(codes, tone, column), (codes >= saturation) if known else None
-
-
-def _repeated(sites: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    return np.tile(sites, (shape[0] // 2 + 1, shape[1] // 2 + 1))[: shape[0], : shape[1]]
 
 
 def _shifted(cfa: str, x: int, y: int) -> str:

@@ -19,9 +19,6 @@ Tone = str | float | ArrayLike
 linear values by code, (codes,) or (codes, 3); "auto": selected by `assumed_tone`.
 """
 
-_GAMMAS = (0.2, 5.0)
-"""Smallest and largest gamma that is accepted. Values outside this range are assumed to be mistakes."""
-
 
 def is_named(tone: Tone, *names: str) -> bool:
     return isinstance(tone, str) and tone in names
@@ -56,8 +53,9 @@ def linear_values(codes: np.ndarray, tone: Tone, channel: int | None = None) -> 
         )
     if np.ndim(tone) == 0:
         gamma = float(np.asarray(tone, dtype=np.float64))
-        if not _GAMMAS[0] <= gamma <= _GAMMAS[1]:
-            raise ArgumentError(f"tone as a gamma must lie in [{_GAMMAS[0]:g}, {_GAMMAS[1]:g}], got {gamma:g}")
+        # Values outside this range are assumed to be mistakes.
+        if not 0.2 <= gamma <= 5:
+            raise ArgumentError(f"tone as a gamma must lie in [0.2, 5], got {gamma:g}")
         return _by_code(codes, lambda share: np.maximum(share, 0) ** gamma)
     table = checked_curve(np.asarray(tone, dtype=np.float64))
     if codes.dtype.kind not in "ui":

@@ -19,36 +19,20 @@ from scipy.special import ndtr
 from matcam.core.arrays import FloatArray, first_axis_map
 from matcam.numerics.polynomials import plane_powers
 
-_SMALLEST_BIN = 4.0
-"""Smallest side of a bin, px."""
 EXCLUDED_WIDTHS = 3.5
 """Distance from the edge within which pixels are excluded, in standard deviations of the blur; 1.5 px are added."""
-_LENGTHS = (8.0, 20.0, 50.0)
-"""Correlation lengths of the light that are tested, px."""
 _AMPLITUDES = np.append(0.0, 1e-3 * 2.0 ** np.arange(9))
 """Relative standard deviations of the light that are tested: 0 (even light), and 0.1 to 25 %."""
 GLARE_STD = 0.1
 """Prior standard deviation of the share of light in glare, or in a ghost."""
-_GLARE_PROBABILITY = 0.1
-"""Prior probability of glare."""
-_GHOST_PROBABILITY = 0.1
-"""Prior probability of a distant ghost."""
 _RADII = 4.0 * 1.5 ** np.arange(9)
 """Standard deviations of the glare that are tested, px."""
-_FARTHEST = 40.0
-"""Largest distance of a ghost from the edge that is tested, px."""
 _GHOST_WIDTH = 2.0
 """Standard deviation of the rise of a ghost in bins, px: blur and half the side of a bin."""
 _NOISES = np.array([1.0, 1.5, 2.5, 4.0])
 """Variances of the bins that are tested, relative to independent noise. They exceed 1 if a filter has correlated the noise."""
-_SUSPECT = 3.0
-"""Number of standard deviations by which chi-square of the bins must exceed its expectation to estimate the light."""
-_CLIPPED = 3.5
-"""Number of standard deviations above which a pixel is excluded from the mean of its bin."""
 _DARKEST = 0.1
 """Smallest factor of the light."""
-_AT_ONCE = 1 << 14
-"""Number of pixels whose light is evaluated at a time. It limits the memory."""
 _FEWEST_BINS = 24
 """Smallest number of bins for the estimate of a light field."""
 
@@ -58,13 +42,13 @@ class GhostShare(NamedTuple):
 
     Attributes:
         share: mean share of the ghost, no unit.
-        square: mean square of the share, no unit.
+        std: standard deviation of the share, no unit.
         position: mean distance of the ghost from the edge, weighted by the share, px.
         position_std: standard deviation of the distance, px.
     """
 
     share: float = 0.0
-    square: float = 0.0
+    std: float = 0.0
     position: float = 0.0
     position_std: float = 0.0
 
@@ -81,15 +65,12 @@ class GhostShare(NamedTuple):
         position, squared = (one / max(share, 1e-300) for one in (at, at_square))
         # The variance of a position within a step of 1 px is 1/12.
         position_std = float(np.sqrt(max(squared - position**2, 0.0) + 1 / 12))
-        return cls(share / (1 + share), square / (1 + share) ** 2, position, position_std)
+        std = float(np.sqrt(max(square - share**2, 0.0)))
+        return cls(share / (1 + share), std / (1 + share), position, position_std)
 
     @property
     def rms(self) -> float:
-        return float(np.sqrt(self.square))
-
-    @property
-    def std(self) -> float:
-        return float(np.sqrt(max(self.square - self.share**2, 0.0)))
+        return float(np.hypot(self.share, self.std))
 
 
 class LightField(NamedTuple):
@@ -192,7 +173,8 @@ class _Family(NamedTuple):
         probability = np.exp(by_ghost - ghost_gain[..., None])
         moments = share, share**2 + variance, share * positions, share * positions**2
         means = [(probability * one).sum(-1) for one in moments]
-        glare, ghost = _GLARE_PROBABILITY, _GHOST_PROBABILITY
+        # Prior probabilities of glare and of a distant ghost.
+        glare, ghost = 0.1, 0.1
         prior = np.log([(1 - glare) * (1 - ghost), glare * (1 - ghost), ghost])[:, None, None]
         # Even light has half of the prior probability.
         uneven = np.log(np.where(_AMPLITUDES > 0, _AMPLITUDES.size - 1, 1))[:, None]
@@ -243,7 +225,8 @@ def light_field(
     design = np.concatenate([[~bright, bright], smooth]).T / bins.std[:, None]
     scaled, degrees = bins.value / bins.std, len(design) - design.shape[1]
     fitted = np.linalg.qr(design)[0].T @ scaled
-    if not glare and scaled @ scaled - fitted @ fitted < degrees + _SUSPECT * np.sqrt(2 * degrees):
+    # Even light exceeds the expected chi-square by 3 standard deviations only rarely.
+    if not glare and scaled @ scaled - fitted @ fitted < degrees + 3.0 * np.sqrt(2 * degrees):
         return None
     basis = np.linalg.qr(design, mode="complete")[0][:, design.shape[1] :]
     data = basis.T @ scaled
@@ -266,9 +249,9 @@ def light_field(
         return LightField(factor, addend, 0.0, possible, ghost)
     weights = best.weights(power, unexplained, glaring)
     light = power**2 * (best.seen @ weights)
-    # A correlation with all bins requires a few kB for each pixel.
+    # A correlation with all bins requires a few kB for each pixel, so that few pixels are evaluated at a time.
     at_pixels = lambda x, y: _correlation(x, y, bins, best.length) @ light  # noqa: E731
-    field = first_axis_map(at_pixels, (x.ravel(), y.ravel()), _AT_ONCE).reshape(value.shape)
+    field = first_axis_map(at_pixels, (x.ravel(), y.ravel()), 1 << 14).reshape(value.shape)
     # The polynomials are fitted to the bins after subtracting the light.
     by_light = _correlation(bins.x, bins.y, bins, best.length) @ light * (step if best.adds else bins.level)
     left = (bins.value - by_light) / bins.std - unexplained * (basis @ weights)
@@ -290,7 +273,7 @@ def _ghost_positions(bins: _Bins, margin: float) -> FloatArray:
     Closer ghosts are part of the fit of the edge, and farther ones are indistinguishable from another level. `margin`: distance
     from the edge within which pixels are excluded, px.
     """
-    near, far = margin + _GHOST_WIDTH, np.minimum([-bins.distance.min(), bins.distance.max()], _FARTHEST) - _GHOST_WIDTH
+    near, far = margin + _GHOST_WIDTH, np.minimum([-bins.distance.min(), bins.distance.max()], 40.0) - _GHOST_WIDTH
     return np.concatenate([-np.arange(near, far[0]), np.arange(near, far[1])])
 
 
@@ -329,8 +312,8 @@ def _bins(
     margin: float,
 ) -> _Bins | None:
     flat = np.isfinite(value) & (np.abs(distance) > margin)
-    # The number of bins limits the time of the eigenvalue decompositions.
-    side = max(_SMALLEST_BIN, float(np.sqrt(flat.sum() / 220)))
+    # The number of bins limits the time of the eigenvalue decompositions. Their sides are at least 4 px.
+    side = max(4.0, float(np.sqrt(flat.sum() / 220)))
     rows, columns = (np.floor((a - a.min()) / side).astype(int) for a in (y, x))
     at = np.flatnonzero(flat)
     name = np.take((2 * rows + (distance > 0)) * (columns.max() + 1) + columns, at)
@@ -342,7 +325,8 @@ def _bins(
     std = np.sqrt(np.maximum(noise[0] * np.maximum(mean, 0) + noise[1] ** 2, 1e-300))
     # The first estimate of each bin is its median, which is robust to dust and hot pixels.
     middle = ndimage.median(some, name, np.arange(count.size))
-    used = np.abs(some - middle[name]) < _CLIPPED * std[name] * (1 + 1 / np.sqrt(count[name]))
+    # A pixel with a larger deviation than 3.5 standard deviations is excluded.
+    used = np.abs(some - middle[name]) < 3.5 * std[name] * (1 + 1 / np.sqrt(count[name]))
     good = np.bincount(name, used) >= np.maximum(0.5 * count, 6)
     if good.sum() < _FEWEST_BINS:
         return None
@@ -366,7 +350,8 @@ def _families(bins: _Bins, basis: FloatArray, data: FloatArray, columns: FloatAr
     contributions of glare, for each radius, and of a ghost, for each position, to these residuals, for a share of 1.
     """
     families = []
-    for length in _LENGTHS:
+    # Correlation lengths of the light, px.
+    for length in (8.0, 20.0, 50.0):
         correlation = _correlation(bins.x, bins.y, bins, length)
         for adds in (False, True):
             seen = basis * ((step if adds else bins.level) / bins.std)[:, None]

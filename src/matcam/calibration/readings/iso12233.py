@@ -26,12 +26,6 @@ from matcam.numerics.crossing import first_fall
 
 _BINS = 4
 """Number of bins of the edge spread function per sample (ISO 12233:2023)."""
-_FLOOR = 0.05
-"""Smallest weight of the window. It stabilises the repeated search for the edge."""
-_ORDERS = (1, 5)
-"""Smallest and largest order of the polynomial of the edge (ISO 12233:2023)."""
-_LEAST_TURNS = 1.0
-"""Smallest shift of the edge between the first and the last row, in samples, so that all phases are sampled."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,8 +144,8 @@ def iso12233_sfr(
         >>> abs(ours.mtf50 / standard.sfr50 - 1) < 0.03
         True
     """
-    if not (isinstance(order, int) and _ORDERS[0] <= order <= _ORDERS[1]):
-        raise ArgumentError(f"order must be a whole number from {_ORDERS[0]} to {_ORDERS[1]}, got {order!r:.40}")
+    if not (isinstance(order, int) and 1 <= order <= 5):
+        raise ArgumentError(f"order must be a whole number from 1 to 5, got {order!r:.40}")
     _, rows = edge_region(image, roi, channel, cfa, tone)
     value = rows.value[0][np.isfinite(rows.value[0]).any(1)]
     value = value[:, np.isfinite(value).all(0)]
@@ -163,7 +157,8 @@ def iso12233_sfr(
         )
     place = _edge_positions(value, start, number, order)
     straight = np.polynomial.Polynomial.fit(number, place, 1).convert().coef[1]
-    if abs(straight) * len(value) < _LEAST_TURNS:
+    # The edge must shift by one sample between the first and the last row, so that all phases are sampled.
+    if abs(straight) * len(value) < 1.0:
         raise FitError(
             "the edge is nearly parallel to the pixel grid, which samples too few distances from the edge: rotate the "
             "target by a few degrees"
@@ -196,7 +191,8 @@ def _edge_positions(value: FloatArray, start: FloatArray, number: FloatArray, or
         if not (total > 0).all():
             raise RegionError("no edge was found: choose a region that an edge crosses from one side to the other")
         middle = np.polynomial.Polynomial.fit(number, (weight * at).sum(1) / total, order)(number)
-        window = (1 - _FLOOR) * _hann(at - middle[:, None], columns) + _FLOOR
+        # The smallest weight of 0.05 stabilises the repeated search.
+        window = 0.95 * _hann(at - middle[:, None], columns) + 0.05
     return middle
 
 

@@ -17,10 +17,6 @@ from matcam.core.errors import ArgumentError, FitError
 
 FEWEST_POSITIONS = 4
 """Smallest number of positions. It exceeds the number of parameters of a parabola by one, to estimate the scatter."""
-_NEAR = 0.5
-"""Smallest MTF50 of a fitted position, relative to the largest. A Gaussian does not approximate a larger defocus."""
-_CURVED = 3.0
-"""Smallest curvature of the parabola, in standard deviations, for which a best focus is reported."""
 
 
 class BestFocus(NamedTuple):
@@ -94,7 +90,8 @@ def best_focus(position: ArrayLike, mtf50: ArrayLike, mtf50_std: ArrayLike) -> B
         )
     for name, values in (("mtf50", m), ("mtf50_std", std)):
         checks.positive(name, values, "cycles/px")
-    near = m >= _NEAR * np.max(m, initial=0.0)
+    # A Gaussian does not approximate a defocus that halves MTF50.
+    near = m >= 0.5 * np.max(m, initial=0.0)
     if np.unique(z[near]).size < FEWEST_POSITIONS:
         raise FitError(
             f"the best focus requires at least {FEWEST_POSITIONS} different positions where MTF50 is at least half its largest "
@@ -110,7 +107,8 @@ def best_focus(position: ArrayLike, mtf50: ArrayLike, mtf50_std: ArrayLike) -> B
     bend, slope, level = value
     at = -slope / (2 * bend)
     lowest = level + slope * at + bend * at**2
-    if bend < _CURVED * np.sqrt(covariance[0, 0]) or abs(at) > 1 or lowest <= 0:
+    # A curvature below 3 standard deviations does not determine a best focus.
+    if bend < 3.0 * np.sqrt(covariance[0, 0]) or abs(at) > 1 or lowest <= 0:
         raise FitError(
             f"no maximum of MTF50 lies between the positions {low:g} and {high:g}: add positions on both sides of the focus"
         )

@@ -23,26 +23,12 @@ from matcam.calibration.chart.sides import seen_sides
 from matcam.calibration.photograph.linear_image import smoothed
 from matcam.core.arrays import FloatArray
 
-_SECTORS = 16
-"""Number of sectors of gradient directions. Each is searched together with its two neighbouring sectors."""
-_NOISE, _WEAK = 6.0, 0.06
-"""Smallest gradient of an edge, relative to the median and to the 99.5 % quantile of the gradients of the image."""
 _SHORTEST = 12.0
 """Smallest length of an edge, px of the reduced image."""
-_SLENDER = 3.0
-"""Smallest ratio of length and width of a connected set of edge pixels. Compact sets are spots, not edges."""
 _CORNER = 2.5
 """Length that is removed from both ends of an edge, px of the reduced image. It excludes the blurred corners."""
 _PROFILE = 40
 """Largest distance on both sides of an edge that is tested for evenness, px of the reduced image."""
-_UNEVEN, _SLOPE = 0.06, 0.002
-"""Largest deviation of the mean of a side relative to the step, and its increase per px of distance."""
-_SPOT = 0.4
-"""Largest variation along an edge at one distance from it, relative to the step."""
-_FEWEST = 5
-"""Smallest number of positions at which a side must be found. It excludes sides that are mostly covered."""
-_STRAIGHT = 0.7
-"""Largest standard deviation of the positions found along a side from a straight line, px."""
 
 
 class EdgePositions(NamedTuple):
@@ -94,12 +80,14 @@ def described_edges(values: FloatArray, chart: Chart, projection: Projection) ->
     sides = seen_sides(smooth, chart, projection)
     if sides is None:
         return None
-    found = sides.found & (sides.found.sum(1) >= _FEWEST)[:, None]
+    # A side that is found at fewer than 5 positions is mostly covered.
+    found = sides.found & (sides.found.sum(1) >= 5)[:, None]
     square, position = np.nonzero(found)
     some, one = np.unique(square, return_inverse=True)
     (x, y), (nx, ny) = sides.seen[square, position].T, sides.normal[square, position].T
     x, y, angle, _, width = _moments(one, some.size, x, y, nx, ny, np.ones(one.size))[0].T
-    good = width < np.sqrt(12) * _STRAIGHT
+    # The positions found along a side scatter about a straight line by at most 0.7 px.
+    good = width < np.sqrt(12) * 0.7
     # At both ends, 3.5 px are removed, because the corners are blurred.
     return clear_edges(smooth, x[good], y[good], angle[good], sides.length[some[good]], 3.5)
 
@@ -130,25 +118,29 @@ def _ribbons(small: np.ndarray) -> np.ndarray:
     """
     gx, gy = (ndimage.gaussian_filter(small, 1.0, order=order, mode="nearest") for order in ((0, 1), (1, 0)))
     size = np.hypot(gx, gy)
-    floor = max(_NOISE * float(np.median(size)), _WEAK * float(np.quantile(size[::3, ::3], 0.995)), 1e-30)
+    # The gradient of an edge is at least 6 times the median of all gradients, and 0.06 of their 99.5 % quantile.
+    floor = max(6.0 * float(np.median(size)), 0.06 * float(np.quantile(size[::3, ::3], 0.995)), 1e-30)
     rows, columns = np.nonzero(size > floor)
     gx, gy, size = gx[rows, columns], gy[rows, columns], size[rows, columns]
-    width = 2 * np.pi / _SECTORS
-    sector = np.floor((np.arctan2(gy, gx) + np.pi) / width).astype(int) % _SECTORS
+    sectors = 16
+    width = 2 * np.pi / sectors
+    sector = np.floor((np.arctan2(gy, gx) + np.pi) / width).astype(int) % sectors
     found = []
-    for centre in range(_SECTORS):
-        near = (sector - centre + 1) % _SECTORS <= 2
+    # Each sector of gradient directions is searched together with its two neighbours.
+    for centre in range(sectors):
+        near = (sector - centre + 1) % sectors <= 2
         mask = np.zeros(small.shape, np.uint8)
         mask[rows[near], columns[near]] = 1
         label, count = ndimage.label(mask, np.ones((3, 3)))
         one = label[rows[near], columns[near]] - 1
         ribbon, direction = _moments(one, count, *(a[near] for a in (columns, rows, gx, gy, size)))
         # An edge is found in three sectors, and assigned to the one that contains its mean direction.
-        mine = np.floor((direction + np.pi) / width).astype(int) % _SECTORS == centre
+        mine = np.floor((direction + np.pi) / width).astype(int) % sectors == centre
         found.append(ribbon[mine])
     ribbon = np.concatenate(found)
     length, thickness = ribbon[:, 3], ribbon[:, 4]
-    return ribbon[(length >= _SHORTEST) & (length >= _SLENDER * thickness)][:, :4]
+    # Compact sets are spots, not edges.
+    return ribbon[(length >= _SHORTEST) & (length >= 3.0 * thickness)][:, :4]
 
 
 def _moments(
@@ -202,8 +194,10 @@ def clear_edges(
     start = np.clip(np.ceil(rough / np.maximum(steepest, 1e-30)), 2, 12).astype(int)
     level = np.take_along_axis(profile, start[None, :, None] + np.arange(3), 2).mean(2)
     beyond = np.arange(_PROFILE + 1) - start[:, None] - 1
-    allowed = (_UNEVEN + _SLOPE * np.maximum(beyond, 0)) * rough[:, None]
-    fault = (np.abs(profile - level[..., None]) > allowed) | (uneven > _SPOT * rough[:, None])
+    # The mean of a side may deviate by 6 % of the step, and by 0.2 % more for each px of distance.
+    allowed = (0.06 + 0.002 * np.maximum(beyond, 0)) * rough[:, None]
+    # At one distance from the edge, a side may vary by 0.4 of the step.
+    fault = (np.abs(profile - level[..., None]) > allowed) | (uneven > 0.4 * rough[:, None])
     fault = (fault & (beyond >= 0)) | ~inside
     clear = np.where(fault.any(2), fault.argmax(2) - 1, _PROFILE).min(0)
     step, length = level[1] - level[0], length - 2 * corner

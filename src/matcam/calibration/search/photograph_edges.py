@@ -33,16 +33,6 @@ _ROWS = (48, 64, 96, 128, 192)
 """Possible lengths of a strip across its rows, px. A small set of shapes limits the number of compiled programs."""
 _COLUMNS = (32, 48)
 """Possible lengths of the rows of a strip, px."""
-_LEAST_ROWS = 20
-"""Smallest number of rows of a strip. Fewer rows do not sample enough phases of the edge."""
-_RANGE = 20.0
-"""Largest ratio of brightest and darkest light. An estimate of the light with a larger ratio is discarded as implausible."""
-_CONTRAST = 0.2
-"""Contrast (bright - dark) / (bright + dark) below which a remark is given. A printed chart has a higher contrast."""
-_DIRECTIONAL = 0.15
-"""Smallest directional blur that is reported, as the amplitude relative to the mean variance of the blur."""
-_FEW = 6
-"""Smallest number of edges for the test of directional blur, which fits three parameters."""
 
 
 class Strips(NamedTuple):
@@ -133,8 +123,9 @@ def edge_remarks(result: EdgeStack, channel: str) -> list[Remark]:
             remarks.append(Remark(f"{code}-edges", f"{channel}: {text}"))
     dark, bright = result.dark[good], result.bright[good]
     contrast = float(np.median((bright - dark) / (np.abs(bright) + np.abs(dark))))
-    if contrast < _CONTRAST:
-        text = f"the contrast is only {contrast:.0%} ({_CONTRAST:.0%} or more is recommended), which increases the standard "
+    # A printed chart has a higher contrast.
+    if contrast < 0.2:
+        text = f"the contrast is only {contrast:.0%} (20% or more is recommended), which increases the standard "
         text += "deviations: use a print with darker blacks, or reduce stray light"
         remarks.append(Remark("low-contrast", f"{channel}: {text}"))
     if text := _directional_blur(result):
@@ -168,7 +159,8 @@ def strips_along(edges: EdgePositions, shape: tuple[int, int]) -> Strips:
         transposed[which], (across < 0)[which], u[which] + tilt[which] * offset, v[which] + offset, tilt[which],
         size.astype(int), 2 * half[which].astype(int),
     )  # fmt: skip
-    return strips.subset(_inside(strips, shape) & (strips.rows >= _LEAST_ROWS) & (strips.width >= SMALLEST))
+    # Fewer than 20 rows do not sample enough phases of the edge.
+    return strips.subset(_inside(strips, shape) & (strips.rows >= 20) & (strips.width >= SMALLEST))
 
 
 def strip_regions(strips: Strips, plane: LinearImage, at_once: int) -> Iterator[tuple[EdgeRegions, np.ndarray]]:
@@ -204,7 +196,8 @@ def regions_in_even_light(regions: Sequence[EdgeRegions]) -> list[EdgeRegions]:
     design = powers(x, y)[good]
     # The bright sides scatter by at least 0.2 % about the light.
     light = robust_fit(design, np.log(bright[good]), least=0.002)
-    if light.kept.sum() < FEWEST_POSITIONS or np.ptp(design[light.kept] @ light.parameters) > np.log(_RANGE):
+    # Light with a larger ratio of brightest and darkest than 20 is implausible.
+    if light.kept.sum() < FEWEST_POSITIONS or np.ptp(design[light.kept] @ light.parameters) > np.log(20.0):
         return list(regions)
 
     def even(region: EdgeRegions) -> EdgeRegions:
@@ -272,7 +265,8 @@ def _bright(value: np.ndarray) -> np.ndarray:
 def _directional_blur(result: EdgeStack) -> str:
     """Describe the dependence of the blur on direction, for example by motion; empty if it is not significant."""
     good = result.good
-    if good.size < _FEW:
+    # The fit of three parameters requires at least 6 edges.
+    if good.size < 6:
         return ""
     sigma, angle = result.parametric.values[good, 0], result.angle[good]
     std = 2 * sigma * np.sqrt(result.parametric.covariance[good, 0, 0])
@@ -284,7 +278,8 @@ def _directional_blur(result: EdgeStack) -> str:
     found = fit.parameters
     size = float(np.hypot(found[1], found[2]))
     std = float(np.sqrt(found[1:] @ fit.covariance[1:, 1:] @ found[1:] * max(1.0, fit.chi2)) / max(size, 1e-30))
-    if size < _DIRECTIONAL * found[0] or size < SIGNIFICANT * std:
+    # A smaller relative amplitude of the variance of the blur than 0.15 is not reported.
+    if size < 0.15 * found[0] or size < SIGNIFICANT * std:
         return ""
     most, least = np.sqrt(found[0] + size), np.sqrt(max(found[0] - size, 0.0))
     along = np.degrees(np.arctan2(found[2], found[1]) / 2) % 180
