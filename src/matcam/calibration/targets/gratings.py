@@ -241,11 +241,15 @@ def _fit_grating(
     orders: tuple[int, ...] = (1,)
     if printed.profile != "sine":
         orders = tuple(n for n in range(1, highest + 1) if abs(printed.harmonic(n)) > 1e-9)
+
+    def uniform(frequency: FloatArray, direction: FloatArray) -> FloatArray:
+        return np.ones((len(frequency), 1))  # the modulation of a grating is uniform
+
     # The fundamental is fitted first. It determines the phase approximately.
     fit = None
     if pixels.value.size:
-        fit = fit_wave(pixels, found.phase, found.parameters, _constant, steps=4)
-    fit = fit and fit_wave(pixels, found.phase, fit.parameters, _constant, orders)
+        fit = fit_wave(pixels, found.phase, found.parameters, uniform, steps=4)
+    fit = fit and fit_wave(pixels, found.phase, fit.parameters, uniform, orders)
     if not fit:
         raise FitError(
             "the pixels of the grating do not determine its contrast: photograph the grating at a larger scale"
@@ -272,11 +276,6 @@ def _other_wave(pixels: WavePixels, fit: WaveFit, shape: tuple[int, ...]) -> str
     if left < 0.05 or power.max() < 40 * np.median(power):
         return ""
     return f"a single wave leaves {left:.0%} of the variance unexplained; give a region of one grating"
-
-
-def _constant(frequency: FloatArray, direction: FloatArray) -> FloatArray:
-    """Evaluate the basis of a grating: the constant 1, because the modulation of a grating is uniform."""
-    return np.ones((len(frequency), 1))
 
 
 def _grating_result(
