@@ -5,7 +5,7 @@ import pytest
 from scipy.ndimage import gaussian_filter, uniform_filter1d
 
 from matcam import Camera, LinearImage, calibrate, edge_mtf_stack
-from matcam.calibration.camera.camera_fit import CameraRequest, fit_camera
+from matcam.calibration.camera.camera_fit import fit_camera
 from matcam.calibration.camera.consensus import disagreement_remarks
 from matcam.calibration.camera.evidence import Evidence, Finding
 from matcam.calibration.photograph.linear_image import planes_of
@@ -426,7 +426,7 @@ def test_one_grating_does_not_veto_the_edges():
     samples = [grating_of(0.51, number) for number in range(20)] + [grating_of(0.51, 66, off=0.26, std=0.05)]
     shape = (800, 900)
     finding = Finding("grey", "a.png", None, edges, tuple(samples), (), shape)
-    fit = fit_camera(Evidence([finding]), "grey", CameraRequest("gaussian", 0.5, None, None))
+    fit = fit_camera(Evidence([finding]), "grey", "gaussian", 0.5, None, None)
     assert 0.495 < fit.values[0] < 0.515
     remark, widened = fit.remarks
     assert remark.code == "target-disagrees"
@@ -436,7 +436,7 @@ def test_one_grating_does_not_veto_the_edges():
     # where there are no edges, nobody knows which are wrong
     alone = Finding("grey", "a.png", None, None, tuple(samples[-2:]), (), shape)
     with pytest.raises(FitError, match="measurements are contradictory"):
-        fit_camera(Evidence([alone]), "grey", CameraRequest("gaussian", 0.5, None, None))
+        fit_camera(Evidence([alone]), "grey", "gaussian", 0.5, None, None)
 
 
 def test_targets_of_one_kind_are_named_in_one_remark():

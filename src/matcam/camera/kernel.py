@@ -31,10 +31,6 @@ from matcam.numerics.normal import normal_density
 if TYPE_CHECKING:
     from matcam.core.jax import AnyArray, jax
 
-_FREQUENCIES = np.linspace(0, 2, 4001)
-"""Frequencies among which MTF50 is searched for, cycles/px. Their step is below the standard deviation of any calibration."""
-_THINNEST = 1e-3  # smallest short half width of `edge_and_slopes`, px: it adds a blur of 2e-7 px^2 and loses no digits
-
 
 def point(optics: Optics, pixel: PixelResponse, x: jax.Array, y: jax.Array) -> jax.Array:
     """Compute the value of a pixel, 1/px^2, for a point source.
@@ -59,8 +55,8 @@ def line(optics: Optics, pixel: PixelResponse, x: jax.Array, angle: jax.Array) -
     """
     if isinstance(optics, GaussianOptics) and isinstance(pixel, BoxPixel):
         return square_line(x, angle, pixel.half_width, optics.sigma)
-    x = x if optics.isotropic else -x  # the kernel depends on the offset of the pixel from the line
-    return fourier.line_kernel(rule_for(optics, x), partial(transfer_along, optics, pixel), x, angle)
+    # the kernel depends on the offset of the pixel from the line, -x
+    return fourier.line_kernel(rule_for(optics, x), partial(transfer_along, optics, pixel), -x, angle)
 
 
 def edge(optics: Optics, pixel: PixelResponse, x: jax.Array, angle: jax.Array) -> jax.Array:
@@ -140,7 +136,7 @@ def edge_and_slopes(
     up to 100 px. x: shape (n,), px. std: one or n values, px. angle, half_width: one value each, rad and px.
     """
     long, _, short = _boxes(angle, half_width, std)
-    short = xp.where(short > _THINNEST, short, _THINNEST)
+    short = xp.where(short > 1e-3, short, 1e-3)  # px: this adds a blur of 2e-7 px^2 and loses no digits
     signs = np.array([1.0, -1.0, -1.0, 1.0])
     corners = np.array([1.0, 1.0, -1.0, -1.0]) * long + np.array([1.0, -1.0, 1.0, -1.0]) * short
     t = (x + corners[:, None]) / std
@@ -212,9 +208,10 @@ def mtf50(optics: Optics, pixel: PixelResponse) -> dict[str, float]:
 
 
 def _half(lens: Optics, pixel: PixelResponse) -> float:
-    passed = np.abs(np.asarray(transfer_along(lens, pixel, xp.asarray(_FREQUENCIES), xp.zeros(_FREQUENCIES.size))))
+    frequency = np.linspace(0, 2, 4001)  # cycles/px; the step is below the standard deviation of any calibration
+    passed = np.abs(np.asarray(transfer_along(lens, pixel, xp.asarray(frequency), xp.zeros(frequency.size))))
     below = np.flatnonzero(passed < 0.5)
     if not below.size:
         return float("nan")
     around = [below[0], below[0] - 1]  # the MTF is 1 at frequency 0, and decreases below 0.5 between these indices
-    return float(np.interp(0.5, passed[around], _FREQUENCIES[around]))
+    return float(np.interp(0.5, passed[around], frequency[around]))

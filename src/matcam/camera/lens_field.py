@@ -11,9 +11,6 @@ from numpy.typing import ArrayLike
 from matcam.core import checks
 from matcam.core.errors import ArgumentError
 
-_AROUND = 72  # number of positions on a circle
-_LARGEST = 0.5  # largest plausible k1, k2 or growth
-
 
 class Coefficient(NamedTuple):
     """Coefficient of the variation of a lens over the field.
@@ -72,7 +69,7 @@ class LensField:
             if checks.plain_array(name, given := getattr(self, name)).shape != (2,):
                 raise ArgumentError(f"{name} must be (value, standard deviation), got {given!r:.60}")
             value, std = given
-            checks.within(name, value, -_LARGEST, _LARGEST)
+            checks.within(name, value, -0.5, 0.5)
             checks.within(f"standard deviation of {name}", std, 0, np.inf, open_high=True)
             object.__setattr__(self, name, Coefficient(value, std))
         rho2 = np.linspace(0, 1.5, 30)
@@ -179,7 +176,7 @@ class LensField:
 
 
 def _on_circle(column: float, row: float, radius: float) -> tuple[np.ndarray, np.ndarray]:
-    turn = 2 * np.pi * np.arange(_AROUND) / _AROUND
+    turn = 2 * np.pi * np.arange(72) / 72
     return column + radius * np.cos(turn), row + radius * np.sin(turn)
 
 

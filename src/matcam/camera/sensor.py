@@ -208,11 +208,16 @@ class Sensor(Module):
         Raises:
             ArgumentError: an argument is out of range or has the wrong shape.
         """
+        from matcam.core.jax import jax
+
         radiance = self._mosaic(_checked_radiance(radiance))
-        exposure, time = _checked_exposure(exposure, time)
-        sensitivity, dark = self._patterns(radiance.shape[:2])
-        if radiance.ndim == 3:
-            sensitivity, dark = sensitivity[..., None], dark[..., None]
+        exposure = checks.scalar("exposure", checks.positive("exposure", exposure, "e- per unit of radiance"))
+        time = checks.scalar("time", checks.within("time", time, 0, np.inf, "s", open_high=True))
+        # all channels have the same fixed patterns
+        shape = radiance.shape[:2] + (1,) * (radiance.ndim - 2)
+        gain_key, dark_key = jax.random.split(jax.random.key(self.pattern_seed))
+        sensitivity = _log_normal(gain_key, shape, self.prnu)
+        dark = _log_normal(dark_key, shape, self.dark_nonuniformity)
         return exposure * sensitivity * radiance + time * self.dark_current * dark
 
     def expose(self, radiance: ArrayLike, exposure: ArrayLike, seed: Seed, time: ArrayLike = 0.0) -> jax.Array:
@@ -239,8 +244,9 @@ class Sensor(Module):
         countable = xp.where(missing, 0.0, xp.minimum(expected, 2 * self.full_well + 100))
         charge = xp.minimum(jax.random.poisson(shot, countable).astype(xp.float64), self.full_well)
         charge = charge + self.read_noise * jax.random.normal(read, charge.shape)
-        offset = self.dsnu * self._offsets(charge.shape[:2])
-        charge = charge + (offset if charge.ndim == 2 else offset[..., None])
+        # patterns 0 and 1 are those of sensitivity and dark current
+        pattern = jax.random.fold_in(jax.random.key(self.pattern_seed), 2)
+        charge += self.dsnu * jax.random.normal(pattern, charge.shape[:2] + (1,) * (charge.ndim - 2))
         digital = self.gain * charge + self.black_level
         if self.bits is not None:
             digital = xp.clip(xp.round(digital), 0, 2**self.bits - 1)
@@ -276,18 +282,6 @@ class Sensor(Module):
         channel = xp.asarray(self.channel_map(*radiance.shape[:2]))
         return xp.take_along_axis(radiance, channel[..., None], axis=2)[..., 0]
 
-    def _patterns(self, shape: tuple[int, ...]) -> tuple[jax.Array, jax.Array]:
-        from matcam.core.jax import jax
-
-        gain, dark = jax.random.split(jax.random.key(self.pattern_seed))
-        return _log_normal(gain, shape, self.prnu), _log_normal(dark, shape, self.dark_nonuniformity)
-
-    def _offsets(self, shape: tuple[int, ...]) -> jax.Array:
-        from matcam.core.jax import jax
-
-        # patterns 0 and 1 are those of sensitivity and dark current
-        return jax.random.normal(jax.random.fold_in(jax.random.key(self.pattern_seed), 2), shape)
-
 
 def _log_normal(key: jax.Array, shape: tuple[int, ...], std: jax.Array) -> jax.Array:
     """Draw values from a log-normal distribution with mean 1 and standard deviation `std`."""
@@ -308,11 +302,6 @@ def _checked_radiance(radiance: ArrayLike) -> jax.Array:
     if not np.isfinite(largest) or smallest < -1e-9 * largest:
         raise ArgumentError(f"radiance must lie in [0, inf), got {largest if np.isinf(largest) else smallest:g}")
     return xp.maximum(array, 0)  # negative remainders of a kernel with signed terms are rounding
-
-
-def _checked_exposure(exposure: ArrayLike, time: ArrayLike) -> tuple[jax.Array, jax.Array]:
-    exposure = checks.scalar("exposure", checks.positive("exposure", exposure, "e- per unit of radiance"))
-    return exposure, checks.scalar("time", checks.within("time", time, 0, np.inf, "s", open_high=True))
 
 
 def random_key(seed: Seed) -> jax.Array:

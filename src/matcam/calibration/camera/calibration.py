@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 
-from matcam.calibration.camera.camera_fit import CameraFit, CameraRequest, fit_camera
+from matcam.calibration.camera.camera_fit import CameraFit, fit_camera
 from matcam.calibration.camera.evidence import EdgeTable, Evidence, Finding, measure_picture
 from matcam.calibration.camera.lateral_colour import LateralColour, lateral_colour, lateral_remark
 from matcam.calibration.camera.processed_pictures import processing_std
@@ -269,12 +269,12 @@ def calibrate(
         measured.add(picture, f"image {number + 1}", f_number, measure)
     measured.check()
     findings = measured.findings + [Finding(s.channel, s.source, s.f_number, None, (s,)) for s in samples]
-    request = CameraRequest(model, half_width, wavelength, pixel_pitch)
     fits, names = {}, [Path(name).name for name in measured.failed]
     for channel in dict.fromkeys(f.channel for f in findings):
         evidence = Evidence(f for f in findings if f.channel == channel)
         measured.remarks += evidence.check(channel, names, accept_sharpened=accept_sharpened)
-        fit = fit_camera(evidence, channel, request)
+        colour = wavelength.get(channel) if isinstance(wavelength, Mapping) else wavelength
+        fit = fit_camera(evidence, channel, model, half_width, colour, pixel_pitch)
         if fit.names[0].endswith("sigma_px"):
             fit = fit.with_wider_errors(processing_std(evidence.software, float(fit.values[0])))
         fit = replace(fit, camera=fit.camera.with_field(evidence.field()))

@@ -8,7 +8,6 @@ the lens models. If the pixel is fitted and diffraction is included, the lens is
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -38,44 +37,8 @@ from matcam.core.results.summary import Quantity, Summarised, Summary, correlati
 
 _LARGEST_STD = 0.1
 """Largest relative standard deviation of lens width and pixel half width if both are fitted (no unit)."""
-_PIXEL = 0.3
-"""Smallest MTF of the pixel by which a measured curve is divided. Smaller divisors amplify the noise."""
-_STD = 0.03
-"""Standard deviation of the lens MTF above which a measured curve is extrapolated."""
 _END = 1e-6
 """MTF at which the extrapolation of a measured curve ends. It is far below the noise."""
-
-
-@dataclass(frozen=True)
-class CameraRequest:
-    """Options of the fitted camera. The fields are arguments of `calibrate`."""
-
-    model: str
-    half_width: float | None
-    wavelength: float | Mapping[str, float] | None
-    pixel_pitch: float | None
-
-    def lens_at(self, channel: str, f_numbers: list[float | None]) -> LensAt:
-        """Create the lens model to be fitted, as a function of the f-number.
-
-        An ArgumentError is raised if an argument that the model requires is missing.
-        """
-        wavelength = self.wavelength.get(channel) if isinstance(self.wavelength, Mapping) else self.wavelength
-        both = wavelength is not None and self.pixel_pitch is not None
-        if self.model in ("diffraction", "defocus") and not both:
-            raise ArgumentError(f"wavelength and pixel_pitch must be given in m for the {self.model} model")
-        check_light(wavelength, self.pixel_pitch)
-        if self.half_width is not None:
-            name = "gaussian" if self.model == "measured" else self.model
-            lens = lens_model(name, wavelength, self.pixel_pitch)
-            return lambda _: lens
-        if both and any(number is None for number in f_numbers):
-            raise ArgumentError(
-                "diffraction requires f-numbers, but the f-number of at least one image is not known: give f_numbers"
-            )
-        if not both:
-            return lambda _: Separable(jnp.zeros(()), jnp.asarray(550e-9), jnp.asarray(5e-6))
-        return lambda n: Separable(jnp.asarray(n, float), jnp.asarray(wavelength), jnp.asarray(self.pixel_pitch))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -226,20 +189,27 @@ class CameraFit(Summarised):
         return replace(self, camera=camera, covariance=covariance)
 
 
-def fit_camera(evidence: Evidence, channel: str, request: CameraRequest) -> CameraFit:
+def fit_camera(
+    evidence: Evidence,
+    channel: str,
+    model: str,
+    half_width: float | None,
+    wavelength: float | None,
+    pixel_pitch: float | None,
+) -> CameraFit:
     """Fit one camera to all measurements of a colour.
 
-    A FitError is raised if measurements contradict each other, or do not determine the requested parameters. An ArgumentError
-    is raised if the model requires an argument that is missing.
+    The other parameters are arguments of `calibrate`. A FitError is raised if measurements contradict each other, or do not
+    determine the requested parameters. An ArgumentError is raised if the model requires an argument that is missing.
     """
     f_numbers = evidence.f_numbers
-    lens_at = request.lens_at(channel, f_numbers)
+    lens_at = _lens_at(model, half_width, wavelength, pixel_pitch, f_numbers)
     lens, measurements, table = lens_at(f_numbers[0]), evidence.measurements(lens_at), evidence.table()
     separable = isinstance(lens, Separable)
     # Without edges, the fit starts from a lens width of 0.5 px.
     start = np.asarray(lens.start(jnp.asarray(np.log(0.5 if table is None else np.median(table.sigma)))))
     precision = np.array([0.0, 0.0, KURTOSIS**-2]) if separable else np.zeros(start.size)
-    half = float(request.half_width or 0.5)
+    half = float(half_width or 0.5)
     fitted, disagreeing = without_disagreeing(
         measurements, lambda some: fit_jointly(some, start, lens.longest, precision, half), channel
     )
@@ -249,11 +219,11 @@ def fit_camera(evidence: Evidence, channel: str, request: CameraRequest) -> Came
     if separable:
         _refuse_unseparated(found, table)
     curve, slope = _mean_curve(found, measurements.edges, table)
-    explained = replace(curve, camera_mtf=curve.mtf) if request.model == "measured" else curve
+    explained = replace(curve, camera_mtf=curve.mtf) if model == "measured" else curve
     apart = blur_disagreement(measurements.groups, disagreeing, explained, slope)
     found = _FittedLens(lens, parameters, covariance + np.diag([apart**2, *[0.0] * (start.size - 1)]), half)
     names = lens.names
-    if request.model == "measured":
+    if model == "measured":
         if table is None:
             raise FitError(
                 "the lens model 'measured' needs edges, but there are none: add images of edges, or choose another model"
@@ -281,6 +251,30 @@ def fit_camera(evidence: Evidence, channel: str, request: CameraRequest) -> Came
         measurements={name: n for name, n in Counter(measurements.groups).items() if name not in disagreeing},
         remarks=(*disagreement_remarks(disagreeing, channel), *widened_remarks(apart, channel)),
     )
+
+
+def _lens_at(
+    model: str,
+    half_width: float | None,
+    wavelength: float | None,
+    pixel_pitch: float | None,
+    f_numbers: list[float | None],
+) -> LensAt:
+    """Create the lens model to be fitted, as a function of the f-number."""
+    both = wavelength is not None and pixel_pitch is not None
+    if model in ("diffraction", "defocus") and not both:
+        raise ArgumentError(f"wavelength and pixel_pitch must be given in m for the {model} model")
+    check_light(wavelength, pixel_pitch)
+    if half_width is not None:
+        lens = lens_model("gaussian" if model == "measured" else model, wavelength, pixel_pitch)
+        return lambda _: lens
+    if not both:
+        return lambda _: Separable(jnp.zeros(()), jnp.asarray(550e-9), jnp.asarray(5e-6))
+    if None in f_numbers:
+        raise ArgumentError(
+            "diffraction requires f-numbers, but the f-number of at least one image is not known: give f_numbers"
+        )
+    return lambda n: Separable(jnp.asarray(n, float), jnp.asarray(wavelength), jnp.asarray(pixel_pitch))
 
 
 class _FittedLens:
@@ -374,7 +368,8 @@ def _measured_camera(found: _FittedLens, table: EdgeTable, curve: MeanCurve, shi
     c, s = np.abs(np.cos(table.angle))[:, None], np.abs(np.sin(table.angle))[:, None]
     pixel = np.sinc(2 * found.half * FREQUENCIES * c) * np.sinc(2 * found.half * FREQUENCIES * s)
     box = (table.weights * pixel).sum(0)
-    known = (box > _PIXEL) & (std < _STD * box) & (mean > 3 * std)
+    # Division by an MTF of the pixel below 0.3 would amplify the noise. The standard deviation of the quotient is below 0.03.
+    known = (box > 0.3) & (std < 0.03 * box) & (mean > 3 * std)
     last = int(np.argmin(known)) - 1 if not known.all() else FREQUENCIES.size - 1
     if last < 8:
         raise FitError(

@@ -21,12 +21,6 @@ FEWEST_EDGES = 8
 """Smallest number of edges for a camera. Fewer edges are not sufficient to verify that they agree."""
 _APART = np.radians(20.0)
 """Angle that two edges of a camera must enclose at least, rad. Parallel edges determine the MTF in one direction only."""
-_PROCESSED = 0.3
-"""Share of sharpened, crushed or saturated edges above which the others are assumed to be processed as well."""
-_LEAST = 0.5
-"""Smallest deviation of ln sigma for which an edge is excluded. The blur may vary by less over the field."""
-_IMPOSSIBLE = 0.5
-"""Negative dark level, relative to the step, beyond which an edge is excluded."""
 
 
 def in_consensus(stacks: Sequence[EdgeStack]) -> list[EdgeStack]:
@@ -40,8 +34,9 @@ def in_consensus(stacks: Sequence[EdgeStack]) -> list[EdgeStack]:
     for stack in stacks:
         sigma = stack.parametric.values[:, 0]
         std = np.sqrt(stack.parametric.covariance[:, 0, 0]) / sigma
-        far = np.abs(np.log(sigma) - middle) > np.maximum(SIGNIFICANT * np.hypot(std, scatter), _LEAST)
-        impossible = stack.dark < -_IMPOSSIBLE * (stack.bright - stack.dark)
+        # The blur may vary over the field by up to 0.5 in ln sigma. A dark level below -0.5 times the step is impossible.
+        far = np.abs(np.log(sigma) - middle) > np.maximum(SIGNIFICANT * np.hypot(std, scatter), 0.5)
+        impossible = stack.dark < -0.5 * (stack.bright - stack.dark)
         reasons = np.where(far, "its blur differs from that of the other edges", "")
         reasons = np.where(impossible, "its dark level is negative", reasons).tolist()
         problems = [
@@ -64,7 +59,8 @@ def refuse_too_few(
     good, processed = codes.count(""), codes.count("saturated")
     processed += codes.count("crushed")
     processed += 0 if accept_sharpened else codes.count("sharpened")
-    if processed > _PROCESSED * (good + processed):
+    # If more than 30 % of the edges show processing, the others are assumed to be processed as well.
+    if processed > 0.3 * (good + processed):
         raise FitError(
             f"channel {channel}: {processed} of {good + processed} edges are sharpened or saturated, or have crushed blacks: "
             "this is a sign of processed or overexposed images, whose MTF is not that of the lens; use camera raw, and expose "

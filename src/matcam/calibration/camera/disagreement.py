@@ -16,13 +16,6 @@ from matcam.core.errors import FitError
 from matcam.core.remark import Remark
 from matcam.numerics.normal import SIGNIFICANT
 
-_STRANGE, _LARGE = 0.03, 0.1
-"""Largest relative differences of the blur of targets, which must also be significant.
-
-Targets of a chart that differ from its edges by more than the first value are excluded. Other measurements that differ by
-more than the second value are contradictory.
-"""
-
 
 def without_disagreeing(
     measurements: Measurements, fit: Callable[[Measurements], JointFit], channel: str
@@ -38,11 +31,13 @@ def without_disagreeing(
         fitted = fit(measurements.without(disagreeing))
         candidates = replaceable - disagreeing.keys()
         off = fitted.differences(groups, set(groups) - candidates)
-        more = {k: d for k, (d, std) in off.items() if k in candidates and abs(d) > max(_STRANGE, SIGNIFICANT * std)}
+        # Targets of a chart whose blur differs significantly, and by more than 3 %, from that of its edges are excluded.
+        more = {k: d for k, (d, std) in off.items() if k in candidates and abs(d) > max(0.03, SIGNIFICANT * std)}
         if not more:
             off = fitted.differences(groups, groups)
             name, (difference, std) = max(off.items(), key=lambda one: abs(one[1][0]), default=("", (0.0, 0.0)))
-            if abs(difference) < max(_LARGE, SIGNIFICANT * std):
+            # Other measurements that differ significantly, and by more than 10 %, are contradictory.
+            if abs(difference) < max(0.1, SIGNIFICANT * std):
                 return fitted, disagreeing
             if name not in candidates:
                 others = [other for other in off if other != name]

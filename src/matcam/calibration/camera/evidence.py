@@ -32,8 +32,6 @@ from matcam.files.photographs import Photograph
 
 LensAt = Callable[[float | None], LensModel]
 """Lens model of an image as a function of its f-number; None if the f-number is unknown."""
-_MISSED, _SIGNIFICANT = 0.005, 4.0
-"""Difference of the MTF and number of standard deviations above which the model does not explain the edges."""
 
 
 class EdgeTable(NamedTuple):
@@ -163,7 +161,7 @@ class MeanCurve:
     def consistent(self) -> bool:
         """True if the camera explains the curve; see `CameraFit.consistent`."""
         misfit, std = self.misfit
-        return not (misfit > _MISSED and misfit > _SIGNIFICANT * std)
+        return not misfit > max(0.005, 4 * std)
 
 
 class Finding(NamedTuple):

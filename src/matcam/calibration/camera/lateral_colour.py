@@ -16,13 +16,6 @@ from matcam.calibration.chart.registration import FEWEST_POSITIONS
 from matcam.core.remark import Remark
 from matcam.numerics.normal import SIGNIFICANT, robust_fit
 
-_SAME = 2.0
-"""Largest distance between the centres of one edge in two colours, px."""
-_SAME_DIRECTION = np.radians(3.0)
-"""Largest angle between the normals of one edge in two colours, rad."""
-_REMARKABLE = 0.1
-"""Displacement in the corners above which a remark is given, px."""
-
 
 class LateralColour(NamedTuple):
     """Size of the image in one colour relative to a reference colour.
@@ -59,7 +52,8 @@ def lateral_colour(of: EdgeTable, reference: EdgeTable, shape: tuple[int, int]) 
         here, there = (np.column_stack([edges.x, edges.y]) for edges in (mine, theirs))
         far, nearest = cKDTree(there).query(here)
         angle = theirs.angle[nearest]
-        same = (far < _SAME) & (np.abs(np.angle(np.exp(1j * (mine.angle - angle)))) < _SAME_DIRECTION)
+        # In two colours, the centres of one edge are less than 2 px apart, and its normals less than 3 degrees.
+        same = (far < 2) & (np.abs(np.angle(np.exp(1j * (mine.angle - angle)))) < np.radians(3.0))
         normal = np.column_stack([np.cos(angle), np.sin(angle)])[same]
         positions.append(there[nearest][same])
         normals.append(normal)
@@ -89,7 +83,7 @@ def lateral_remark(found: LateralColour, channel: str, reference: str) -> Remark
 
     Otherwise the result is None.
     """
-    if abs(found.corner) < max(_REMARKABLE, SIGNIFICANT * found.corner_std):
+    if abs(found.corner) < max(0.1, SIGNIFICANT * found.corner_std):
         return None
     where = "further out" if found.corner > 0 else "further in"
     return Remark(

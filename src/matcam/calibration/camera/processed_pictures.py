@@ -23,19 +23,6 @@ from matcam.calibration.photograph.linear_image import LinearImage
 from matcam.core.errors import FitError
 from matcam.core.remark import Remark
 
-_LARGEST = 1500
-"""Largest side of the central area that is tested, px. It limits the computing time."""
-_SMOOTH, _WINDOW, _EVEN = 2.0, 9, 0.06
-"""Uniform areas: smoothing, px; size of a window, px; largest variation in it, relative to the range of the image."""
-_LEVEL = 0.25
-"""Largest difference of a uniform area from the dark or the bright level, relative to the range of the image. Patterns that
-the lens does not resolve, such as the centre of a star, are grey.
-"""
-_MEDIAN = 1.5
-"""Largest variation in a window relative to the median over the windows of this level. Most windows contain only noise, and
-the others the blurred rim of a shape. With this limit the ratio of noise variances of charts with a star and squares is 0.997
-to 1.005 instead of 1, for lenses of 0.4 to 1.5 px and 1000 and 20000 electrons.
-"""
 _PIXEL = 1 / 12
 """Variance of a fully sensitive pixel, px^2."""
 
@@ -92,17 +79,23 @@ def processed(plane: LinearImage, *, accept: bool) -> Processed:
 
 
 def picture_noise(values: np.ndarray) -> FlatNoise:
-    top, left = (max(size - _LARGEST, 0) // 2 for size in values.shape)
-    middle = values[top : top + _LARGEST, left : left + _LARGEST]
+    largest = 1500  # side of the central area that is tested, px, which limits the computing time
+    top, left = (max(size - largest, 0) // 2 for size in values.shape)
+    middle = values[top : top + largest, left : left + largest]
     known = np.isfinite(middle)
-    smooth = ndimage.gaussian_filter(np.where(known, middle, 0.0), _SMOOTH)
+    smooth = ndimage.gaussian_filter(np.where(known, middle, 0.0), 2.0)
     low, high = np.quantile(smooth, (0.05, 0.95))
-    varies = ndimage.maximum_filter(smooth, _WINDOW) - ndimage.minimum_filter(smooth, _WINDOW)
-    far, limit = _LEVEL * (high - low), _EVEN * (high - low)
+    varies = ndimage.maximum_filter(smooth, 9) - ndimage.minimum_filter(smooth, 9)
+    # Patterns that the lens does not resolve, such as the centre of a star, are grey. Uniform areas are therefore those near
+    # the dark or the bright level, in which a window of 9 px varies by less than 6 % of the range of the image.
+    far, limit = 0.25 * (high - low), 0.06 * (high - low)
 
     def even(side: np.ndarray) -> np.ndarray:
+        # Most windows contain only noise, and the others the blurred rim of a shape. With a limit of 1.5 medians, the ratio of
+        # noise variances of charts with a star and squares is 0.997 to 1.005 instead of 1, for lenses of 0.4 to 1.5 px and
+        # 1000 and 20000 electrons.
         found = side & known & (varies < limit)
-        return found & (varies <= _MEDIAN * np.median(varies[found])) if found.any() else found
+        return found & (varies <= 1.5 * np.median(varies[found])) if found.any() else found
 
     return flat_noise(middle, even(smooth < low + far), even(smooth > high - far), least=LEAST_NOISE * (high - low))
 

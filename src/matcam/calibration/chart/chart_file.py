@@ -160,8 +160,6 @@ _FIELDS: dict[str, tuple[str, Any]] = {
     "duty": ("duty", FiniteFloat),
 }
 """Name in the file and type of every field of elements and fiducials."""
-_NAMES = {there: here for here, (there, _) in _FIELDS.items()}
-"""Names in Python of the fields in the file."""
 
 
 class _Strict(BaseModel):
@@ -169,30 +167,26 @@ class _Strict(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True)
 
 
-def _model(name: str, types: dict[str, Any]) -> Any:
+def _model(name: str, printed: type | None = None, **types: Any) -> Any:
+    """Create the model of an object in the file: fields of given types, and those of an element or fiducial."""
+    types |= dict(_FIELDS[field.name] for field in fields(printed)) if printed else {}
     given: dict[str, Any] = {field: (kind, ...) for field, kind in types.items()}
     return create_model(f"_{name}", __base__=_Strict, **given)
 
 
-def _model_of(printed: type, **more: Any) -> Any:
-    return _model(printed.__name__, more | dict(_FIELDS[field.name] for field in fields(printed)))
-
-
 _CLASSES: dict[str, type] = {one.__name__.lower(): one for one in get_args(Element)}
 """Classes of elements by their kind in the file."""
-_ELEMENTS: Any = tuple(_model_of(one, kind=Literal[kind]) for kind, one in _CLASSES.items())
+_ELEMENTS: Any = tuple(_model(one.__name__, one, kind=Literal[kind]) for kind, one in _CLASSES.items())
 """Pydantic models of all kinds of elements."""
 _Document = _model(
     "Document",
-    {
-        "format": Literal["matcam chart"],
-        "version": Literal[1],
-        "software": str,
-        "page_mm": _Sides,
-        "ink_level": _Level,
-        "fiducials": list[_model_of(Fiducial)],  # type: ignore[misc]
-        "elements": list[Annotated[Union[_ELEMENTS], Field(discriminator="kind")]],  # noqa: UP007
-    },
+    format=Literal["matcam chart"],
+    version=Literal[1],
+    software=str,
+    page_mm=_Sides,
+    ink_level=_Level,
+    fiducials=list[_model("Fiducial", Fiducial)],  # type: ignore[misc]
+    elements=list[Annotated[Union[_ELEMENTS], Field(discriminator="kind")]],  # noqa: UP007
 )
 
 
@@ -201,7 +195,8 @@ def _with_units(thing: Element | Fiducial) -> dict[str, Any]:
 
 
 def _without_units(document: dict[str, Any]) -> dict[str, Any]:
-    return {_NAMES[name]: _tuples(value) for name, value in document.items()}
+    names = {there: here for here, (there, _) in _FIELDS.items()}
+    return {names[name]: _tuples(value) for name, value in document.items()}
 
 
 def _tuples(value: Any) -> Any:

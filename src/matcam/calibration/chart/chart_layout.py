@@ -24,21 +24,6 @@ _SLANTED = np.array([[np.cos(_SLANT), -np.sin(_SLANT)], [np.sin(_SLANT), np.cos(
 """Rotation matrix of squares and dots."""
 _FREQUENCIES = (0.05, 0.08, 0.11, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45)
 """Frequencies of the gratings, cycles per pixel of the intended camera."""
-_TILT = math.radians(7)
-"""Angle of gratings to the page, rad.
-
-The pixels then sample all phases, and no harmonic coincides with a frequency of the pixel grid.
-"""
-_GAP = 1.4
-"""Size of a grating with the paper around it, relative to the grating."""
-_SPACING = 1.6
-"""Distance between the centres of neighbouring squares, relative to their side."""
-_PITCH = 14.0
-"""Distance between neighbouring dots, px. Halfway between two dots, their blur is negligible."""
-_STEPS = (0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.6, 0.75, 0.9)
-"""Linear levels of the tone patches."""
-_CYCLES = (144, 108, 72, 48, 36, 24)
-"""Numbers of cycles of a star, in order of preference."""
 
 
 def design_chart(
@@ -127,8 +112,9 @@ def _fiducials(width: float, height: float, margin: float, radius: float) -> Ite
 
 
 def _patches(left: float, top: float, width: float, height: float) -> Iterator[Patch]:
-    step = width / len(_STEPS)
-    for i, level in enumerate(_STEPS):
+    levels = (0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.6, 0.75, 0.9)
+    step = width / len(levels)
+    for i, level in enumerate(levels):
         x, gap = left + i * step, 0.05 * step
         yield Patch(
             ((x + gap, top), (x + step - gap, top), (x + step - gap, top + height), (x + gap, top + height)), level
@@ -164,8 +150,9 @@ def _fitting_side(size: Point, usual: float, pitch: float, least: int) -> float:
 
 
 def _squares(corner: Point, size: Point, pixel: float) -> Iterator[Square]:
-    side = _fitting_side(size, 80.0 * pixel, _SPACING, 1)  # 80 px if there is space
-    for centre in _positions(corner, size, _SPACING * side):
+    spacing = 1.6  # distance between the centres of neighbouring squares, relative to their side
+    side = _fitting_side(size, 80.0 * pixel, spacing, 1)  # 80 px if there is space
+    for centre in _positions(corner, size, spacing * side):
         points = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * side / 2 @ _SLANTED.T + centre
         a, b, c, d = ((float(px), float(py)) for px, py in points)
         yield Square((a, b, c, d), _DARK)
@@ -176,13 +163,15 @@ def _gratings(profile: str) -> Callable[[Point, Point, float], Iterator[Grating]
     duty, bright = (0.25 if profile == "lines" else 0.5), (_SINE_BRIGHT if profile == "sine" else 1.0)
 
     def panel(corner: Point, size: Point, pixel: float) -> Iterator[Grating]:
-        side = _fitting_side(size, 76.0 * pixel, _GAP, 2)  # 76 px if there is space
-        positions = list(_positions(corner, size, _GAP * side))
+        gap = 1.4  # size of a grating with the paper around it, relative to the grating
+        side = _fitting_side(size, 76.0 * pixel, gap, 2)  # 76 px if there is space
+        positions = list(_positions(corner, size, gap * side))
         count = min(len(positions) // 2, len(_FREQUENCIES))
         # A single pair of gratings has a medium frequency, which is sensitive to blur.
         first = 0 if count > 1 else len(_FREQUENCIES) // 2 - 1
         chosen = [_FREQUENCIES[i] for i in np.linspace(first, len(_FREQUENCIES) - 1, count).round().astype(int)]
-        wanted = [(f, angle) for f in chosen for angle in (_TILT, _TILT + math.pi / 2)]
+        # The pixels sample all phases of a tilted grating, and no harmonic coincides with a frequency of the pixel grid.
+        wanted = [(f, math.radians(7) + turn) for f in chosen for turn in (0, math.pi / 2)]
         for centre, (frequency, angle) in zip(positions, wanted, strict=False):
             period = pixel / frequency
             across = max(1, round(side / period)) * period  # with whole periods, the mean is that of one period
@@ -194,8 +183,8 @@ def _gratings(profile: str) -> Callable[[Point, Point, float], Iterator[Grating]
 def _star(corner: Point, size: Point, pixel: float) -> Iterator[Star]:
     outer = min(size) / 2
     # Use the largest number of cycles that are wide enough at the rim: with more cycles, a ring is closer to a plane wave.
-    for cycles in _CYCLES:
-        if cycles / (2 * math.pi * outer / pixel) < 0.07 or (cycles == _CYCLES[-1] and outer > 40 * pixel):
+    for cycles in (144, 108, 72, 48, 36, 24):
+        if cycles / (2 * math.pi * outer / pixel) < 0.07 or (cycles == 24 and outer > 40 * pixel):
             centre = (corner[0] + size[0] / 2, corner[1] + size[1] / 2)
             yield Star(centre, cycles * pixel / (2 * math.pi) / 0.9, outer, cycles, 0.0, _DARK, _SINE_BRIGHT)
             return
@@ -205,12 +194,13 @@ def _dots(corner: Point, size: Point, pixel: float) -> Iterator[Dots]:
     # The lattice is rotated, so that the pixels sample the dots at different phases.
     middle = np.array(corner) + np.array(size) / 2
     inner = tuple(s / (np.cos(_SLANT) + np.sin(_SLANT) * max(size) / min(size)) for s in size)
+    pitch = 14.0 * pixel  # halfway between two dots, their blur is negligible
     points = [
         tuple(float(v) for v in _SLANTED @ centre + middle)
-        for centre in _positions((-inner[0] / 2, -inner[1] / 2), (inner[0], inner[1]), _PITCH * pixel)
+        for centre in _positions((-inner[0] / 2, -inner[1] / 2), (inner[0], inner[1]), pitch)
     ]
     if len(points) >= 9:
-        yield Dots(tuple((x, y) for x, y in points), 1.3 * pixel, _PITCH * pixel, _INK)
+        yield Dots(tuple((x, y) for x, y in points), 1.3 * pixel, pitch, _INK)
 
 
 _PANELS: dict[str, Callable[[Point, Point, float], Iterator[Element]]] = {

@@ -21,22 +21,8 @@ from matcam.calibration.chart.chart import Chart, Patch, Square
 from matcam.calibration.photograph.linear_image import smoothed
 from matcam.core.arrays import FloatArray
 
-_CONCENTRIC = 0.35
-"""Largest distance between the centres of a disc and its rings, relative to the radius of the disc."""
-_RING, _SECOND = (2.5, 9.0), (4.5, 16.0)
-"""Smallest and largest area of the first and the second ring relative to the disc. The nominal values are 5 and 9."""
-_SMALLEST, _LARGEST = 4, 0.01
-"""Smallest area of a disc, px^2, and largest area relative to the image."""
-_NEAR = 0.03
-"""Largest distance of a mark from its expected position, relative to the size of the chart in the image."""
 _MOST_MARKS = (24, 9)
 """Largest number of marks of similar size that are tested, with and without a known first mark. It limits the time."""
-_SIMILAR_SIZE = 2.5
-"""Largest ratio of the sizes of discs in one image."""
-_CLEAR = 0.5
-"""Smallest agreement with the printed elements if only four marks are found."""
-_LEVEL = 0.5
-"""Level below which squares and patches are used for the comparison with the image."""
 
 
 class Mark(NamedTuple):
@@ -95,20 +81,23 @@ def _marks_below(share: FloatArray, dark: float) -> list[Mark]:
     which = label[rows, columns] - 1
     area = np.bincount(which, minlength=count)
     y, x = (np.bincount(which, position, count) / area for position in (rows, columns))
-    small = np.flatnonzero((area >= _SMALLEST) & (area < _LARGEST * share.size))
+    # A disc covers at least 4 px^2, and at most 1 % of the image.
+    small = np.flatnonzero((area >= 4) & (area < 0.01 * share.size))
     radii = np.sqrt(area[small] / np.pi)
+    # The centres of a disc and its rings differ by less than 35 % of the radius of the disc.
     around = cKDTree(np.stack([x, y], axis=-1)).query_ball_point(
-        np.stack([x[small], y[small]], axis=-1), np.maximum(_CONCENTRIC * radii, 0.7)
+        np.stack([x[small], y[small]], axis=-1), np.maximum(0.35 * radii, 0.7)
     )
     found = []
     for i, radius, beside in zip(small, radii, around, strict=True):
         near = np.array(beside)
+        # The nominal areas of the first and the second ring are 5 and 9 times that of the disc.
         sizes = area[near] / area[i]
-        first = (sizes > _RING[0]) & (sizes < _RING[1])
+        first = (sizes > 2.5) & (sizes < 9)
         if not first.any() or (sizes < 1).any():
             continue
         ring = near[first][np.argmin(sizes[first])]
-        second = (sizes > max(_SECOND[0], 1.3 * area[ring] / area[i])) & (sizes < _SECOND[1])
+        second = (sizes > max(4.5, 1.3 * area[ring] / area[i])) & (sizes < 16)
         # The position of a mark is the centroid of the disc and its first ring.
         parts = [i, ring]
         weight = area[parts] / area[parts].sum()
@@ -180,7 +169,7 @@ def match_marks(chart: Chart, marks: list[Mark], smooth: FloatArray) -> list[tup
     chosen = int(np.argmin(candidates.off - (scores if top < 5 else 0.01 * scores)))
     # Marks that are not explained while fiducials are missing may be those of another chart.
     astray = top < len(positions) and len(marks) > top + 1
-    if (top < 5 or astray) and not scores[chosen] > _CLEAR:
+    if (top < 5 or astray) and not scores[chosen] > 0.5:
         return []
     return [(i, marks_used[int(j)]) for i, j in enumerate(candidates.nearest[chosen]) if j >= 0]
 
@@ -191,7 +180,8 @@ def _similar_marks(marks: list[Mark]) -> list[int]:
     Marks with two rings are preferred.
     """
     radii = np.array([mark.radius for mark in marks])
-    near = np.array([(np.maximum(radii / r, r / radii) < _SIMILAR_SIZE).sum() for r in radii])
+    # The sizes of the discs of a chart in one image differ by less than a factor of 2.5.
+    near = np.array([(np.maximum(radii / r, r / radii) < 2.5).sum() for r in radii])
     middle = radii[near == near.max()]
     off = np.abs(np.log(radii / np.median(middle))) - 0.5 * np.array([mark.rings == 2 for mark in marks])
     return [int(i) for i in np.argsort(off, kind="stable")]
@@ -225,7 +215,8 @@ def _views(
     off = np.hypot(*(expected[:, :, None] - seen).transpose(3, 0, 1, 2))
     size = np.ptp(expected, axis=1).max(1)
     nearest, least = off.argmin(2), off.min(2) / np.maximum(size, 1e-9)[:, None]
-    nearest = np.where(least < _NEAR, nearest, -1)
+    # A mark is less than 3 % of the size of the chart from its expected position.
+    nearest = np.where(least < 0.03, nearest, -1)
     # Each mark may be assigned to one fiducial only.
     ordered = np.sort(nearest, axis=1)
     twice = ((np.diff(ordered, axis=1) == 0) & (ordered[:, 1:] >= 0)).any(1)
@@ -247,7 +238,7 @@ def _best(found: list[_Views]) -> _Views:
 
 def _shown(chart: Chart, view: FloatArray, barrel: float, smooth: FloatArray, middle: FloatArray, unit: float) -> float:
     """Compute the agreement of a view with the image: 1 if all dark elements are on bright paper, about 0 by chance."""
-    dark = [e for e in chart.elements if isinstance(e, Square | Patch) and e.level < _LEVEL]
+    dark = [e for e in chart.elements if isinstance(e, Square | Patch) and e.level < 0.5]
     # About 150 squares and patches are sufficient for the comparison.
     dark = dark[:: max(1, len(dark) // 150)]
     if not dark:

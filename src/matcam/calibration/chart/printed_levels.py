@@ -21,20 +21,6 @@ from matcam.core.remark import Remark
 
 _FEWEST = 4
 """Smallest number of patches that determine the printed levels."""
-_CLEAR = 3.0
-"""Distance from the border of a patch within which blur affects the level, px."""
-_GRID = 16
-"""Number of sampled positions along each side of a patch."""
-_KNOWN = 24
-"""Smallest number of pixels of a patch, and of the paper next to it."""
-_UNEVEN = 0.05
-"""Largest variation of a patch relative to its level beyond noise, and of the paper on both sides of it."""
-_OFF = 0.12
-"""Largest deviation of ln(printed) from a straight line, relative to ln(printed), for a patch that is not covered."""
-_MIDDLE, _REMARKABLE = 0.3, 0.05
-"""Described level that is compared with the print, and change of its logarithm above which a remark is given."""
-_TURN = 2 * np.pi * np.arange(256) / 256
-"""Phases at which the first harmonic of a sine is computed, rad."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,8 +50,9 @@ class PrintedLevels:
 
         `assumed`: whether the tone curve is assumed. A wrong tone curve has the same effect as a different print.
         """
-        was, became = _MIDDLE, float(self(_MIDDLE))
-        if abs(np.log(became / was)) < _REMARKABLE:
+        was = 0.3  # a medium level
+        became = float(self(was))
+        if abs(np.log(became / was)) < 0.05:
             return None
         either = ", or the tone curve is not as assumed (--tone)" if assumed else ""
         text = f"the print differs from the description{either}: level {was:g} is printed as {became:.2f}; the contrasts were "
@@ -88,8 +75,9 @@ class PrintedLevels:
             return replace(element, dark=float(self(element.dark)), bright=float(self(element.bright)))
         if isinstance(element, Star | Grating):
             mean, amplitude = (element.bright + element.dark) / 2, (element.bright - element.dark) / 2
-            wave = self(mean + amplitude * np.cos(_TURN))
-            middle, first = float(wave.mean()), 2 * float((wave * np.cos(_TURN)).mean())
+            sine = np.cos(2 * np.pi * np.arange(256) / 256)
+            wave = self(mean + amplitude * sine)
+            middle, first = float(wave.mean()), 2 * float((wave * sine).mean())
             return replace(element, dark=middle - first, bright=middle + first)
         return replace(element, level=float(self(element.level))) if isinstance(element, Dots) else element
 
@@ -112,7 +100,7 @@ def printed_levels(values: FloatArray, chart: Chart, projection: Projection) -> 
     # The levels of a print change smoothly: a patch far from the line was covered, or lit differently from its paper.
     x, y = np.log(level), np.log(printed)
     slope = float(np.median(y[x < 0] / x[x < 0]))
-    close = np.abs(y - slope * x) < _OFF * np.maximum(np.abs(slope * x), 0.3)
+    close = np.abs(y - slope * x) < 0.12 * np.maximum(np.abs(slope * x), 0.3)
     good = close & (np.append(True, np.diff(printed) > 0))
     if good.sum() < _FEWEST:
         return None
@@ -126,7 +114,7 @@ def _over_paper(values: FloatArray, patch: Patch, projection: Projection) -> tup
     """
     corners = np.array(patch.corners)
     centre, across, along = corners.mean(0), (corners[1] - corners[0]) / 2, (corners[3] - corners[0]) / 2
-    line = np.linspace(-1, 1, _GRID)
+    line = np.linspace(-1, 1, 16)
 
     def level(u: FloatArray, v: FloatArray) -> tuple[float, float]:
         position = np.stack([a.ravel() for a in np.meshgrid(u, v)], axis=-1)
@@ -135,24 +123,26 @@ def _over_paper(values: FloatArray, patch: Patch, projection: Projection) -> tup
         at = at[((at >= 0) & (at < values.shape[::-1])).all(1)]
         seen = values[at[:, 1], at[:, 0]]
         seen = seen[np.isfinite(seen)]
-        return (float(seen.mean()), float(seen.std() / np.sqrt(seen.size))) if seen.size >= _KNOWN else (np.nan, np.nan)
+        # A level requires at least 24 known pixels.
+        return (float(seen.mean()), float(seen.std() / np.sqrt(seen.size))) if seen.size >= 24 else (np.nan, np.nan)
 
     middle, *ends = projection(np.array([centre, centre + across, centre + along]))
     shortest = max(min(float(np.hypot(*(end - middle))) for end in ends), 1e-9)
-    # A border of 0.3 to 0.6 of half the size is excluded, because blur affects the level there.
-    inner = (1 - np.clip(_CLEAR / shortest, 0.3, 0.6)) * line
+    # Blur affects the level within 3 px of the border of a patch, which are excluded: 0.3 to 0.6 of half its size.
+    blurred = 3.0 / shortest
+    inner = (1 - np.clip(blurred, 0.3, 0.6)) * line
     own, std = level(inner, inner)
     halves = np.array([level(half, inner) for half in np.split(inner, 2)])
     uneven = np.nan_to_num(np.abs(halves[:, 0] - own) - 3 * halves[:, 1]).max()
     # The distance to the paper is the same beyond the shorter and the longer sides.
     ratio = float(np.hypot(*across) / np.hypot(*along))
     # The paper begins 0.2 to 0.45 of half the size from the border of the patch; its measured width is 0.15.
-    distance = np.clip(_CLEAR / shortest, 0.2, 0.45) + np.linspace(0, 0.15, _GRID // 2)
+    distance = np.clip(blurred, 0.2, 0.45) + np.linspace(0, 0.15, 8)
     u, v = 1 + distance * min(1.0, 1 / ratio), 1 + distance * min(1.0, ratio)
     paper = np.array([[level(u, inner)[0], level(-u, inner)[0]], [level(inner, v)[0], level(inner, -v)[0]]])
     best = int(np.argmax(np.nan_to_num(paper.mean(1))))
     mean, apart = float(paper[best].mean()), float(abs(np.subtract(*paper[best])) / paper[best].sum())
-    # NaN fails all comparisons.
-    if not (own > 0 and mean > 0 and apart <= _UNEVEN and uneven <= _UNEVEN * own):
+    # An even patch varies by at most 5 % beyond noise, and the paper on both sides by at most 5 %. NaN fails all comparisons.
+    if not (own > 0 and mean > 0 and apart <= 0.05 and uneven <= 0.05 * own):
         return None
     return own / mean, float(np.hypot(std / own, 0.1 * apart))

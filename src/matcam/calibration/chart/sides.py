@@ -13,10 +13,6 @@ from matcam.core.arrays import FloatArray
 
 _ALONG = np.linspace(-0.32, 0.32, 9)
 """Positions at which a side is searched for, relative to its length, from its middle."""
-_STEP = 0.5
-"""Distance of the samples of a profile, px."""
-_LEAST = 0.35
-"""Smallest step of a side relative to the described step (no unit). Print and illumination may reduce the step."""
 
 
 class Sides(NamedTuple):
@@ -64,7 +60,8 @@ def seen_sides(smooth: FloatArray, chart: Chart, projection: Callable[[FloatArra
     depth = 2 * np.abs(inwards).min(1)
     # A side is searched for up to 0.22 of the size of a square, and at most 30 px, from its expected position.
     search_range = min(float(np.median(np.minimum(depth, length))) * 0.22, 30)
-    steps = np.arange(-np.ceil(search_range / _STEP), np.ceil(search_range / _STEP) + 1) * _STEP
+    samples = np.ceil(2 * search_range)  # on each side, 0.5 px apart
+    steps = np.arange(-samples, samples + 1) / 2
     positions = at[:, :, None] + normal[:, :, None] * steps[:, None]
     profile = ndimage.map_coordinates(
         smooth, positions[..., ::-1].transpose(3, 0, 1, 2), order=1, mode="constant", cval=np.nan
@@ -89,6 +86,7 @@ def _steepest(profile: FloatArray, steps: FloatArray, level: FloatArray) -> Floa
     total = weight.sum(2)
     position = (weight * between).sum(2) / np.maximum(total, 1e-300)
     paper = profile[..., -3:].mean(2)
-    good = (total > _LEAST * (1 - level)[:, None] * paper) & np.isfinite(profile).all(2)
+    # Print and illumination may reduce a step to 35 % of the described step.
+    good = (total > 0.35 * (1 - level)[:, None] * paper) & np.isfinite(profile).all(2)
     inside = (best > 1) & (best < slope.shape[2] - 2)
     return np.where(good & inside, position, np.nan)

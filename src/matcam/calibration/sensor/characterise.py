@@ -28,16 +28,6 @@ from matcam.numerics.normal import SIGNIFICANT
 
 _HIDDEN = 0.24
 """Temporal variance of dark codes below which rounding hides the noise, DN^2 (EMVA 1288, 6.6)."""
-_MANY = 2.0
-"""Multiple of the median number of frames above which an exposure is a stack.
-
-A stack in a descriptor may have been taken under a different illumination from the series (EMVA 1288, 8.2). Therefore, it is
-used for the fixed patterns only. In a folder, the illumination is constant, and a stack is part of the series.
-"""
-_TIMES = 3
-"""Smallest number of exposure times for a dark current (EMVA 1288, 7.2)."""
-_BRIGHT = (0.2, 0.8)
-"""Shares of saturation between which the response of the pixels is measured. The standard prescribes 50 %."""
 _UNKNOWN = Stated(math.nan, math.inf)
 """Value that is not determined."""
 
@@ -85,7 +75,10 @@ def characterise_sensor(
     found, remarks = measure_exposures(series, reader, progress or (lambda step, done, total: None))
     dark = [one for one in found if not one.exposure.lit]
     flat = [one for one in found if one.exposure.lit]
-    usual = _MANY * float(np.median([len(one.exposure.files) for one in flat]))
+    # A stack in a descriptor, with more than twice the median number of frames, may have been taken under a different
+    # illumination from the series (EMVA 1288, 8.2). Therefore, it is used for the fixed patterns only. In a folder, the
+    # illumination is constant, and a stack is part of the series.
+    usual = 2 * float(np.median([len(one.exposure.files) for one in flat]))
     lit = [one for one in flat if series.light_unit == "s" or len(one.exposure.files) <= usual]
     if len(lit) < len(flat):
         names = some_of([one.exposure.name for one in flat if len(one.exposure.files) > usual], 3)
@@ -185,7 +178,7 @@ def _over_time(dark: Sequence[ExposureStatistics], values: list[float], errors: 
     the shortest time, and the increase is unknown. `errors`: standard deviations of the values due to temporal noise.
     """
     times = np.array([one.exposure.time for one in dark])
-    if len(np.unique(times)) < _TIMES:
+    if len(np.unique(times)) < 3:  # EMVA 1288, 7.2
         first = int(np.argmin(times))
         return Stated(values[first], errors[first]), _UNKNOWN
     parameters, covariance = np.polyfit(times, np.array(values), 1, cov=True)
@@ -217,13 +210,14 @@ def _saturation(planes: Sequence[Transfer], gain: Stated) -> tuple[Stated, bool]
 def _chosen(lit: Sequence[ExposureStatistics], planes: Sequence[Transfer]) -> ExposureStatistics | None:
     """Select the unclipped exposure with the most frames; None if no exposure is suitable.
 
-    Among exposures with equally many frames, the one nearest to half of saturation is selected.
+    The signal must lie between 20 and 80 % of saturation. Among exposures with equally many frames, the one nearest to the
+    50 % that the standard prescribes is selected.
     """
 
     def share(one: ExposureStatistics) -> float:
         return max((one.mean[k] - p.dark[0]) / p.signal[p.saturation] for k, p in enumerate(planes))
 
-    good = [one for one in lit if _BRIGHT[0] < share(one) < _BRIGHT[1] and not is_clipped(one, lit)]
+    good = [one for one in lit if 0.2 < share(one) < 0.8 and not is_clipped(one, lit)]
     return max(good, key=lambda one: (len(one.exposure.files), -abs(share(one) - 0.5)), default=None)
 
 

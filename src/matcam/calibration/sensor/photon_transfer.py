@@ -22,24 +22,6 @@ from matcam.files.capture_settings import Stated
 from matcam.numerics.frame_noise import line_of_least_relative_error, not_linear
 from matcam.numerics.normal import SIGNIFICANT
 
-_FITTED = 0.7
-"""Share of saturation up to which gain and responsivity are fitted (EMVA 1288, 6.6)."""
-_LINEAR = (0.05, 0.95)
-"""Shares of saturation between which linearity is tested (EMVA 1288, 8.2.7)."""
-_CLIPPED = 1e-3
-"""Share of pixels at the largest code above which an exposure is considered clipped. Hot pixels are a smaller share."""
-_PILED = 0.05
-"""Share of pixels at the largest code of all exposures above which this code is the clip level."""
-_NOT_LINEAR = 0.03
-"""Relative deviation from the line of the other exposures above which an exposure is not used.
-
-The nonlinearity of sensors is below 1 %.
-"""
-_HALF = 0.5
-"""Smallest share of the largest signal at which a sensor saturates.
-
-If the variance already decreases above a smaller signal, a tone curve has reduced the noise of bright frames.
-"""
 _FEWEST = 3
 """Smallest number of exposures below 70 % of saturation for a gain.
 
@@ -59,7 +41,7 @@ class Transfer(NamedTuple):
         dark_variance: temporal variance of the dark frames, DN^2, (n,).
         variance_std: standard deviation of `variance`, DN^2, (n,).
         dark_variance_std: standard deviation of `dark_variance`, DN^2, (n,).
-        linear: mask of the exposures that were not excluded as nonlinear, (n,).
+        judged: mask of the exposures between 5 and 95 % of saturation that were not excluded as nonlinear, (n,).
         used: mask of the exposures to which gain and responsivity were fitted, (n,).
         departure: relative deviation from the line fitted between 5 and 95 % of saturation, no unit, (n,).
         saturation: index of the exposure at saturation; the last one if no exposure saturates.
@@ -75,30 +57,22 @@ class Transfer(NamedTuple):
     dark_variance: np.ndarray
     variance_std: np.ndarray
     dark_variance_std: np.ndarray
-    linear: np.ndarray
+    judged: np.ndarray
     used: np.ndarray
     departure: np.ndarray
     saturation: int
     saturated: bool
     responsivity: Stated
 
-    @property
-    def judged(self) -> np.ndarray:
-        """Mask (n,) of the exposures between 5 and 95 % of saturation that were not excluded."""
-        top = self.signal[self.saturation]
-        inside = (self.signal >= _LINEAR[0] * top) & (self.signal <= _LINEAR[1] * top)
-        return inside & np.isfinite(self.departure) & self.linear & (np.arange(len(self.light)) <= self.saturation)
-
-
-def clip_level(lit: Sequence[ExposureStatistics]) -> float:
-    """Find the code at which pixels clip, DN; infinity if no pixel clips."""
-    top = max(one.largest for one in lit)
-    piled = max(one.at_largest for one in lit if one.largest == top)
-    return top if piled > _PILED else math.inf
-
 
 def is_clipped(one: ExposureStatistics, lit: Sequence[ExposureStatistics]) -> bool:
-    return one.largest >= clip_level(lit) and one.at_largest > _CLIPPED
+    """Check whether more than 0.1 % of the pixels clip. Hot pixels are a smaller share.
+
+    The largest code of the exposures `lit` is the clip level if more than 5 % of the pixels of an exposure have this code.
+    """
+    top = max(other.largest for other in lit)
+    piled = max(other.at_largest for other in lit if other.largest == top)
+    return piled > 0.05 and one.largest >= top and one.at_largest > 1e-3
 
 
 def measure_transfer(
@@ -147,14 +121,17 @@ def measure_transfer(
     saturation = saturation if falls or clipped.any() else len(lit) - 1
     beyond = np.arange(len(lit)) > saturation
     top = signal[saturation]
-    if top < _HALF * signal.max():
+    # If the variance decreases above a small signal, a tone curve has reduced the noise of bright frames.
+    if top < 0.5 * signal.max():
         raise FitError(
             f"{lit[0].exposure.files[0].parent}: the temporal variance decreases above {top:.0f} DN, although the signal "
             f"increases to {signal.max():.0f} DN: a tone curve was applied to the frames; give raw frames"
         )
-    inside = (signal >= _LINEAR[0] * top) & (signal <= _LINEAR[1] * top) & ~beyond & ~clipped
+    # Linearity is tested between 5 and 95 % of saturation (EMVA 1288, 8.2.7), and the lines are fitted up to 70 % (6.6).
+    tested = (signal >= 0.05 * top) & (signal <= 0.95 * top) & ~beyond
+    inside = tested & ~clipped
     departure, outside = _departures(light, signal, mean_std, inside)
-    used = (signal <= _FITTED * top) & ~beyond & ~clipped & ~outside
+    used = (signal <= 0.7 * top) & ~beyond & ~clipped & ~outside
     remarks = _remarks(lit, beyond | clipped, outside, departure)
     if used.sum() < _FEWEST or (outside.sum() > 0.5 * inside.sum()):
         left = "; ".join(str(remark) for remark in remarks) or f"lit exposures: {len(lit)}"
@@ -174,7 +151,7 @@ def measure_transfer(
         dark_variance=dark_variance,
         variance_std=variance_std,
         dark_variance_std=dark_variance_std,
-        linear=~outside,
+        judged=tested & np.isfinite(departure) & ~outside,
         used=used,
         departure=departure,
         saturation=saturation,
@@ -239,7 +216,8 @@ def _departures(
         slope, offset = line_of_least_relative_error(light[kept], signal[kept])
         line = slope * light + offset
         departure = np.where(line > 0, signal / np.where(line > 0, line, 1) - 1, np.nan)
-        wrong = kept & not_linear(departure, mean_std / np.maximum(signal, 1e-9), _NOT_LINEAR)
+        # The nonlinearity of sensors is below 1 %. An exposure that deviates by more than 3 % is not used.
+        wrong = kept & not_linear(departure, mean_std / np.maximum(signal, 1e-9), 0.03)
         if not wrong.any():
             break
         outside[int(np.argmax(np.where(wrong, np.abs(departure), 0)))] = True

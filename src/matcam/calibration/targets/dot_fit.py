@@ -32,39 +32,10 @@ FEWEST = 9
 SHARED = [(2, 0), (0, 2), (4, 0), (2, 2), (0, 4)]
 """Orders in (x, y) of the derivatives that describe the common deviation of the dots of a zone from the model."""
 
-_CLEAR = 6.0
-"""Smallest contrast of a dot, in standard deviations of the smoothed background."""
-_SIMILAR_FLUX = (0.3, 3.0)
-"""Smallest and largest flux of a dot relative to the median. All dots of a grid have the same size."""
-_OFF = 0.25
-"""Largest distance of a dot from the position predicted by its neighbour, relative to the pitch."""
 _RANGE = (0.15, 6.0)
 """Smallest and largest lens width, px."""
-_WEIGHTED = 4
-"""Gauss-Newton step after which the weights follow from the noise."""
-_SETTLED = 0.01
-"""Change of the variance below which the fit of a dot has converged, in standard deviations."""
-_CLOSEST = 6.0
-"""Smallest distance of neighbouring dots, px. The blur of closer dots overlaps."""
-_SAME = 0.02
-"""Relative deviation of sigma^2 up to which a dot is always accepted."""
 _AT_ONCE = 512
 """Number of dots that are processed together. It limits the memory for the tables of derivatives."""
-
-
-def _disc_nodes(radii: int, turns: int) -> tuple[FloatArray, FloatArray]:
-    """Compute nodes (2, n) and weights (n,) of a quadrature over the unit disc.
-
-    The squared radii are Gauss-Legendre nodes. Every second ring is rotated by half a step.
-    """
-    nodes, weights = np.polynomial.legendre.leggauss(radii)
-    turn = 2 * np.pi * (np.arange(turns) + 0.5 * (np.arange(radii)[:, None] % 2)) / turns
-    positions = np.sqrt((nodes + 1) / 2)[:, None] * np.stack([np.cos(turn), np.sin(turn)])
-    return positions.reshape(2, -1), np.repeat(weights / 2 / turns, turns)
-
-
-_DISC, _SHARE = _disc_nodes(5, 14)
-"""Nodes (2, n) and weights (n,) of the quadrature over the unit disc."""
 
 
 class DotLattice(NamedTuple):
@@ -147,10 +118,10 @@ def fit_dots(values: FloatArray, lattice: DotLattice, size: float, half_width: f
     shape, pitch = size * lattice.shapes, lattice.pitch
     # The square of pixels of a dot has at most 15 x 15 px.
     half_size = int(min(7, max(3, np.floor(pitch / 2 - 0.5))))
-    if pitch < _CLOSEST:
+    # The blur of closer dots overlaps.
+    if pitch < 6.0:
         raise FitError(
-            f"the dots are {pitch:.1f} px apart, but must be at least {_CLOSEST:g} px apart: photograph "
-            "the grid at a larger scale"
+            f"the dots are {pitch:.1f} px apart, but must be at least 6 px apart: photograph the grid at a larger scale"
         )
     columns, rows = (
         np.round(c).astype(int)[:, None] + np.arange(-half_size, half_size + 1) for c in (lattice.x, lattice.y)
@@ -180,10 +151,11 @@ def fit_dots(values: FloatArray, lattice: DotLattice, size: float, half_width: f
     mean_radius = float(np.sqrt(np.abs(np.linalg.det(shape))).mean())
     gain, read, weight = 0.0, 1.0, known.astype(float)
     bow, change = np.zeros_like(du), np.zeros_like(state)
+    weighted = 4  # Gauss-Newton step after which the weights follow from the noise
     for step in range(16):
         state = state + change
         state[:, 6] = np.clip(state[:, 6], _RANGE[0] ** 2, _RANGE[1] ** 2)
-        if step == _WEIGHTED:
+        if step == weighted:
             bow = _bow(lattice, state[:, 0], du, dv)
             # The fitted positions determine the lattice and the sizes of the dots more accurately than the initial ones.
             shape = size * lattice._replace(x=state[:, 4], y=state[:, 5]).shapes
@@ -196,7 +168,7 @@ def fit_dots(values: FloatArray, lattice: DotLattice, size: float, half_width: f
             [np.ones_like(du), du, dv, flat[0], -c * flat[1], -c * flat[2], c * (flat[3] + flat[4]) / 2], axis=-1
         )
         residual = np.where(known, value - model, 0.0)
-        if step > _WEIGHTED:
+        if step > weighted:
             # Correct for the noise that the fitted parameters absorb.
             found = noise_from_residuals(residual[known], model[known])
             gain, read = (k * known.sum() / (known.sum() - state.size) for k in found)
@@ -207,7 +179,8 @@ def fit_dots(values: FloatArray, lattice: DotLattice, size: float, half_width: f
         change[:, 4:6] = np.clip(change[:, 4:6], -0.7, 0.7)
         change[:, 6] = np.clip(change[:, 6], -0.5 * state[:, 6], state[:, 6])
         std = np.sqrt(np.einsum("nii->ni", inverse))
-        if step > _WEIGHTED + 2 and (np.abs(change[:, 6]) < _SETTLED * std[:, 6]).mean() > 0.98:
+        # The fit of a dot has converged if the variance changes by less than 0.01 standard deviations.
+        if step > weighted + 2 and (np.abs(change[:, 6]) < 0.01 * std[:, 6]).mean() > 0.98:
             break
     if not np.isfinite(state).all():
         raise FitError("the pixels of the dots do not determine their blur: give a sharper or larger image of the grid")
@@ -229,7 +202,8 @@ def find_dots(values: FloatArray) -> tuple[FloatArray, FloatArray]:
     off = smooth - ground.repeat(2, 0).repeat(2, 1)[: values.shape[0], : values.shape[1]]
     spread = robust_std(off - np.median(off))
     sign = -1.0 if np.quantile(off, 0.001) < -np.quantile(off, 0.999) else 1.0
-    label, count = ndimage.label(sign * off > max(_CLEAR * spread, 0.25 * float(np.quantile(sign * off, 0.999))))
+    # A dot exceeds the smoothed background by 6 standard deviations.
+    label, count = ndimage.label(sign * off > max(6 * spread, 0.25 * float(np.quantile(sign * off, 0.999))))
     if count < FEWEST:
         raise FitError(
             f"the region contains no grid of dots: the number of spots is {count}, but at least {FEWEST} are needed; "
@@ -238,8 +212,9 @@ def find_dots(values: FloatArray) -> tuple[FloatArray, FloatArray]:
     every = np.arange(1, count + 1)
     flux = ndimage.sum_labels(sign * off, label, every)
     y, x = np.array(ndimage.center_of_mass(np.maximum(sign * off, 0), label, every)).T
+    # All dots of a grid have the same size, and therefore similar fluxes.
     usual = np.median(flux)
-    whole = (flux > _SIMILAR_FLUX[0] * usual) & (flux < _SIMILAR_FLUX[1] * usual)
+    whole = (flux > 0.3 * usual) & (flux < 3 * usual)
     if whole.sum() < FEWEST:
         raise FitError(
             "the region contains no grid of dots: the spots differ too much in brightness; give a region of dots alone"
@@ -271,7 +246,8 @@ def square_lattice(x: FloatArray, y: FloatArray) -> DotLattice:
         for axis, sign in ((0, 1), (0, -1), (1, 1), (1, -1)):
             step = sign * basis[at][axis]
             off, other = tree.query(points[at] + step)
-            if off > _OFF * np.hypot(*step) or int(other) in position:
+            # A dot is less than a quarter of the pitch from the position that its neighbour predicts.
+            if off > 0.25 * np.hypot(*step) or int(other) in position:
                 continue
             where = list(position[at])
             where[axis] += sign
@@ -306,11 +282,17 @@ def dot_derivatives(
         return np.concatenate(
             [dot_derivatives(x[p], y[p], shape[p], sigma[p], half_width, orders) for p in parts], axis=1
         )
-    offset = np.einsum("nij,jk->nik", shape, _DISC)
+    # Nodes (2, 70) and weights of a quadrature over the unit disc: the squared radii are Gauss-Legendre nodes, and every
+    # second of the 5 rings of 14 nodes is rotated by half a step.
+    nodes, weights = np.polynomial.legendre.leggauss(5)
+    turn = 2 * np.pi * (np.arange(14) + 0.5 * (np.arange(5)[:, None] % 2)) / 14
+    disc = (np.sqrt((nodes + 1) / 2)[:, None] * np.stack([np.cos(turn), np.sin(turn)])).reshape(2, -1)
+    share = np.repeat(weights / 2 / 14, 14)
+    offset = np.einsum("nij,jk->nik", shape, disc)
     along = [_axis(g[:, :, None] - o[:, None, :], sigma, half_width, max(w)) for g, o, w in (
         (x, offset[:, 0], [i for i, _ in orders]), (y, offset[:, 1], [j for _, j in orders]),
     )]  # fmt: skip
-    return np.stack([np.matmul(along[1][j] * _SHARE, along[0][i].transpose(0, 2, 1)) for i, j in orders])
+    return np.stack([np.matmul(along[1][j] * share, along[0][i].transpose(0, 2, 1)) for i, j in orders])
 
 
 def _axis(t: FloatArray, sigma: FloatArray, half_width: float, highest: int) -> list[FloatArray]:
@@ -349,7 +331,8 @@ def _without_outliers(fit: DotFit) -> DotFit:
     square, std = fit.parameters[:, 6], fit.std[:, 6]
     content = fit.parameters[:, 3]
     centre = np.median(square)
-    spread = np.sqrt(std**2 + robust_std(square - centre) ** 2 + (_SAME * centre) ** 2)
+    # Deviations of sigma^2 by 2 % are always accepted.
+    spread = np.sqrt(std**2 + robust_std(square - centre) ** 2 + (0.02 * centre) ** 2)
     moved = np.hypot(fit.parameters[:, 4] - fit.lattice.x, fit.parameters[:, 5] - fit.lattice.y)
     good = (
         (np.abs(square - centre) < SIGNIFICANT * spread)

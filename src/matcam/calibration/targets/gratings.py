@@ -29,10 +29,6 @@ from matcam.numerics.normal import SIGNIFICANT
 
 _USEFUL = 0.1
 """Standard deviation above which an MTF value is discarded."""
-_LEFT = 0.05
-"""Share of the variance in the residual above which the residual is tested for other structure."""
-_WHITE = 40.0
-"""Largest power in the spectrum of a residual, relative to its median. The ratio is below 20 for white noise."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -239,17 +235,21 @@ def _fit_grating(
     of the pixels, px.
     """
     pixels = WavePixels.where(values, found.inside)
-    frequency = local_wave(found.phase, found.parameters, pixels.x, pixels.y).frequency
+    frequency, _ = local_wave(found.phase, found.parameters, pixels.x, pixels.y)
     # Higher harmonics are neglected: the MTF of a square pixel has its first zero at 1 cycle/px.
     highest = max(1, int(1.1 / max(float(frequency.mean()), 1e-6)))
     orders: tuple[int, ...] = (1,)
     if printed.profile != "sine":
         orders = tuple(n for n in range(1, highest + 1) if abs(printed.harmonic(n)) > 1e-9)
+
+    def uniform(frequency: FloatArray, direction: FloatArray) -> FloatArray:
+        return np.ones((len(frequency), 1))  # the modulation of a grating is uniform
+
     # The fundamental is fitted first. It determines the phase approximately.
     fit = None
     if pixels.value.size:
-        fit = fit_wave(pixels, found.phase, found.parameters, _constant, steps=4)
-    fit = fit and fit_wave(pixels, found.phase, fit.parameters, _constant, orders)
+        fit = fit_wave(pixels, found.phase, found.parameters, uniform, steps=4)
+    fit = fit and fit_wave(pixels, found.phase, fit.parameters, uniform, orders)
     if not fit:
         raise FitError(
             "the pixels of the grating do not determine its contrast: photograph the grating at a larger scale"
@@ -261,27 +261,21 @@ def _fit_grating(
         )
     if other := _other_wave(pixels, fit, values.shape):
         raise FitError(f"the region contains no grating that can be measured: {other}")
-    wave = local_wave(found.phase, fit.parameters, pixels.x, pixels.y)
-    mean = (wave.frequency * np.exp(1j * wave.direction)).mean()
+    frequency, direction = local_wave(found.phase, fit.parameters, pixels.x, pixels.y)
+    mean = (frequency * np.exp(1j * direction)).mean()
     return fit, orders, np.array([mean.real, mean.imag]), np.array([pixels.x.mean(), pixels.y.mean()])
 
 
 def _other_wave(pixels: WavePixels, fit: WaveFit, shape: tuple[int, ...]) -> str:
     residual = pixels.value - fit.values
     left = residual.var() / pixels.value.var()
-    if left < _LEFT:
-        return ""
     image = np.zeros(shape)
     image[pixels.y.astype(int), pixels.x.astype(int)] = residual
     power = np.abs(np.fft.rfft2(image)) ** 2
-    if power.max() < _WHITE * np.median(power):
+    # For white noise, the largest power is below 20 times its median.
+    if left < 0.05 or power.max() < 40 * np.median(power):
         return ""
     return f"a single wave leaves {left:.0%} of the variance unexplained; give a region of one grating"
-
-
-def _constant(frequency: FloatArray, direction: FloatArray) -> FloatArray:
-    """Evaluate the basis of a grating: the constant 1, because the modulation of a grating is uniform."""
-    return np.ones((len(frequency), 1))
 
 
 def _grating_result(

@@ -13,9 +13,6 @@ from matcam.core import checks
 from matcam.core.errors import ArgumentError
 from matcam.core.io import plain
 
-KINDS = ("edge", "grating", "star", "dots")
-"""Kinds of targets."""
-
 
 @dataclass(frozen=True, eq=False)
 class MTFSamples:
@@ -59,7 +56,7 @@ class MTFSamples:
     source: str = ""
 
     def __post_init__(self) -> None:
-        checks.choice("kind", self.kind, KINDS)
+        checks.choice("kind", self.kind, ("edge", "grating", "star", "dots"))
         count = np.size(self.frequency)
         for name in ("frequency", "direction", "mtf"):
             values = np.asarray(getattr(self, name), dtype=np.float64)

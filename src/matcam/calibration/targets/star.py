@@ -31,18 +31,8 @@ from matcam.numerics.normal import SIGNIFICANT
 
 _HIGHEST = 0.75
 """Highest frequency of the fit, cycles/px. Above it, the MTF of cameras is too small to be measured."""
-_FIRST = 0.2
-"""Highest frequency of the first fit, before the phase is accurate, cycles/px."""
-_OTHER = 0.05
-"""Relative change of the mean level of a ring above which the ring does not belong to the star."""
 _DIRECTIONS = np.radians([0.0, 45.0, 90.0, 135.0])
 """Directions of the reported MTF, rad. They determine the four functions of direction."""
-_EXTRAPOLATED = 0.35
-"""Highest frequency that is used to extrapolate an unknown contrast to frequency 0, cycles/px."""
-_CLEAR = 20.0
-"""Smallest significance of the wave, in standard deviations. Noise reaches more than 5, because the centre is searched."""
-_LEFT = 0.5
-"""Unexplained share of the variance at low frequencies above which the region is assumed to contain no star."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,8 +190,8 @@ def _fit_star(values: FloatArray, found: FoundStar) -> tuple[WaveFit, tuple[floa
     known = np.isfinite(values)
     inner = _inner_rim(np.hypot(x - parameters[0], y - parameters[1])[known], values[known], found)
     fit = None
-    for highest in (_FIRST, 0.4, _HIGHEST):
-        frequency = local_wave(phase, parameters, x, y).frequency
+    for highest in (0.2, 0.4, _HIGHEST):
+        frequency, _ = local_wave(phase, parameters, x, y)
         radius = np.hypot(x - parameters[0], y - parameters[1])
         mask = known & (radius < phase.outer - MARGIN) & (radius > inner + MARGIN) & (frequency < highest)
         if mask.sum() < 500:
@@ -214,13 +204,14 @@ def _fit_star(values: FloatArray, found: FoundStar) -> tuple[WaveFit, tuple[floa
             raise FitError("the pixels of the star do not determine the MTF: photograph the star at a larger scale")
         parameters = fit.parameters
         left = (some.value - fit.values).var() / some.value.var()
-        # At low frequencies the blur is small, and the wave explains nearly all of the variance.
-        if highest == _FIRST and left > _LEFT:
+        # At low frequencies the blur is small, and the wave of a star explains nearly all of the variance.
+        if highest == 0.2 and left > 0.5:
             raise FitError(
                 f"the region contains no Siemens star: the fitted star leaves {left:.0%} of the variance unexplained; "
                 "give a region of one star"
             )
-    if fit is None or not fit.signal > _CLEAR or np.hypot(*(parameters[:2] - found.parameters[:2])) > phase.outer / 4:
+    # Noise reaches a significance of more than 5 standard deviations, because the centre is searched.
+    if fit is None or not fit.signal > 20 or np.hypot(*(parameters[:2] - found.parameters[:2])) > phase.outer / 4:
         raise FitError(
             "the region contains no Siemens star that can be measured: photograph the star at a larger scale, or with more "
             "contrast"
@@ -235,7 +226,8 @@ def _inner_rim(radius: FloatArray, value: FloatArray, found: FoundStar) -> float
     mean = np.bincount(ring, value) / count
     inside = np.arange(len(mean)) <= found.inner
     known = mean[(np.arange(len(mean)) > found.inner) & (np.arange(len(mean)) < found.phase.outer - MARGIN)].mean()
-    other = inside & (np.abs(mean / known - 1) > _OTHER)
+    # The mean level of the rings of a star changes by less than 5 %.
+    other = inside & (np.abs(mean / known - 1) > 0.05)
     return float(np.flatnonzero(other).max(initial=0))
 
 
@@ -298,7 +290,8 @@ def _extrapolated_contrast(frequency: FloatArray, amplitude: FloatArray, covaria
 
     The logarithm of the contrast is modelled as an even polynomial of order 4 in the frequency.
     """
-    low = (frequency < _EXTRAPOLATED) & (amplitude > SIGNIFICANT * np.sqrt(np.diag(covariance)))
+    # At frequencies up to 0.35 cycles/px, a polynomial of order 4 describes the MTF.
+    low = (frequency < 0.35) & (amplitude > SIGNIFICANT * np.sqrt(np.diag(covariance)))
     if low.sum() < 3 * len(_DIRECTIONS) or frequency.min() > 0.15:
         raise FitError(
             "the star has too few significant values at low frequencies to extrapolate its contrast to frequency 0 "

@@ -24,12 +24,8 @@ from matcam.core.arrays import FloatArray
 from matcam.numerics.linalg import scaled_inverse
 from matcam.numerics.polynomials import plane_powers
 
-_STEP = 1e-3
-"""Step of the numerical derivatives of the phase, px."""
 _MOST = 200_000
 """Largest number of pixels in a fit. More pixels require memory, and add little information."""
-
-
 Basis = Callable[[FloatArray, FloatArray], FloatArray]
 """Functions b_k for one harmonic: (frequency of the harmonic (n,), direction (n,)) -> (n, k)."""
 
@@ -98,20 +94,6 @@ class WaveFit:
     signal: float
 
 
-class LocalWave(NamedTuple):
-    """Values of a wave at n pixels.
-
-    Attributes:
-        phase: (n,) phase, rad.
-        frequency: (n,) frequency, cycles/px.
-        direction: (n,) direction of the frequency vector, rad.
-    """
-
-    phase: FloatArray
-    frequency: FloatArray
-    direction: FloatArray
-
-
 def fit_wave(
     pixels: WavePixels,
     phase: Phase,
@@ -136,12 +118,18 @@ def fit_wave(
     coefficients: FloatArray = np.zeros(0)
     gain, read = 0.0, float(value.var())
     for step in range(steps + 2):
-        columns, slopes = _columns(phase, parameters, x, y, basis, orders)
+        frequency, direction = local_wave(phase, parameters, x, y)
+        at = phase.at(parameters, x, y)
+        # The functions b_k cos(h_k Phi), (n, orders * k), and their derivatives with respect to the phase.
+        bases = [basis(order * frequency, direction) for order in orders]
+        terms = list(zip(orders, bases, strict=True))
+        columns = np.concatenate([own * np.cos(order * at)[:, None] for order, own in terms], axis=1)
+        slopes = np.concatenate([own * (-order * np.sin(order * at))[:, None] for order, own in terms], axis=1)
         if not step:
             coefficients = np.zeros(columns.shape[1])
         level, wave = powers @ light, columns @ coefficients
         # In the first two steps the phase is fixed, and only illumination and modulation are fitted.
-        tilt, at = (step > 1) * level * (slopes @ coefficients), phase.at(parameters, x, y)
+        tilt = (step > 1) * level * (slopes @ coefficients)
         moved = [phase.at(parameters + one, x, y) for one in np.diag(scale * 1e-4)]
         by_phase = [tilt * wrapped(there - at) / size for there, size in zip(moved, scale * 1e-4, strict=True)]
         matrix = np.column_stack([powers * (1 + wave)[:, None], level[:, None] * columns, *by_phase])
@@ -191,12 +179,13 @@ def wrapped(phase: FloatArray) -> FloatArray:
     return np.mod(phase + np.pi, 2 * np.pi) - np.pi
 
 
-def local_wave(phase: Phase, parameters: FloatArray, x: FloatArray, y: FloatArray) -> LocalWave:
+def local_wave(phase: Phase, parameters: FloatArray, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Compute the frequency of a wave, cycles/px, and the direction of the frequency vector, rad, (n,) each."""
+    step = 1e-3  # step of the numerical derivatives, px
     # The two ends of a step may lie on different sides of the branch cut of the angle.
-    by_x = wrapped(phase.at(parameters, x + _STEP, y) - phase.at(parameters, x - _STEP, y))
-    by_y = wrapped(phase.at(parameters, x, y + _STEP) - phase.at(parameters, x, y - _STEP))
-    frequency = np.hypot(by_x, by_y) / (4 * np.pi * _STEP)
-    return LocalWave(phase.at(parameters, x, y), frequency, np.arctan2(by_y, by_x))
+    by_x = wrapped(phase.at(parameters, x + step, y) - phase.at(parameters, x - step, y))
+    by_y = wrapped(phase.at(parameters, x, y + step) - phase.at(parameters, x, y - step))
+    return np.hypot(by_x, by_y) / (4 * np.pi * step), np.arctan2(by_y, by_x)
 
 
 def noise_from_residuals(residual: np.ndarray, value: np.ndarray) -> tuple[float, float]:
@@ -212,14 +201,3 @@ def noise_from_residuals(residual: np.ndarray, value: np.ndarray) -> tuple[float
     gain = float((off * (square - square.mean())).sum() / max(float((off * off).sum()), 1e-300))
     gain = min(max(gain, 0.0), float(square.mean() / max(float(level.mean()), 1e-300)))
     return gain, max(float(square.mean() - gain * level.mean()), least)
-
-
-def _columns(
-    phase: Phase, parameters: FloatArray, x: FloatArray, y: FloatArray, basis: Basis, orders: tuple[int, ...]
-) -> tuple[FloatArray, FloatArray]:
-    """Evaluate the functions b_k cos(h_k Phi), (n, orders * k), and their derivatives with respect to the phase."""
-    at, frequency, direction = local_wave(phase, parameters, x, y)
-    bases = [basis(order * frequency, direction) for order in orders]
-    columns = [own * np.cos(order * at)[:, None] for order, own in zip(orders, bases, strict=True)]
-    slopes = [own * (-order * np.sin(order * at))[:, None] for order, own in zip(orders, bases, strict=True)]
-    return np.concatenate(columns, axis=1), np.concatenate(slopes, axis=1)

@@ -24,20 +24,6 @@ from matcam.numerics.polynomials import plane_orders, plane_powers
 
 MARGIN = 4.0
 """Distance from the border of a grating or star within which blur mixes it with its surroundings, px."""
-_CLEAR_IN_RING = 0.5
-"""Smallest share of the power on a ring that belongs to its wave."""
-_KEPT = 0.8
-"""Smallest amplitude of a ring relative to the median of the outer rings. Beyond the rim, the amplitude is smaller."""
-_LOW = (0.03, 0.3)
-"""Smallest and largest frequency of the rings on which the phase is computed, cycles/px."""
-_WIDE = 50.0
-"""Extent of a grating above which perspective and distortion require a phase of third order, px."""
-_CLEAR_IN_SPECTRUM = 30.0
-"""Smallest power of the wave relative to the median of the spectrum."""
-_ENVELOPE = 0.75
-"""Smallest amplitude of a pixel of the grating, relative to the 98 % quantile of the amplitude."""
-_NEAR = 0.1
-"""Half width of the search range about a given frequency, relative to that frequency."""
 _LONGEST = 2.0
 """Smallest number of periods in a region."""
 
@@ -131,7 +117,7 @@ def find_star(values: FloatArray, cycles: int | None = None) -> FoundStar:
             "the same number of cycles, 8 or more; give a region of one star"
         )
     # Beyond the rim, the amplitude of the wave on a ring is small.
-    strong = _KEPT * float(np.median([ring.amplitude for ring in agreeing[len(agreeing) // 2 :]]))
+    strong = 0.8 * float(np.median([ring.amplitude for ring in agreeing[len(agreeing) // 2 :]]))
     outer = max(ring.radius for ring in agreeing if ring.amplitude > strong)
     agreeing = [ring for ring in agreeing if ring.radius <= outer]
     x, y, phase = (np.concatenate([np.asarray(getattr(ring, n)) for ring in agreeing]) for n in ("x", "y", "phase"))
@@ -198,7 +184,8 @@ def _rings(filled: FloatArray, centre: tuple[float, float]) -> list[_Ring]:
         x, y = centre[0] + radius * np.cos(turn), centre[1] + radius * np.sin(turn)
         spectrum = np.fft.rfft(ndimage.map_coordinates(filled, [y, x], order=1))
         power = np.abs(spectrum) ** 2
-        low, high = max(6, int(_LOW[0] * 2 * np.pi * radius)), int(_LOW[1] * 2 * np.pi * radius) + 1
+        # The phase is computed on rings whose wave has a frequency of 0.03 to 0.3 cycles/px.
+        low, high = max(6, int(0.03 * 2 * np.pi * radius)), int(0.3 * 2 * np.pi * radius) + 1
         if high - low < 3:
             continue
         peak = low + int(np.argmax(power[low:high]))
@@ -211,7 +198,8 @@ def _rings(filled: FloatArray, centre: tuple[float, float]) -> list[_Ring]:
         share = inside / power[3:].sum()
         phase = np.unwrap(np.angle(np.fft.ifft(band)))
         turns = (phase[-1] - phase[0] + np.angle(np.exp(1j * (phase[0] - phase[-1])))) / (2 * np.pi)
-        if share > _CLEAR_IN_RING:
+        # At least half of the power on a ring of the star belongs to its wave.
+        if share > 0.5:
             amplitude = 2 * float(np.sqrt(inside) / max(abs(spectrum[0]), 1e-300))
             some = slice(None, None, max(1, count // (4 * peak)))
             found.append(_Ring(float(radius), round(turns), float(share), amplitude, x[some], y[some], phase[some]))
@@ -268,7 +256,8 @@ class FoundGrating(NamedTuple):
         `x`, `y`: (n,) positions, px. `phase`: (n,) unwrapped phases, rad.
         """
         extent = float(np.sqrt(inside.sum()))
-        wave = GratingPhase((float(x.mean()), float(y.mean())), extent / 2, 3 if extent > _WIDE else 2)
+        # For wide gratings, perspective and distortion require a phase of third order.
+        wave = GratingPhase((float(x.mean()), float(y.mean())), extent / 2, 3 if extent > 50 else 2)
         return cls(wave, wave.parameters_through(x, y, phase), inside)
 
 
@@ -290,7 +279,8 @@ def find_grating(values: FloatArray, near: tuple[float, float] | None = None) ->
     turned = (filled - filled.mean()) * wave
     envelope = ndimage.gaussian_filter(turned.real, smooth) + 1j * ndimage.gaussian_filter(turned.imag, smooth)
     size = np.abs(envelope)
-    label, count = ndimage.label(size > _ENVELOPE * np.quantile(size, 0.98))
+    # Pixels of the grating have at least 75 % of the amplitude of its strongest pixels.
+    label, count = ndimage.label(size > 0.75 * np.quantile(size, 0.98))
     if not count:
         raise FitError("the region contains no grating: the brightness does not vary; give a region of one grating")
     largest = 1 + int(np.argmax(ndimage.sum_labels(np.ones_like(size), label, np.arange(1, count + 1))))
@@ -328,9 +318,11 @@ def _strongest(filled: FloatArray, near: tuple[float, float] | None) -> FloatArr
     if near is not None:
         alias = _alias(np.array(near))
         off = [np.hypot(_alias(fx - sign * alias[0]), _alias(fy - sign * alias[1])) for sign in (-1, 1)]
-        power[np.minimum(*off) > max(_NEAR * float(np.hypot(*near)), 2 * _LONGEST / min(height, width))] = 0
+        # The search range about the given frequency extends by 10 % of this frequency.
+        power[np.minimum(*off) > max(0.1 * float(np.hypot(*near)), 2 * _LONGEST / min(height, width))] = 0
     row, column = np.unravel_index(np.argmax(power), power.shape)
-    if not power[row, column] > _CLEAR_IN_SPECTRUM * everywhere:
+    # The power of a wave exceeds the median of the spectrum by a factor of 30; that of noise does not.
+    if not power[row, column] > 30 * everywhere:
         raise FitError(
             "the region contains no grating: no regular wave exceeds the noise; give a region of one grating"
         )

@@ -13,8 +13,6 @@ from matcam.core.errors import ArgumentError
 if TYPE_CHECKING:
     from matcam.core.jax import jax
 
-_FARTHEST = 100.0  # largest plausible shift of a channel, px
-
 
 class ColourOptics(VaryingOptics):
     """Lens with a separate blur and shift for each colour channel.
@@ -112,7 +110,7 @@ class ColourOptics(VaryingOptics):
 
 
 def _shift(name: str, value: Any) -> jax.Array:
-    shift = checks.within(name, value, -_FARTHEST, _FARTHEST, "px")
+    shift = checks.within(name, value, -100.0, 100.0, "px")
     if shift.shape != (2,):
         raise ArgumentError(f"{name} must be two numbers (right, up), px, got an array of shape {shift.shape}")
     return shift

@@ -16,7 +16,6 @@ integrate over frequencies (`optics.py`).
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
@@ -44,15 +43,7 @@ _NARROWEST, _WIDEST, _RIDGE = 0.3, 100.0, 8e-4
 # Frequencies at which the MTF is sampled, in units of the band. The weight of a row is the square root of the frequency,
 # because a plane has more high frequencies than low ones
 _GRID = np.concatenate([np.geomspace(3e-4, 0.03, 30), np.linspace(0.04, 1.5, 147), np.linspace(1.55, 8, 80)])
-_DIRECTIONS = 32
 _CHECKED = np.concatenate([np.geomspace(1e-5, 0.01, 200), np.linspace(0.01, 8, 1600)[1:]])
-
-# A grid about the centre corrects a sum of few Gaussians, each up to 1.75 times as wide as the previous one. Only the tail
-# of the sum must be accurate, so frequencies above a fifth of the band have small weights. The values were found by trial on
-# f/2.8 to f/16, out of focus by up to 0.3 waves: the share of the light within 7 to 50 periods of the band differs from that
-# of the lens by 4e-5 to 3e-4
-_FEW, _FEW_NARROWEST = 13, 0.41
-_TAIL = 0.01 + 0.99 * np.exp(-((_GRID / 0.2) ** 2))
 
 
 class GaussianOptics(Optics):
@@ -157,7 +148,7 @@ def round_gaussians(optics: Optics, terms: int = 24) -> GaussianSum:
     """
     if not 8 <= terms <= 64:
         raise ArgumentError(f"terms must lie in [8, 64], got {terms}")
-    return _of_all_pieces(optics, lambda band: (_NARROWEST / band, terms, np.ones(_GRID.size)))
+    return _of_all_pieces(optics, _NARROWEST, terms, np.ones(_GRID.size))
 
 
 def finest_width(optics: Optics) -> float:
@@ -175,17 +166,20 @@ def few_gaussians(optics: Optics) -> GaussianSum:
     The sum is accurate only far from the centre of the PSF. The difference between lens and sum near the centre must be
     added (`forward/integral/kernel_residual.py`).
     """
-    return _of_all_pieces(optics, lambda band: (_FEW_NARROWEST / band, _FEW, _TAIL))
+    # A grid about the centre corrects the sum of 13 Gaussians, each up to 1.75 times as wide as the previous one. Only the tail
+    # of the sum must be accurate, so frequencies above a fifth of the band have small weights. The values were found by trial
+    # on f/2.8 to f/16, out of focus by up to 0.3 waves: the share of the light within 7 to 50 periods of the band differs from
+    # that of the lens by 4e-5 to 3e-4
+    return _of_all_pieces(optics, 0.41, 13, 0.01 + 0.99 * np.exp(-((_GRID / 0.2) ** 2)))
 
 
-_Widths = Callable[["jax.Array"], tuple["jax.Array", int, np.ndarray]]
-"""Function that maps a band, cycles/px, to the narrowest width, px, the number of Gaussians, and the weights of the
-frequencies.
-"""
+def _of_all_pieces(optics: Optics, narrowest: float, terms: int, counts: np.ndarray) -> GaussianSum:
+    """Approximate each component of a lens.
 
-
-def _of_all_pieces(optics: Optics, widths: _Widths) -> GaussianSum:
-    parts = [(weight, _of_one_piece(part, widths)) for weight, part in optics.components()]
+    narrowest: narrowest width times the resolved band, no unit. terms: number of Gaussians. counts: weights of the
+    frequencies `_GRID`.
+    """
+    parts = [(weight, _of_one_piece(part, narrowest, terms, counts)) for weight, part in optics.components()]
     return GaussianSum(
         xp.concatenate([weight * part.weights for weight, part in parts]),
         xp.concatenate([part.sigmas for _, part in parts]),
@@ -194,14 +188,14 @@ def _of_all_pieces(optics: Optics, widths: _Widths) -> GaussianSum:
     )
 
 
-def _of_one_piece(optics: Optics, widths: _Widths) -> GaussianSum:
+def _of_one_piece(optics: Optics, narrowest: float, terms: int, counts: np.ndarray) -> GaussianSum:
     if isinstance(optics, GaussianOptics):
         return GaussianSum(xp.ones(1), optics.sigma[None], xp.zeros(()), xp.zeros(()))
     band = xp.sum(optics.rule_on(np.array([0.0, 1.0])).weight)  # traced if the lens is traced, unlike `band()`
     resolved = band * optics.resolved_share()
-    narrowest, terms, counts = widths(resolved)
-    reach = xp.log(xp.maximum(_WIDEST / narrowest, _WIDEST))
-    sigmas = narrowest * xp.exp(reach * xp.linspace(0, 1, terms))
+    least = narrowest / resolved
+    reach = xp.log(xp.maximum(_WIDEST / least, _WIDEST))
+    sigmas = least * xp.exp(reach * xp.linspace(0, 1, terms))
 
     # weights = 1 / terms + basis @ v: their sum is 1 for any v
     mean = xp.full(terms, 1 / terms)
@@ -224,8 +218,8 @@ def _mean_transfer(optics: Optics, frequency: jax.Array) -> jax.Array:
     """Compute the azimuthal mean of the transfer function of a lens. The mean is real."""
     if optics.isotropic:
         return optics.mtf(frequency)
-    # half a turn suffices, because the values in the other half are complex conjugates
-    f, angle = frequency[:, None], np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS
+    # 32 directions in half a turn suffice, because the values in the other half are complex conjugates
+    f, angle = frequency[:, None], np.pi * np.arange(32) / 32
     return xp.mean(xp.real(optics.otf(f * np.cos(angle), f * np.sin(angle))), axis=1)
 
 

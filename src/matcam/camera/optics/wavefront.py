@@ -25,8 +25,6 @@ from matcam.numerics.approximation import lagrange_basis
 if TYPE_CHECKING:
     from matcam.core.jax import AnyArray, jax
 
-_LEAST, _PER_PHASE = 20, 1.3
-"""Number of Gauss-Legendre nodes along an overlap: a minimum, and additional nodes per radian of phase."""
 _PHASES = (0, 1, 2, 4, 6, 8, 12, 16)  # bounds of the wavefront error for which quadratures are compiled, rad
 LARGEST_PHASE = _PHASES[-1]
 """Largest wavefront error for which the quadratures are accurate, rad."""
@@ -107,7 +105,7 @@ def overlap_order(phase: int) -> int:
 
     phase: bound of the wavefront error, rad.
     """
-    return _LEAST + int(_PER_PHASE * phase)
+    return 20 + int(1.3 * phase)
 
 
 @partial(compiled_by_jax, static=(3,))

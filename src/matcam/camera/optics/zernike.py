@@ -34,7 +34,6 @@ if TYPE_CHECKING:
 
 _MOST_DIRECTLY = 4096
 """Largest number of frequencies that are computed by separate quadratures. More frequencies are interpolated in a table."""
-_MOST = 5.0  # largest plausible coefficient, waves rms
 _FARTHEST = 200.0  # largest distance at which the PSF is integrated, in units of 2 / (cutoff frequency)
 
 
@@ -234,7 +233,7 @@ class ZernikeOptics(Optics):
 
 
 def _waves(name: str, value: Any) -> jax.Array:
-    return checks.within(name, value, -_MOST, _MOST, "waves rms (50 nm at 550 nm are 0.091)")
+    return checks.within(name, value, -5.0, 5.0, "waves rms (50 nm at 550 nm are 0.091)")
 
 
 def _pair(name: str, value: Any) -> jax.Array:
