@@ -137,7 +137,7 @@ class Workspace:
         if not arrays:
             return arrays
         write_sealed(path, key, _packed(arrays))
-        by_age = sorted((one.status.st_mtime, one.name) for one in sealed_files(self.folder) if is_kept(one.name))
+        by_age = sorted((of.st_mtime, name) for name, of in sealed_files(self.folder).items() if is_kept(name))
         remove_sealed(self.folder, [name for _, name in by_age[: max(len(by_age) - self.files, 0)]])
         return arrays
 
