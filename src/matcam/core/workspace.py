@@ -28,8 +28,6 @@ from matcam.core.io import user_cache_folder
 from matcam.core.sealed import read_sealed, remove_sealed, sealed_files, write_sealed
 
 _SUFFIX = ".arrays"
-_HEAD = 4096
-"""Number of bytes that are read for the header of an array. Headers of .npy files have 128 bytes."""
 _ALIGNED = 64
 """Arrays begin at multiples of this number of bytes, as in .npy files."""
 
@@ -168,7 +166,7 @@ def _unpacked(stored: memoryview) -> dict[str, np.ndarray]:
     arrays: list[np.ndarray] = []
     start = 0
     while start < len(stored):
-        head = io.BytesIO(stored[start : start + _HEAD])
+        head = io.BytesIO(stored[start : start + 4096])  # headers of .npy files have 128 bytes
         np.lib.format.read_magic(head)
         shape, by_columns, dtype = np.lib.format.read_array_header_1_0(head)
         start += head.tell()
