@@ -5,7 +5,7 @@ import pickle
 import subprocess
 import sys
 import time
-from collections import namedtuple
+from collections import OrderedDict, namedtuple
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
@@ -70,7 +70,7 @@ def test_what_was_not_used_for_long_is_read_again(folder, monkeypatch):
     traces, read = [], []
     unpack = programs.unpack_program
     monkeypatch.setattr(programs, "unpack_program", lambda packed: read.append(len(packed)) or unpack(packed))
-    monkeypatch.setattr(programs, "_held", programs._HeldPrograms())
+    monkeypatch.setattr(programs, "_programs", OrderedDict())
     power = counted(traces)
     power(X, 2)
     (path,) = folder.iterdir()

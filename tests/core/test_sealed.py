@@ -53,7 +53,7 @@ def test_a_folder_that_others_may_write(path, mode, caplog):
         assert read_sealed(path, KEY) is None
         write_sealed(path.with_name("b.npz"), KEY, b"content")
     assert not path.with_name("b.npz").exists()
-    assert sealed_files(path.parent) == []
+    assert sealed_files(path.parent) == {}
     assert len(caplog.messages) == 1
     assert "chmod" in caplog.text
 
@@ -82,7 +82,7 @@ def test_links_are_not_followed(path, tmp_path):
     folder = tmp_path / "cache" / "link"
     folder.symlink_to(victim.parent)
     assert read_sealed(folder / "a.npz", KEY) is None
-    assert sealed_files(folder) == []
+    assert sealed_files(folder) == {}
     remove_sealed(folder, ["a.npz"])
     write_sealed(folder / "b.npz", KEY, b"content")
     Workspace(folder, files=0).store("rig", lambda: {"a": KEY and __import__("numpy").zeros(1)})

@@ -171,14 +171,12 @@ def edges_in(found: Any, picture: OpenedPicture) -> dict[str, Any]:
     here = (data["channel"].values == found.channel) & (data["picture"].values == _source(found, picture.path))
     one = data.isel(edge=np.flatnonzero(here))
     x, y, angle = (one[name].values for name in ("x", "y", "angle"))
-    along_x, along_y = -np.sin(angle) * _HALF_LINE, np.cos(angle) * _HALF_LINE
+    half = 20.0  # half the length of the line, px
+    along_x, along_y = -np.sin(angle) * half, np.cos(angle) * half
     return {
         "x": x, "y": y, "x0": x - along_x, "x1": x + along_x, "y0": y - along_y, "y1": y + along_y,
         "mtf50": one["mtf50"].values, "mtf50_std": one["mtf50_std"].values,
     }  # fmt: skip
-
-
-_HALF_LINE = 20.0  # half the length of the line that marks an edge, px
 
 
 def _source(found: Any, path: Path) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from functools import partial
 from html import escape
 from typing import Any
@@ -283,15 +284,18 @@ class PlanView:
     def _at_rest(self, planned: Planned) -> None:
         from matcam.forward.prediction import predicted
 
+        def show(change: Callable[[], None]) -> None:
+            self._exact.show(lambda: change() if planned == self.planned else None)
+
         copies = self._copies(planned)
-        self._exact.show(lambda: self._show_copies(planned, copies))
+        show(lambda: self._copy.update(text=copies))
         rig = planned.rig()
         curves = predicted(rig, planned.lobes())
-        self._exact.show(lambda: self._show_exact_curves(planned, curves))
+        show(lambda: self._show_curves(planned, curves))
         if self._exact.overtaken():
             return
         bounds = _limits(planned)
-        self._exact.show(lambda: self._show_limits(planned, bounds))
+        show(lambda: self._limits.update(text=bounds))
         if self._exact.overtaken():
             return
         from matcam.forward.image import picture
@@ -299,22 +303,10 @@ class PlanView:
         angle = float(rig.sample.lamp_angle(math.radians(planned.theta_d), rig.lamp.nearness))  # type: ignore[attr-defined]
         # the error is a share of the peak of the image
         exact = picture(planned.material(), rig, angle, error=0.01)
-        self._exact.show(lambda: self._show_exact(planned, exact))
-
-    def _show_copies(self, planned: Planned, text: str) -> None:
-        if planned == self.planned:
-            self._copy.text = text
-
-    def _show_exact_curves(self, planned: Planned, data: Any) -> None:
-        if planned == self.planned:
-            self._show_curves(planned, data)
-
-    def _show_limits(self, planned: Planned, text: str) -> None:
-        if planned == self.planned:
-            self._limits.text = text
+        show(lambda: self._show_exact(planned, exact))
 
     def _show_exact(self, planned: Planned, exact: Any) -> None:
-        if planned == self.planned and self._last.get("planned") == planned:
+        if self._last.get("planned") == planned:
             self._last = {**self._last, "exact": exact}
             self._show_pictures(self._last)
 

@@ -24,9 +24,8 @@ from matcam.core.readers.texts import read_json
 from matcam.files.datasets import read_netcdf
 
 SETTINGS = "settings.json"
-_INDEX, _FAILED, _CAMERA, _ZARR, _LOCK = "index.html", "failed.json", "camera.json", "run.zarr", ".lock"
+_INDEX, _FAILED, _CAMERA, _ZARR = "index.html", "failed.json", "camera.json", "run.zarr"
 _RESERVED = {Path(name).stem for name in (_INDEX, _FAILED, _CAMERA, SETTINGS)}
-_TEMPORARY = re.compile(r"\.(.+)-[a-z0-9_]{8}\.(?:binary|nc|json|html|png)(?:\.old)?")
 
 
 class RunFolder:
@@ -49,7 +48,7 @@ class RunFolder:
         OutputError is raised if another run has locked the folder, if the folder contains a symbolic link, or if it cannot
         be created.
         """
-        lock = filelock.FileLock(self.path / _LOCK)
+        lock = filelock.FileLock(self.path / ".lock")
         try:
             self.path.mkdir(parents=True, exist_ok=True)
             self._check_links()
@@ -167,7 +166,7 @@ class RunFolder:
         """Remove temporary files that a killed process left beside the files of the run."""
         stems = {*_RESERVED, *(job.name for job in jobs)}
         for path in self.path.iterdir():
-            found = _TEMPORARY.fullmatch(path.name)
+            found = re.fullmatch(r"\.(.+)-[a-z0-9_]{8}\.(?:binary|nc|json|html|png)(?:\.old)?", path.name)
             if found and found[1] in stems:
                 path.unlink(missing_ok=True)
 

@@ -279,9 +279,7 @@ def _executor(workers: int | None, cluster: str | None, time_limit: float) -> Ex
         if workers is not None:
             raise ArgumentError("workers and cluster must not be given together: give one of them")
         return chosen
-    if workers is None:
-        return ProcessExecutor(available_cores(), time_limit)
-    return ProcessExecutor(workers, time_limit)
+    return ProcessExecutor(workers or available_cores(), time_limit)
 
 
 def _check_picklable(recipe: Recipe) -> None:

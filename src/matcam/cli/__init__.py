@@ -24,7 +24,6 @@ from matcam.core.threads import use_one_blas_thread, use_one_heap
 BAD_INPUT = 2
 FAULT = 70
 INTERRUPTED = 130
-_NEGATIVE = re.compile(r"No such option: -\.?\d")
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -165,7 +164,7 @@ def _hint(error: Any) -> str:
     Commands of groups may have been given without the group, such as `matcam merl` instead of `matcam data merl`. A negative
     number is read as an option.
     """
-    if _NEGATIVE.search(error.format_message()):
+    if re.search(r"No such option: -\.?\d", error.format_message()):
         return ". A word that starts with a minus sign is read as an option: give a number that is not negative"
     from matcam.cli.app import app
 

@@ -21,7 +21,7 @@ from matcam.cli.options import (
     use_caches,
 )
 from matcam.core.errors import ArgumentError, FileFormatError, OutputError
-from matcam.core.io import check_outputs, check_picture, write_columns
+from matcam.core.io import check_outputs, write_columns
 from matcam.core.readers.names import is_file, is_folder
 
 
@@ -98,17 +98,12 @@ def command(
 
     Example: `matcam calibrate chart-1.dng chart-2.dng -o camera.json`
     """
-    from matcam.numerics.budget import check_budget
-
     files = _files(pictures)
-    if budget:
-        check_budget(budget, force=force, inputs=files)
     figure = figure or output.with_suffix(".png")
     table = output.with_name(f"{output.stem}-edges.csv")
     if output.suffix.lower() != ".json":
         raise OutputError(f"output {output} is a camera profile: its name must end in .json")
-    check_outputs([output, table, figure, budget], force=force, inputs=files)
-    check_picture(figure, force=force, inputs=files)
+    check_outputs([output, table, figure, budget], force=force, inputs=files, figure=figure)
     electronics = _sensor(sensor)
     with show.working(f"measuring {len(files)} image{'s' * (len(files) > 1)}"):
         use_caches()

@@ -10,25 +10,16 @@ from typing import Annotated, Any
 import typer
 
 from matcam.cli import show
-from matcam.cli.common import with_common
+from matcam.cli.common import group
 from matcam.cli.options import (
     AsJson,
-    Command,
     Force,
-    Group,
     option,
     use_caches,
 )
 from matcam.cli.rig_options import RigOptions, SphereRig
 from matcam.core.errors import ArgumentError
 from matcam.core.io import check_outputs
-
-app = typer.Typer(cls=Group)
-
-
-@app.callback()
-def _group() -> None:
-    pass
 
 
 def init(
@@ -189,6 +180,4 @@ def plan(
     show.say(f"smallest relative standard deviation of F at {last:g}°, by radius: {tried}")
 
 
-app.command("init", cls=Command)(with_common("capture init", init))
-app.command("check", cls=Command)(with_common("capture check", check))
-app.command("plan", cls=Command)(with_common("capture plan", plan))
+app = group("capture", init=init, check=check, plan=plan)

@@ -12,7 +12,7 @@ from typing import Annotated, Any, get_type_hints
 import typer
 
 from matcam.cli import activity, show, suggestions
-from matcam.cli.options import option
+from matcam.cli.options import Command, Group, option
 from matcam.cli.rig_file import read_rig_file
 from matcam.cli.rig_options import RigOptions
 
@@ -38,6 +38,15 @@ RigFile = Annotated[
         callback=_defaults_of_rig,
     ),
 ]
+
+
+def group(name: str, **commands: Callable[..., Any]) -> typer.Typer:
+    """Build a group of commands, such as `matcam data`. `commands` are the functions of the commands by their names."""
+    app = typer.Typer(cls=Group)
+    app.callback()(lambda: None)  # without a callback, a group of one command would be this command
+    for word, command in commands.items():
+        app.command(word, cls=Command)(with_common(f"{name} {word}", command))
+    return app
 
 
 def with_common(name: str, command: Callable[..., Any]) -> Callable[..., Any]:

@@ -146,7 +146,6 @@ def command(
     if alone:
         from matcam.batch.job import Job, write_corrected
         from matcam.batch.recipe import Options, Recipe
-        from matcam.numerics.budget import check_budget
 
         target = output or Path(f"{paths[0].stem}-corrected.binary")
         job = Job(
@@ -156,8 +155,6 @@ def command(
             force=force,
             budget=budget,
         )
-        if budget:
-            check_budget(budget, force=force, inputs=[paths[0]])
         check_outputs([*job.files, layers], force=force, inputs=[paths[0], *rig.files])
         with show.working(f"{paths[0]}: correcting"):
             document = write_corrected(job, workspace)

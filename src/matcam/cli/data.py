@@ -8,17 +8,10 @@ from typing import Annotated
 import typer
 
 from matcam.cli import show
-from matcam.cli.common import with_common
-from matcam.cli.options import AsJson, Command, Force, Group, option
+from matcam.cli.common import group
+from matcam.cli.options import AsJson, Force, option
 from matcam.core.errors import ArgumentError, DownloadError, OutputError, unknown_name
 from matcam.core.io import check_output_folder, one_by_one
-
-app = typer.Typer(cls=Group)
-
-
-@app.callback()
-def _group() -> None:
-    pass
 
 
 def merl(
@@ -73,4 +66,4 @@ def merl(
     return 1 if len(failed) < len(materials) else 2
 
 
-app.command("merl", cls=Command)(with_common("data merl", merl))
+app = group("data", merl=merl)

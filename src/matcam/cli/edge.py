@@ -12,7 +12,7 @@ from matcam.cli import show
 from matcam.cli.edge_series import focus_positions, run_series
 from matcam.cli.options import AsJson, Budget, EdgeLens, Force, HalfWidth, Mosaic, Pitch, Wavelength, option
 from matcam.core.errors import ArgumentError, RegionError
-from matcam.core.io import check_outputs, check_picture, write_columns, write_text
+from matcam.core.io import check_outputs, write_columns, write_text
 
 _DOUBTS = {"asymmetric", "compressed", "crushed", "demosaiced", "denoised", "filtered", "sharpened", "tone-curve"}
 """Codes of the remarks on images whose MTF is not that of the lens, in either estimate."""
@@ -101,7 +101,6 @@ def command(
     Example: `matcam edge chart.tif --roi 120 80 80 160`
     """
     from matcam.core import checks
-    from matcam.numerics.budget import check_budget
 
     several = len(pictures) > 1 or rois is not None or channel == "all"
     positions = None if focus is None else focus_positions(focus, len(pictures), method)
@@ -122,15 +121,8 @@ def command(
         raise ArgumentError(f"{named} needs --method likelihood: omit this option, or omit --method iso12233")
     if roi is not None and rois is not None:
         raise ArgumentError("--roi and --rois both specify regions: give one of them")
-    if output:
-        check_picture(output, force=force, inputs=pictures)
-    if budget:
-        check_budget(budget, force=force, inputs=pictures)
-    files = [
-        *([output, output.with_suffix(".csv")] if output else []),
-        *(path for path in (sfr, table, budget) if path),
-    ]
-    check_outputs(files, force=force, inputs=pictures)
+    files = [path for path in (output, output and output.with_suffix(".csv"), sfr, table, budget) if path]
+    check_outputs(files, force=force, inputs=pictures, figure=output)
     # the MTF of an edge is tabulated up to 1.25 cycles/px
     frequencies = tuple(float(checks.within("--at", f, 0, 1.25, "cycles/px")) for f in at or ())
 

@@ -69,7 +69,7 @@ def command(
 
     Example: `matcam fit chrome.binary --ndf epd --fresnel free`
     """
-    from matcam.numerics.budget import check_budget, write_budgets
+    from matcam.numerics.budget import write_budgets
 
     if blind and lens != "auto":
         raise ArgumentError("--no-camera omits the lens that --lens describes: give one of these options")
@@ -81,8 +81,6 @@ def command(
     inputs = [*files, *rig.files]
     check_inputs(inputs, "a table")
     check_outputs([output, budget], force=force, inputs=inputs)
-    if budget:
-        check_budget(budget, force=force, inputs=inputs)
     workspace = use_caches()
     from matcam.exchange.contents import read_recorded_table, read_table
     from matcam.inverse.fit.fit_setup import fit

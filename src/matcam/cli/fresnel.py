@@ -22,7 +22,7 @@ from matcam.cli.options import (
 )
 from matcam.cli.rig_options import RigOptions, TableRig
 from matcam.core.errors import ArgumentError
-from matcam.core.io import check_outputs, check_picture, write_columns
+from matcam.core.io import check_outputs, write_columns
 
 _ANGLES = (10, 30, 45, 60, 70, 75, 80, 85)
 
@@ -71,7 +71,6 @@ def command(
     Example: `matcam fresnel chrome.binary --metal Cr`
     """
     from matcam.core.threads import import_behind
-    from matcam.numerics.budget import check_budget
 
     low, high = normalise
     if not 0 <= low < high < 90:
@@ -79,10 +78,8 @@ def command(
     output = output or Path(f"{file.stem}-fresnel.png")
     inputs = [file, *rig.files]
     check_inputs(inputs, "a table")
-    check_picture(output, force=force, inputs=inputs)
-    check_outputs([output, output.with_suffix(".csv"), output.with_suffix(".nc"), budget], force=force, inputs=inputs)
-    if budget:
-        check_budget(budget, force=force, inputs=inputs)
+    files = [output, output.with_suffix(".csv"), output.with_suffix(".nc"), *([budget] if budget else [])]
+    check_outputs(files, force=force, inputs=inputs, figure=output)
     with show.working(f"{file}: fitting the lobe through the camera"):
         workspace = use_caches()
         from matcam.exchange.contents import read_recorded_table
@@ -116,7 +113,6 @@ def command(
         _write(result, tables, output, force, channel)
         if budget:
             _write_budget(result, budget, force)
-    files = [output, output.with_suffix(".csv"), output.with_suffix(".nc"), *([budget] if budget else [])]
     if json:
         show.as_json(_document(result, tables, files))
     else:

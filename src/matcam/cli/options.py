@@ -61,8 +61,6 @@ _SCALES = {
 }
 """Options whose unit is not that of the library (rad, m): factor from the unit of the library, and unit."""
 
-_VERBS = "must|can|belongs|needs|asks|as|may"
-
 
 def option(names: str, metavar: str, help: str, **more: Any) -> Any:  # noqa: A002
     """Declare an option with a value.
@@ -113,12 +111,23 @@ Device = Annotated[
     Literal["cpu", "gpu"] | None,
     typer.Option("--device", help="Device for the computation. Default: cpu, with a remark if there is a GPU."),
 ]
+
+
+def _budget(path: Path | None) -> Path | None:
+    from matcam.numerics.budget import check_budget_name
+
+    if path is not None:
+        check_budget_name(path)
+    return path
+
+
 Budget = Annotated[
     Path | None,
     option(
         "--budget",
         "FILE",
         "Uncertainty budget to write (.json, .csv): sources, combined and expanded uncertainty (GUM).",
+        callback=_budget,
     ),
 ]
 ForceCorrection = Annotated[
@@ -288,7 +297,8 @@ def _translated(message: str, option_of: Mapping[str, str]) -> str:
 
     message = re.sub(r"\b([a-z_]+)=('?)(\w+)\2", assignment, message)
     # a word without an underscore is an argument only if it is the subject
-    subject = re.match(rf"(?:[a-z_]+ and )?[a-z_.]+(?= (?:'\S*' )?(?:{_VERBS})\b)", message)
+    verbs = "must|can|belongs|needs|asks|as|may"
+    subject = re.match(rf"(?:[a-z_]+ and )?[a-z_.]+(?= (?:'\S*' )?(?:{verbs})\b)", message)
     if subject:
         message = re.sub(r"[a-z_.]+", name, subject[0]) + message[subject.end() :]
     message = re.sub(r"(?<![\w/.-])[a-z]+(?:_[a-z]+)+(?![\w/.-])", name, message)

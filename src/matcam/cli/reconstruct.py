@@ -61,7 +61,7 @@ def command(
 
     Example: `matcam reconstruct shots/ -o chrome.binary`
     """
-    from matcam.numerics.budget import check_budget, write_budgets
+    from matcam.numerics.budget import write_budgets
 
     target = output or Path(f"{capture.resolve().name}-reconstructed.binary")
     if target.suffix.lower() != ".binary":
@@ -74,8 +74,6 @@ def command(
         "page": target.with_suffix(".html"),
     }
     check_outputs([*files.values(), budget], force=force)
-    if budget:
-        check_budget(budget, force=force)
     from matcam.files.capture import read_capture
 
     described = read_capture(capture)

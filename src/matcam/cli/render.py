@@ -14,9 +14,6 @@ from matcam.cli.options import AsJson, Force, Sampling, option, use_caches
 from matcam.core.errors import ArgumentError
 from matcam.core.io import check_output, check_picture
 
-_NOISY = 0.01
-"""Share of negative values above which a note states how they are rendered."""
-
 
 def command(
     files: Annotated[
@@ -77,7 +74,7 @@ def command(
         with show.working(f"rendering {file.name}"):
             contents = read_contents(file, sampling)
             negative = 0.0 if contents.brdf is None else float((contents.brdf.values < 0).mean())
-            if negative > _NOISY:
+            if negative > 0.01:
                 notes.append(
                     f"{file.name}: {negative:.0%} of the values are negative because of noise; they are rendered as 0, which "
                     "brightens the sphere away from the highlight"

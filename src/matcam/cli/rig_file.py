@@ -52,9 +52,6 @@ _KEYS = {
 }
 """Entries of the file, and the parameters of commands that they set."""
 
-_MEANINGLESS: dict[tuple[str, ...], str] = {("sample", "shape"): "sphere"}
-"""Values that a command without an option for them assumes."""
-
 
 def read_rig_file(path: Path, known: set[str], command: str) -> dict[str, Any]:
     """Read the values of a rig file for the parameters of a command.
@@ -81,7 +78,8 @@ def read_rig_file(path: Path, known: set[str], command: str) -> dict[str, Any]:
                 f"{', '.join('.'.join(k) for k in _KEYS)}"
             )
         if _KEYS[keys] not in known:
-            if keys[0] == "table" or value == _MEANINGLESS.get(keys):
+            # every command without an option for the shape assumes a sphere
+            if keys[0] == "table" or (keys, value) == (("sample", "shape"), "sphere"):
                 _value(path, keys, value)
                 continue
             raise ArgumentError(f"{path}: matcam {command} does not support {where}: remove it from the file")

@@ -10,7 +10,7 @@ import typer
 from matcam.cli import show
 from matcam.cli.options import AsJson, Force, Mosaic, option, pitch_option
 from matcam.core.errors import ArgumentError
-from matcam.core.io import check_outputs, check_picture, write_columns
+from matcam.core.io import check_outputs, write_columns
 
 
 def command(
@@ -68,8 +68,7 @@ def command(
     table = output.with_suffix(".csv")
     pictures = {f"{one}_map": output.with_name(f"{output.stem}-{one}.tif") for one in ("prnu", "dsnu")} if maps else {}
     inputs = [file for one in read_exposure_series(folder).sets for file in one.files] + ([camera] if camera else [])
-    check_picture(output, force=force, inputs=inputs)
-    check_outputs([table, page, profile, *pictures.values()], force=force, inputs=inputs)
+    check_outputs([output, table, page, profile, *pictures.values()], force=force, inputs=inputs, figure=output)
     base, metres = _camera(camera, pitch)
     with show.stepping() as progress:
         from matcam.calibration.sensor.characterise import characterise_sensor

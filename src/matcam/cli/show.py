@@ -27,8 +27,6 @@ _SECONDS = 30.0
 """Smallest time between two lines of progress, s, which keeps the log of a long run short."""
 _LEAST_WIDTH = 20
 """Smallest width of a table, characters. At a width of 0, Rich prints nothing."""
-_LONGEST_WORD = 24
-"""Longest word that a column of a table shows without a break, characters: enough for numbers and names of parameters."""
 
 _broken: list[OSError] = []
 """First error of writing to standard output; empty if there was none."""
@@ -112,7 +110,8 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]], title: str = "") -
     drawn = Table(box=box.SIMPLE_HEAD, title=named, title_justify="left", title_style="bold", pad_edge=False)
     for number, name in enumerate(head):
         words = " ".join([name, *(row[number] for row in rows)]).split()
-        least = min(max(map(len, words), default=0), _LONGEST_WORD)
+        # words of up to 24 characters are not broken, which is enough for numbers and names of parameters
+        least = min(max(map(len, words), default=0), 24)
         drawn.add_column(Text(printable(name)), justify="right" if number else "left", min_width=least)
     for row in rows:
         drawn.add_row(*(Text(printable(cell)) for cell in row))
@@ -219,18 +218,22 @@ def tallying(what: str) -> Iterator[Any]:
     columns = rich.MofNCompleteColumn(), rich.TimeElapsedColumn(), rich.TextColumn("left:"), rich.TimeRemainingColumn()
     with _bar(*columns, speed_estimate_period=3600.0) as progress:
         task = progress.add_task(what, total=None)
-        log = _Log(what)
-        begun = False
+        log = _log_lines()
+        begun: tuple[int, float] | None = None
 
         def update(done: int, total: int) -> None:
             nonlocal begun
-            if begun:
-                progress.update(task, completed=done, total=total)
-            else:  # earlier work does not predict the speed
+            now = time.monotonic()
+            if begun is None:  # earlier work does not predict the speed
+                begun = done, now
                 progress.reset(task, completed=done, total=total)
-            begun = True
+            else:
+                progress.update(task, completed=done, total=total)
             if not terminal:
-                log.update(done, total)
+                first, started = begun
+                left = (now - started) / (done - first) * (total - done) if done > first else math.nan
+                rest = f", {_span(left)} left" if 0 < left < math.inf else ""
+                log(f"{what}: {done} of {total}{rest}", done >= total)
 
         yield update
 
@@ -242,37 +245,27 @@ def stepping() -> Iterator[Any]:
     `total` is 0 if the number of parts of a step is unknown. If standard error is not a terminal, at most two lines a minute
     are written.
     """
-    if sys.stderr.isatty():
-        with activity.doing("starting"):
-            yield lambda step, done, total: activity.rename(f"{step}: {done} of {total}" if total else step)
-        return
-    last = -math.inf
+    log, terminal = _log_lines(), sys.stderr.isatty()
 
-    def log(step: str, done: int, total: int) -> None:
-        nonlocal last
+    def update(step: str, done: int, total: int) -> None:
+        (activity.rename if terminal else log)(f"{step}: {done} of {total}" if total else step)
+
+    with activity.doing("starting"):
+        yield update
+
+
+def _log_lines() -> Callable[..., None]:
+    """Build a function log(line, last) that writes at most two lines a minute to standard error, and the last one."""
+    written_at = -math.inf
+
+    def log(line: str, last: bool = False) -> None:
+        nonlocal written_at
         now = time.monotonic()
-        if now - last >= _SECONDS:
-            last = now
-            remark(f"{step}: {done} of {total}" if total else step)
+        if last or now - written_at >= _SECONDS:
+            written_at = now
+            remark(line)
 
-    yield log
-
-
-class _Log:
-    """Progress as lines of text: at most two a minute, and one at the end."""
-
-    def __init__(self, what: str):
-        self.what, self.started, self.last, self.first = what, time.monotonic(), -math.inf, 0
-
-    def update(self, done: int, total: int) -> None:
-        now = time.monotonic()
-        if self.last == -math.inf:
-            self.first, self.started = done, now
-        if now - self.last < _SECONDS and done < total:
-            return
-        self.last = now
-        left = (now - self.started) / (done - self.first) * (total - done) if done > self.first else math.nan
-        remark(f"{self.what}: {done} of {total}" + (f", {_span(left)} left" if 0 < left < math.inf else ""))
+    return log
 
 
 def _span(seconds: float) -> str:

@@ -22,7 +22,7 @@ from matcam.cli.options import (
 )
 from matcam.cli.rig_options import HaloRig, RigOptions
 from matcam.core.errors import ArgumentError
-from matcam.core.io import check_output, check_picture
+from matcam.core.io import check_outputs
 from matcam.files.formats import suffixes_for
 
 _TABLES, _PICTURES = (".binary", ".nc"), suffixes_for("picture")
@@ -137,15 +137,14 @@ def command(
     if suffix not in _TABLES + _PICTURES:
         raise ArgumentError(f"{output}: the name of the output must end in one of {', '.join(_TABLES + _PICTURES)}")
     inputs = [*rig.files, *([table] if table else [])]
-    check_output(output, force=force, inputs=inputs)
+    files = [output, preview]
     if suffix in _PICTURES:
         from matcam.files.sidecar import sidecar_path
 
-        check_output(sidecar_path(output), force=force, inputs=inputs)
-    if preview:
-        if suffix in _TABLES:
-            raise ArgumentError("--preview shows an image, but the output is a table: omit --preview")
-        check_picture(preview, force=force, inputs=inputs)
+        files.insert(1, sidecar_path(output))
+    elif preview:
+        raise ArgumentError("--preview shows an image, but the output is a table: omit --preview")
+    check_outputs(files, force=force, inputs=inputs, figure=preview)
     choose_device(device)
     use_caches()
     built = rig.build(cell_value=cell, pixel_phase=phase, crop=crop)

@@ -12,11 +12,6 @@ from matcam.core.io import where_written
 from matcam.core.readers.names import is_folder, is_there
 from matcam.files.formats import MEASUREMENTS, suffixes_for
 
-_OF_MERL = 3
-"""Number of channels of a MERL file."""
-_NARROWEST = 2.5e-4
-"""Smallest roughness that `limits` accepts for every rig."""
-
 
 def after(name: str, values: dict[str, Any]) -> str | None:
     """Suggest the next command. The result is None if there is no suggestion.
@@ -64,7 +59,7 @@ def _of_table(values: dict[str, Any], file: Path | None) -> list[Any] | None:
 def _correct(file: Path, values: dict[str, Any]) -> list[Any]:
     words = ["matcam", "correct", file, *_camera(values), *_cells(values)]
     usual = f"{file.stem}-corrected.binary"
-    if values.get("channels", _OF_MERL) != _OF_MERL:
+    if values.get("channels", 3) != 3:  # a MERL file has three channels
         return [*words, "-o", _unused(Path(usual).with_suffix(".nc"))]
     output = _unused(Path(usual))
     return words if output == usual else [*words, "-o", output]
@@ -79,7 +74,8 @@ def _after_predict(values: dict[str, Any]) -> list[Any] | None:
 
         if not isinstance(Camera.load(values["camera"]).optics, GaussianOptics):
             return None
-    wide = [value for value in values["roughness"] or [] if value >= _NARROWEST]
+    # the smallest roughness that `limits` accepts for every rig
+    wide = [value for value in values["roughness"] or [] if value >= 2.5e-4]
     return ["matcam", "limits", *wide[:5], *_camera(values)]
 
 

@@ -55,8 +55,13 @@ def check_output(path: str | Path, *, force: bool = False, inputs: Iterable[str 
     return path
 
 
-def check_outputs(paths: Iterable[Path | None], *, force: bool, inputs: Iterable[str | Path] = ()) -> None:
-    """Check all outputs of a command with `check_output`, and that no two are the same file. None: no output."""
+def check_outputs(
+    paths: Iterable[Path | None], *, force: bool, inputs: Iterable[str | Path] = (), figure: Path | None = None
+) -> None:
+    """Check all outputs of a command with `check_output`, and that no two are the same file. None: no output.
+
+    `figure` is the path in `paths` that must also satisfy `check_picture`. Default: None, no path.
+    """
     checked: set[Path] = set()
     for path in paths:
         if path is None:
@@ -65,7 +70,7 @@ def check_outputs(paths: Iterable[Path | None], *, force: bool, inputs: Iterable
             raise OutputError(
                 f"output {path} is given twice, or is also written beside another output: choose another name"
             )
-        checked.add(check_output(path, force=force, inputs=inputs))
+        checked.add((check_picture if path == figure else check_output)(path, force=force, inputs=inputs))
 
 
 def _check_position(path: Path, inputs: Iterable[str | Path]) -> None:

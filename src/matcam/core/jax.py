@@ -204,11 +204,9 @@ def _use_sealed_cache() -> bool:
 
 def _trim(folder: Path) -> None:
     # the limit of JAX is not used: it fails permanently if a process was killed between two of its writes
-    files = [
-        (max(one.status.st_atime, one.status.st_mtime), one.status.st_size, one.name) for one in sealed_files(folder)
-    ]
+    files = sorted((max(of.st_atime, of.st_mtime), of.st_size, name) for name, of in sealed_files(folder).items())
     total, unused = sum(size for _, size, _ in files), []
-    for _, size, name in sorted(files):
+    for _, size, name in files:
         if total > _LARGEST_CACHE or not size:
             unused.append(name)
             total -= size

@@ -34,11 +34,6 @@ _NAMES = {
 """Names that the description of a program may use: kinds, shapes and positions of arrays, by module. These
 objects only contain values. A program of another version of JAX, whose description uses other names, is not cached.
 """
-_PAIRS = {(module, name) for module, names in _NAMES.items() for name in names}
-
-
-_LAPACK = b"lapack_"
-"""Prefix of the names by which a program calls LAPACK."""
 
 
 def _member(kind: Any, name: str) -> enum.Enum:
@@ -54,7 +49,7 @@ class _Unpickler(serialize_executable._JaxPjrtUnpickler):
     def find_class(self, module: str, name: str) -> Any:
         if (module, name) == ("builtins", "getattr"):  # by which Python 3.11.0 to 3.11.3 pickles members of an Enum
             return _member
-        if (module, name) not in _PAIRS:  # before the import, because an import runs code
+        if name not in _NAMES.get(module, ()):  # before the import, because an import runs code
             raise ValueError(f"the description uses {module[:40]}.{name[:40]}, which is not allowed")
         return super().find_class(module, name)
 
@@ -92,7 +87,7 @@ def unpack_program(packed: bytes) -> Any:
     Raises:
         Exception: the bytes are invalid. The errors of the backends of JAX have no other common class.
     """
-    if _LAPACK in packed:
+    if b"lapack_" in packed:  # prefix of the names by which a program calls LAPACK
         _load_lapack()
     head, _, stored = packed.partition(b"\n")
     output = jax.tree.structure(_as_tuples(json.loads(head)))

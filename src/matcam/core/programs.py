@@ -29,7 +29,6 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 _ARRAYS = (jax.Array, np.ndarray, np.generic)
-_CPU_INFO = Path("/proc/cpuinfo")
 _MOST_HELD = 30 << 20
 """Largest total size on disk of the programs that a process keeps in memory, bytes.
 
@@ -71,7 +70,6 @@ def kept_program(function: Callable[P, T] | None = None, *, runs: Runs = "some",
 
 def _kept_program(function: Callable[P, T], *, runs: Runs, returns: Any) -> Callable[P, T]:
     compiled = eqx.filter_jit(function)
-    ready: dict[Hashable, _Program] = {}
     making = threading.RLock()
 
     @wraps(function)
@@ -83,15 +81,14 @@ def _kept_program(function: Callable[P, T], *, runs: Runs, returns: Any) -> Call
         kinds = tuple(_kind(leaf) for leaf in leaves)
         if _TRACED in kinds:
             return compiled(*args, **kwargs)
-        key, result = (tree, kinds), None
-        found = ready.get(key)
+        key, result = (making, tree, kinds), None  # the lock identifies the function
+        found = _held(key)
         if found is None:
             with making:  # threads that call a new program wait for it instead of compiling it again
-                found = ready.get(key)
+                found = _held(key)
                 if found is None:
-                    found, result = _Kept(function, leaves, tree, kinds, runs, returns).program(folder)
-                    ready[key] = found
-        _held.use(ready, key, found.size)
+                    found, result = _program(function, leaves, tree, kinds, runs, returns, folder)
+                    _hold(key, found)
         if result is not None:
             return result
         return compiled(*args, **kwargs) if found.run is None else found.run(*_arrays(leaves))
@@ -132,104 +129,86 @@ class _Program(NamedTuple):
     size: int = 0
 
 
-class _HeldPrograms:
-    """Cache in memory of the most recently used programs. Other programs are read from disk again."""
-
-    def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._last: OrderedDict[tuple[int, Hashable], tuple[dict[Hashable, _Program], int]] = OrderedDict()
-        self._total = 0
-
-    def use(self, ready: dict[Hashable, _Program], key: Hashable, size: int) -> None:
-        """Mark a program of a function as the most recently used, and drop the least recently used programs.
-
-        `ready` contains the loaded programs of the function by key. `size` is the size of the program on disk, bytes; a program
-        of size 0 is ignored.
-        """
-        if not size:
-            return
-        with self._lock:
-            _, before = self._last.pop((id(ready), key), (ready, 0))
-            self._last[id(ready), key] = ready, size
-            self._total += size - before
-            while self._total > _MOST_HELD and len(self._last) > 1:
-                (_, unused), (others, freed) = self._last.popitem(last=False)
-                others.pop(unused, None)
-                self._total -= freed
+_programs: OrderedDict[Hashable, _Program] = OrderedDict()
+"""Programs in memory, the most recently used last."""
+_lock = threading.Lock()
 
 
-_held = _HeldPrograms()
+def _held(key: Hashable) -> _Program | None:
+    """Look up a program in memory, and mark it as the most recently used."""
+    with _lock:
+        found = _programs.get(key)
+        if found is not None:
+            _programs.move_to_end(key)
+        return found
 
 
-class _Kept(NamedTuple):
-    """Function, and one call of this function: leaves, tree and kinds of the arguments.
+def _hold(key: Hashable, program: _Program) -> None:
+    """Keep a program in memory, and drop the least recently used programs, which can be read from disk again."""
+    with _lock:
+        _programs[key] = program
+        total = sum(one.size for one in _programs.values())
+        for old in [one for one in _programs if _programs[one].size][:-1]:
+            if total <= _MOST_HELD:
+                break
+            total -= _programs.pop(old).size
 
-    `runs` and `returns` are the arguments of `kept_program`.
+
+def _program(
+    function: Callable[..., Any],
+    leaves: list[Any],
+    tree: Any,
+    kinds: tuple[Any, ...],
+    runs: Runs,
+    returns: Any,
+    folder: Path,
+) -> tuple[_Program, Any]:
+    """Load the program of a call from disk, or compile and store it.
+
+    `leaves`, `tree` and `kinds` describe the arguments of the call. `runs` and `returns` are the arguments of `kept_program`.
+
+    Returns:
+        The program, and the result of the call. The result is None unless the program was loaded from disk.
     """
 
-    function: Callable[..., Any]
-    leaves: list[Any]
-    tree: Any
-    kinds: tuple[Any, ...]
-    runs: Runs
-    returns: Any
-
-    def program(self, folder: Path) -> tuple[_Program, Any]:
-        """Load the program from disk, or compile and store it.
-
-        Returns:
-            The program, and the result of the call. The result is None unless the program was loaded from disk.
-        """
-        name = f"{self.function.__module__}.{self.function.__qualname__}"
-        description = f"{name}\n{self.tree}\n{_types(self.tree)}\n{self.kinds!r}\n{self.runs}\n{self.returns}"
-        if " at 0x" in description or (made_of := _surroundings()) is None:
-            return _Program(None), None
-        key = f"{made_of}\n{description}".encode()
-        path = folder / f"{hashlib.sha256(key).hexdigest()[:40]}.program"
-        stored = read_sealed(path, key)
-        if stored is not None:
-            try:
-                program = self._of_its_kind(unpack_program(bytes(stored)))
-                result = jax.block_until_ready(program(*_arrays(self.leaves)))  # some faults appear only at run time
-            except Exception as error:  # backends raise arbitrary errors
-                _log.warning(
-                    "matcam: %s in the cache cannot be used (%s): the program is compiled again", path.name, error
-                )
-            else:
-                return _Program(program, len(stored)), result
-        with CompiledFunctions.passed_by():  # programs from the cache of JAX cannot be serialised again
-            options = plainly_compiled(self.runs)
-            program = jax.jit(self._of_arrays(), compiler_options=options).lower(*_arrays(self.leaves)).compile()
-        size = 0
-        try:
-            packed = pack_program(program)
-            write_sealed(path, key, packed)
-            size = len(packed) if path.exists() else 0  # a full disk is not an error
-        except Exception as error:  # programs that cannot be serialised can still run
-            _log.debug("matcam: %s is not cached: %s", name, error)
-        return _Program(self._of_its_kind(program), size), None
-
-    def _of_its_kind(self, program: Callable[..., Any]) -> Callable[..., Any]:
-        if self.returns is None:
+    def of_its_kind(program: Callable[..., Any]) -> Callable[..., Any]:
+        if returns is None:
             return program
-        structure = jax.tree.structure(_positions(self.returns))
+        structure = jax.tree.structure(_positions(returns))
         return lambda *arrays: jax.tree.unflatten(structure, program(*arrays))
 
-    def _of_arrays(self) -> Callable[..., Any]:
-        """Build a function whose arguments are only the arrays among the arguments of the call.
+    def of_arrays(*arrays: Any) -> Any:  # JAX keeps this function in memory, so it must not refer to the leaves
+        given = iter(arrays)
+        arguments = [next(given) if kind[0] == "array" else kind[1] for kind in kinds]
+        result = function(*jax.tree.unflatten(tree, arguments))
+        return result if returns is None else tuple(jax.tree.leaves(result))
 
-        JAX keeps this function in memory, so it must not refer to the values of the arrays.
-        """
-        function, tree, kinds, flat = self.function, self.tree, self.kinds, self.returns is not None
-
-        def of_arrays(*arrays: Any) -> Any:
-            given = iter(arrays)
-            leaves = [next(given) if kind[0] == "array" else kind[1] for kind in kinds]
-            result = function(*jax.tree.unflatten(tree, leaves))
-            return tuple(jax.tree.leaves(result)) if flat else result
-
-        of_arrays.__name__ = function.__name__
-        return of_arrays
+    of_arrays.__name__ = function.__name__
+    name = f"{function.__module__}.{function.__qualname__}"
+    description = f"{name}\n{tree}\n{_types(tree)}\n{kinds!r}\n{runs}\n{returns}"
+    if " at 0x" in description or (made_of := _surroundings()) is None:
+        return _Program(None), None
+    key = f"{made_of}\n{description}".encode()
+    path = folder / f"{hashlib.sha256(key).hexdigest()[:40]}.program"
+    stored = read_sealed(path, key)
+    if stored is not None:
+        try:
+            program = of_its_kind(unpack_program(bytes(stored)))
+            result = jax.block_until_ready(program(*_arrays(leaves)))  # some faults appear only at run time
+        except Exception as error:  # backends raise arbitrary errors
+            _log.warning("matcam: %s in the cache cannot be used (%s): the program is compiled again", path.name, error)
+        else:
+            return _Program(program, len(stored)), result
+    with CompiledFunctions.passed_by():  # programs from the cache of JAX cannot be serialised again
+        program = jax.jit(of_arrays, compiler_options=plainly_compiled(runs)).lower(*_arrays(leaves)).compile()
+    size = 0
+    try:
+        packed = pack_program(program)
+        write_sealed(path, key, packed)
+        size = len(packed) if path.exists() else 0  # a full disk is not an error
+    except Exception as error:  # programs that cannot be serialised can still run
+        _log.debug("matcam: %s is not cached: %s", name, error)
+    return _Program(of_its_kind(program), size), None
 
 
 def _positions(kind: Any) -> Any:
@@ -261,7 +240,9 @@ def _surroundings() -> str | None:
     except OSError:
         return None
     try:
-        features = [line for line in _CPU_INFO.read_text().splitlines() if line.startswith(("model name", "flags"))][:2]
+        features = [
+            line for line in Path("/proc/cpuinfo").read_text().splitlines() if line.startswith(("model name", "flags"))
+        ][:2]
     except OSError:
         features = []
     versions = [jax.__version__, jaxlib.__version__, np.__version__, eqx.__version__]

@@ -15,6 +15,12 @@ from matcam.core.errors import ArgumentError, unknown_name
 T = TypeVar("T")
 
 
+def imported(home: str) -> Any:
+    """Import an object by its location, "package.module:attribute"."""
+    module, attribute = home.split(":")
+    return getattr(import_module(module), attribute)
+
+
 class Registry(Mapping[str, T], Generic[T]):
     """Mapping from names to classes or functions, each imported on first use.
 
@@ -26,8 +32,7 @@ class Registry(Mapping[str, T], Generic[T]):
         self.homes = dict(homes)
 
     def __getitem__(self, name: str) -> T:
-        module, attribute = self.homes[name].split(":")
-        return getattr(import_module(module), attribute)
+        return imported(self.homes[name])
 
     def __contains__(self, name: object) -> bool:
         return name in self.homes  # a membership test imports nothing

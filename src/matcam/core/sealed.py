@@ -68,29 +68,14 @@ def write_sealed(path: Path, key: bytes, content: bytes | memoryview) -> None:
                 raise
 
 
-class SealedFile(NamedTuple):
-    """File of a cache folder.
-
-    Attributes:
-        name: name of the file in its folder.
-        status: result of `os.stat`, with the size in bytes and the times in s.
-    """
-
-    name: str
-    status: os.stat_result
-
-
-def sealed_files(path: Path) -> list[SealedFile]:
-    """List the files of a cache folder. The list is empty if the folder cannot be used."""
+def sealed_files(path: Path) -> dict[str, os.stat_result]:
+    """List the files of a cache folder: size and times by name. The result is empty if the folder cannot be used."""
     try:
         with _opened(path) as folder:
-            return [
-                SealedFile(name, status)
-                for name in folder.names()
-                if stat.S_ISREG((status := folder.stat(name)).st_mode)
-            ]
+            found = {name: folder.stat(name) for name in folder.names()}
     except OSError:
-        return []
+        return {}
+    return {name: status for name, status in found.items() if stat.S_ISREG(status.st_mode)}
 
 
 def remove_sealed(path: Path, names: Iterable[str]) -> None:

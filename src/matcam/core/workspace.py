@@ -28,8 +28,6 @@ from matcam.core.io import user_cache_folder
 from matcam.core.sealed import read_sealed, remove_sealed, sealed_files, write_sealed
 
 _SUFFIX = ".arrays"
-_HEAD = 4096
-"""Number of bytes that are read for the header of an array. Headers of .npy files have 128 bytes."""
 _ALIGNED = 64
 """Arrays begin at multiples of this number of bytes, as in .npy files."""
 
@@ -137,7 +135,7 @@ class Workspace:
         if not arrays:
             return arrays
         write_sealed(path, key, _packed(arrays))
-        by_age = sorted((one.status.st_mtime, one.name) for one in sealed_files(self.folder) if is_kept(one.name))
+        by_age = sorted((of.st_mtime, name) for name, of in sealed_files(self.folder).items() if is_kept(name))
         remove_sealed(self.folder, [name for _, name in by_age[: max(len(by_age) - self.files, 0)]])
         return arrays
 
@@ -168,7 +166,7 @@ def _unpacked(stored: memoryview) -> dict[str, np.ndarray]:
     arrays: list[np.ndarray] = []
     start = 0
     while start < len(stored):
-        head = io.BytesIO(stored[start : start + _HEAD])
+        head = io.BytesIO(stored[start : start + 4096])  # headers of .npy files have 128 bytes
         np.lib.format.read_magic(head)
         shape, by_columns, dtype = np.lib.format.read_array_header_1_0(head)
         start += head.tell()

@@ -28,9 +28,7 @@ from matcam.inverse.correction.corrected_table import TABLE_ATTRIBUTES, recorded
 from matcam.material.material import Material, cell_values
 from matcam.material.measured import Adaptive, Tabulated
 
-_PAIRS, _FARTHEST = 4096, np.radians(80)
-_MIRRORED = 46
-"""Number of mirror directions in which the peak is searched for: one per degree, which is the width of a cell of a table."""
+_PAIRS = 4096
 
 
 def convert(
@@ -170,14 +168,15 @@ def _brdf(material: Material, light: Vector, view: Vector) -> np.ndarray:
 
 
 def _mirrored() -> tuple[Vector, Vector]:
-    angle = np.linspace(0, np.pi / 4, _MIRRORED)
-    azimuth = np.linspace(0, 2 * np.pi, _MIRRORED, endpoint=False)
+    count = 46  # one direction per degree, which is the width of a cell of a table
+    angle = np.linspace(0, np.pi / 4, count)
+    azimuth = np.linspace(0, 2 * np.pi, count, endpoint=False)
     along, across, up = np.sin(angle) * np.cos(azimuth), np.sin(angle) * np.sin(azimuth), np.cos(angle)
     return vector(along, across, up), vector(-along, -across, up)
 
 
 def _directions(random: np.random.Generator) -> Vector:
-    cos, phi = random.uniform(np.cos(_FARTHEST), 1, _PAIRS), random.uniform(0, 2 * np.pi, _PAIRS)
+    cos, phi = random.uniform(np.cos(np.radians(80)), 1, _PAIRS), random.uniform(0, 2 * np.pi, _PAIRS)
     sin = np.sqrt(1 - cos**2)
     return vector(sin * np.cos(phi), sin * np.sin(phi), cos)
 

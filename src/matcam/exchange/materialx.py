@@ -30,7 +30,6 @@ from matcam.material.microfacet import Microfacet
 from matcam.material.ndf.ggx import GGX
 from matcam.material.reflectance import Dielectric, Schlick
 
-_AZIMUTHS = np.radians([0.0, 45.0, 90.0])
 _LIMITS = {"alpha": (1e-3, 1.0), "colour": (1e-4, 1.0), "ior": (1.05, 3.0)}
 
 
@@ -83,7 +82,10 @@ def fit_openpbr(material: Material) -> OpenPBRSurface:
     check_isotropic(material)
     # the half angles are dense about the peak, as in a MERL table
     theta_h, theta_d, phi_d = np.meshgrid(
-        np.linspace(0.0, 1.0, 28) ** 2 * np.radians(85), np.radians(np.arange(5.0, 76, 10)), _AZIMUTHS, indexing="ij"
+        np.linspace(0.0, 1.0, 28) ** 2 * np.radians(85),
+        np.radians(np.arange(5.0, 76, 10)),
+        np.radians([0.0, 45.0, 90.0]),
+        indexing="ij",
     )
     mean, half = np.cos(theta_h) * np.cos(theta_d), np.sin(theta_h) * np.sin(theta_d) * np.cos(phi_d)
     above = np.minimum(mean - half, mean + half) > 0.02

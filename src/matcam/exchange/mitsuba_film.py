@@ -19,7 +19,6 @@ from matcam.core.errors import ArgumentError
 
 _FARTHEST = 32
 """Largest support radius, px: the kernel then has a width of 65 px."""
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(2)
 
 
 class MitsubaFilm:
@@ -142,10 +141,11 @@ def _reach(camera: Camera) -> int:
 
 def _weights(camera: Camera, subpixels: int, reach: int) -> np.ndarray:
     """Integrate the effective kernel over each subpixel; rows increase downwards, as in an image."""
+    nodes, of_nodes = np.polynomial.legendre.leggauss(2)
     count = (2 * reach + 1) * subpixels
     centre = (np.arange(count) + 0.5) / subpixels - (reach + 0.5)
-    at = (centre[:, None] + _NODES / (2 * subpixels)).ravel()
-    weights = np.tile(_WEIGHTS / (2 * subpixels), count)
+    at = (centre[:, None] + nodes / (2 * subpixels)).ravel()
+    weights = np.tile(of_nodes / (2 * subpixels), count)
     if camera.optics.isotropic:  # the other quadrants are mirror images of the first one
         half = at[: at.size // 2]
         x, y = np.meshgrid(half, -half)
@@ -156,4 +156,4 @@ def _weights(camera: Camera, subpixels: int, reach: int) -> np.ndarray:
         x, y = np.meshgrid(at, -at)
         values = np.asarray(camera.psf(x, y))
     values = values * weights * weights[:, None]
-    return values.reshape(count, len(_NODES), count, len(_NODES)).sum((1, 3))
+    return values.reshape(count, nodes.size, count, nodes.size).sum((1, 3))

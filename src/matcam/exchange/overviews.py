@@ -19,12 +19,8 @@ from matcam.files.photographs import PICTURES, SUFFIXES, open_photograph
 from matcam.files.picture_header import read_exif
 from matcam.files.table_decoders import is_samples
 
-_RUN_SETTINGS, _RUN_FAILURES, _RUN_PAGES = "settings.json", "failed.json", "index.html"
+_RUN_SETTINGS, _RUN_FAILURES = "settings.json", "failed.json"
 """Files in the folder of a run of `matcam correct` (`batch/folder.py`)."""
-_RUN = "matcam run"
-_DECODERS = "matcam.files.table_decoders"
-_CODED = (b"\x89PNG", b"\xff\xd8\xff")
-"""First bytes of PNG and JPEG, whose values are always integers."""
 
 
 def is_photograph(path: Path) -> bool:
@@ -32,7 +28,7 @@ def is_photograph(path: Path) -> bool:
     if not is_file(path):
         return False
     with path.open("rb") as file:
-        coded = file.read(4).startswith(_CODED)
+        coded = file.read(4).startswith((b"\x89PNG", b"\xff\xd8\xff"))  # PNG and JPEG, whose values are integers
     exif = read_exif(path)
     return coded or exif.dng or path.suffix.lower() in SUFFIXES or exif.integers
 
@@ -131,7 +127,8 @@ def columns_overview(path: Path) -> dict[str, Any] | None:
     with reading(path), path.open("rb") as file:
         if is_samples(file.readline(4096).decode("utf-8", "replace")):
             return None
-    found = read_apart(f"{_DECODERS}:decode_columns", path, "a CSV file", libraries=("pandas",), small=SMALL_TEXT)
+    decoder = "matcam.files.table_decoders:decode_columns"
+    found = read_apart(decoder, path, "a CSV file", libraries=("pandas",), small=SMALL_TEXT)
     columns = {name: " to ".join(f"{end:.6g}" for end in ends) or "-" for name, ends in found["ranges"].items()}
     return {"format": "csv", "holds": "columns of a result", "rows": found["rows"], "columns": columns}
 
@@ -141,7 +138,7 @@ def folder_overview(folder: Path) -> dict[str, Any]:
         return _capture_overview(folder)
     if is_file(folder / _RUN_SETTINGS):
         settings = read_json(folder / _RUN_SETTINGS, "the settings of a run")
-        if isinstance(settings, dict) and settings.get("format") == _RUN:
+        if isinstance(settings, dict) and settings.get("format") == "matcam run":
             return _run_overview(folder, settings)
     suffixes = Counter(path.suffix.lower() for path in folder.iterdir() if is_file(path))
     results = sum(is_file(path.with_suffix(".nc")) for path in folder.iterdir() if path.suffix.lower() == ".binary")
@@ -175,7 +172,7 @@ def _capture_overview(folder: Path) -> dict[str, Any]:
 
 
 def _run_overview(folder: Path, settings: dict[str, Any]) -> dict[str, Any]:
-    failed, pages = folder / _RUN_FAILURES, folder / _RUN_PAGES
+    failed, pages = folder / _RUN_FAILURES, folder / "index.html"
     try:
         listed = read_json(failed, "the failures of a run")["failed"] if is_file(failed) else []
         return {

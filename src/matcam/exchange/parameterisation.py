@@ -81,11 +81,6 @@ GRID_SIZES = (
 """Grids from which the first one that satisfies a given error is chosen. Angles of the light that the peak requires are
 added to each. A file of the first two grids takes 0.2 to 1 MB, of the first five at most 2 MB, of the last 36 to 70 MB.
 """
-_PEAK_TO, _PEAK_STEP = 45.5, 0.5
-"""Largest angle of the light up to which the peak is resolved, and the spacing of the candidate angles, degrees. The
-candidates are the centres and the edges of the cells of a MERL table, between which the table is linear.
-"""
-_THETA_NODES = 181  # two intervals in theta_h for each cell of a MERL table
 _FAINTEST = 1e-9  # smallest divisor, as a share of the peak of D
 
 
@@ -197,7 +192,8 @@ def peak_angles(material: Material, error: float) -> np.ndarray:
         material: isotropic material.
         error: largest deviation of the peak from linear interpolation, relative to the peak, no unit.
     """
-    angle = np.radians(np.arange(0, _PEAK_TO + _PEAK_STEP / 2, _PEAK_STEP))
+    # centres and edges of the cells of a MERL table up to 45.5 degrees, between which the table is linear
+    angle = np.radians(np.arange(0, 45.75, 0.5))
     peak = np.asarray(material.brdf(np.zeros_like(angle), angle, np.full_like(angle, _HALF_PI)))
     peak = peak.reshape(angle.size, -1)
     known = np.isfinite(peak).all(axis=1) & (peak > 0).any(axis=1)
@@ -226,7 +222,7 @@ def _nodes(material: Material) -> int:
     multiple with ten or more intervals within the width of the lobe, and at most the eighth.
     """
     finest = np.sqrt(float(material.finest) / _HALF_PI)
-    return (_THETA_NODES - 1) * int(np.clip(np.ceil(10 / finest / (_THETA_NODES - 1)), 1, 8)) + 1
+    return 180 * int(np.clip(np.ceil(10 / finest / 180), 1, 8)) + 1
 
 
 def _facets(material: Material, u: np.ndarray) -> np.ndarray:

@@ -26,9 +26,6 @@ from matcam.core.errors import ArgumentError
 from matcam.core.jax import jnp
 from matcam.rigs import Rig
 
-_REACH, _RINGS, _DIRECTIONS = 12.0, 6001, 64
-"""Largest frequency, cycles/px, number of frequencies, and number of directions of the integral of the squared MTF."""
-
 
 def solid_angles(rig: Rig) -> dict[str, float | None]:
     """Compute the solid angles of a rig's receiver, pupil and lamp.
@@ -117,12 +114,12 @@ def effective_area(camera: Camera) -> float:
     area is 1 px^2 for a pixel of full fill factor without a lens. It is 4 pi sigma^2 for a Gaussian of standard
     deviation sigma, px.
     """
-    frequency = np.linspace(0, _REACH, _RINGS)
-    angles = (np.arange(_DIRECTIONS) + 0.5) / _DIRECTIONS * np.pi / 4  # a square has eight such wedges
+    frequency = np.linspace(0, 12.0, 6001)  # cycles/px
+    angles = (np.arange(64) + 0.5) / 64 * np.pi / 4  # a square has eight such wedges
     squared = np.stack([np.asarray(camera.mtf(frequency, angle)) ** 2 for angle in angles])
     ring = 2 * np.pi * frequency * squared.mean(axis=0)
     # integrated over a ring, the squared transform of a bare pixel decreases as 1 / f^2: the integral beyond the last
     # frequency equals that over the last octave
-    half = frequency >= _REACH / 2
+    half = frequency >= frequency[-1] / 2
     beyond = np.trapezoid(ring[half], frequency[half])
     return float(1 / (np.trapezoid(ring, frequency) + beyond))

@@ -99,9 +99,8 @@ def _draw_esf(axes: Axes, result: EdgeMTF, reach: float) -> None:
     samples = result.samples
     near = np.abs(samples.distance) <= reach
     distance = np.linspace(-reach, reach, 400)
-    found = result.esf(distance)
     axes.plot(samples.distance[near], samples.value[near], ".", ms=2.5, color=GREY, label="pixels")
-    draw_with_std(axes, distance, *found, BLUE, label="model-free")
+    draw_with_std(axes, distance, *result.esf(distance), BLUE, label="model-free")
     axes.set(xlabel="distance [px]", ylabel="edge response [-]", xlim=(-reach, reach))
     axes.legend(loc="upper left", fontsize=8.5)
     axes.set_title("ESF", loc="left")
@@ -109,8 +108,7 @@ def _draw_esf(axes: Axes, result: EdgeMTF, reach: float) -> None:
 
 def _draw_lsf(axes: Axes, result: EdgeMTF, reach: float) -> None:
     distance = np.linspace(-reach, reach, 400)
-    found = result.lsf(distance)
-    draw_with_std(axes, distance, *found, BLUE)
+    draw_with_std(axes, distance, *result.lsf(distance), BLUE)
     axes.set(xlabel="distance [px]", ylabel="line response [1/px]", xlim=(-reach, reach))
     axes.set_title("LSF", loc="left")
 

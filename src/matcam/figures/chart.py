@@ -18,7 +18,6 @@ from matcam.files import tone_curve as srgb
 _STEPS = 24  # polygons per cycle of a sine; the lowest harmonic that differs from a sine is the 23rd
 _AROUND = 64  # corners of the polygon of a circle
 _INCH = 25.4
-_DOTS_PER_PIXEL = 2  # smallest number of dots of a raster in a pixel of the camera
 _Polygon = tuple[np.ndarray, float]
 """Corners of a polygon, mm (n, 2), and its luminance relative to that of the paper, in [0, 1] (no unit)."""
 _MOST = 2e8  # largest number of pixels of a raster, which takes 0.8 GB as RGBA
@@ -67,7 +66,7 @@ def check_raster(chart: Chart, dpi: float, pixels_across: float) -> list[str]:
             f"at {dpi:g} dpi this page has {pixels / 1e6:.0f} million pixels, but at most {_MOST / 1e6:.0f} can be drawn: "
             "reduce dpi"
         )
-    least = math.ceil(_DOTS_PER_PIXEL * pixels_across * _INCH / chart.page[0])
+    least = math.ceil(2 * pixels_across * _INCH / chart.page[0])  # two dots in a pixel of the camera
     if dpi >= least:
         return []
     return [

@@ -127,7 +127,7 @@ def draw_prediction(axes: Axes, data: xr.Dataset) -> None:
     The response is the ratio of the recorded to the true peak, relative to normal view. Loss angles are marked. `data`
     is the result of `predict`.
     """
-    colours = matplotlib.colormaps["cividis"](np.linspace(0.0, 0.88, data.sizes["roughness"]))
+    colours = _shades(data.sizes["roughness"])
     limit, theta = 1 - LOSS, np.degrees(data["theta"].values)
     angles = np.degrees(data["loss_angle"].values)
     rows = zip(data["roughness"].values, data["relative_response"].values, angles, colours, strict=True)
@@ -138,12 +138,20 @@ def draw_prediction(axes: Axes, data: xr.Dataset) -> None:
     axes.axhline(limit, color=GREY, lw=0.8)
     axes.annotate(_LIMIT, (1, limit), xytext=(0, 3), textcoords="offset points", fontsize=8, color=GREY)
     axes.plot(theta, np.cos(np.radians(theta)), color=GREY, ls="--", lw=1.2, label=r"$\cos\,\theta_o$")
+    _finish_loss(axes, f"roughness\n({data.attrs['family']})")
+
+
+def _shades(count: int) -> np.ndarray:
+    # cividis: similar appearance for readers with and without red-green blindness
+    return matplotlib.colormaps["cividis"](np.linspace(0.0, 0.88, count))
+
+
+def _finish_loss(axes: Axes, title: str) -> None:
+    """Label the axes of a relative response over the viewing angle. `title` is the title of the legend."""
     degrees_axis(axes, r"viewing angle $\theta_o$")
     axes.set_ylim(0, 1.04)
     axes.set_ylabel(r"recorded / true peak, relative to $\theta_o$ = 0 [-]")
-    axes.legend(
-        title=f"roughness\n({data.attrs['family']})", loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=8.5
-    )
+    axes.legend(title=title, loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=8.5)
 
 
 def plane_figure(data: Prediction, title: str) -> Figure:
@@ -214,24 +222,17 @@ def loss_figure(data: xr.Dataset) -> Figure:
         axes = figure.subplots()
         theta = np.degrees(data["theta"].values)
         ratios = data["ratio"].values
-        # cividis: similar appearance for readers with and without red-green blindness
-        colours = matplotlib.colormaps["cividis"](np.linspace(0.0, 0.88, ratios.size))
-        for ratio, colour in zip(ratios, colours, strict=True):
+        for ratio, colour in zip(ratios, _shades(ratios.size), strict=True):
             one = data.sel(ratio=ratio)
             axes.plot(theta, one["loss"], color=colour, label=f"{ratio:g}")
             axes.plot(theta, one["loss_printed"], color=colour, lw=0.9, ls=":")
         axes.plot(theta, data["cosine"], color=GREY, ls="--", lw=1.2)
-        degrees_axis(axes, r"viewing angle $\theta_o$")
-        axes.set_ylim(0, 1.04)
-        axes.set_ylabel(r"recorded / true peak, relative to $\theta_o$ = 0 [-]")
+        _finish_loss(axes, "lobe width /\n" r"($\sigma_{mtf} / r_s$)")
         axes.set_title(
             "Recorded over true peak. Solid: tangent plane; dotted: eq. (11) as printed;\n"
             r"dashed: $\cos\,\theta_o$",
             loc="left",
             fontsize=9.5,
-        )
-        axes.legend(
-            title="lobe width /\n" r"($\sigma_{mtf} / r_s$)", loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=8.5
         )
     return figure
 

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from matcam.calibration.camera.evidence import EdgeTable
     from matcam.calibration.camera.lateral_colour import LateralColour
 
-_LONGER = 8  # largest number of parts along the longer side of the image; the shorter side has three quarters of it
-_IN_PART = 6  # average number of edges in a part, if they are fewer than those of the largest number of parts
 _FEWEST = 2  # smallest number of edges in a part, for robustness against one bad edge
 
 
@@ -43,7 +41,8 @@ def blur_map(edges: EdgeTable, shape: tuple[int, int]) -> BlurMap:
     Few edges have few parts. `shape` is (height, width) of the image, px.
     """
     height, width = shape
-    longer = int(np.clip(np.round(np.sqrt(edges.x.size / _IN_PART * 4 / 3)), 1, _LONGER))
+    # at most 8 parts along the longer side, and three quarters of them along the other; fewer with less than 6 edges in each
+    longer = int(np.clip(np.round(np.sqrt(edges.x.size / 6 * 4 / 3)), 1, 8))
     shorter = max(round(longer * 3 / 4), 1)
     rows, columns = (shorter, longer) if width >= height else (longer, shorter)
     x, y = np.linspace(-0.5, width - 0.5, columns + 1), np.linspace(-0.5, height - 0.5, rows + 1)

@@ -12,8 +12,6 @@ from matcam.reconstruction.picture_rule import WINDOW
 if TYPE_CHECKING:
     from matcam.reconstruction.reconstruction import Reconstruction
 
-_WINDOW = ("picture", "window_row", "window_column")
-
 
 def fitted_windows(result: Reconstruction) -> xr.Dataset:
     """Collect outline, highlight and window of every image of a sphere.
@@ -65,9 +63,10 @@ def fitted_windows(result: Reconstruction) -> xr.Dataset:
             }
         )  # fmt: skip
     columns = {name: np.array([one[name] for one in rows]) for name in rows[0]}
+    dims = ("picture", "window_row", "window_column")
     data = xr.Dataset(
         {
-            name: (_WINDOW[: values.ndim], values.astype(np.float32) if values.ndim == 3 else values)
+            name: (dims[: values.ndim], values.astype(np.float32) if values.ndim == 3 else values)
             for name, values in columns.items()
         }
     )

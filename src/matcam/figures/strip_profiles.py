@@ -13,9 +13,6 @@ from matcam.figures.style import CYCLE, drawing
 if TYPE_CHECKING:
     from matcam.reconstruction.reconstruction import Reconstruction
 
-_FAINTEST = 1e-5
-"""Smallest value shown, divided by the largest modelled value of the image."""
-
 
 def profile_figure(result: Reconstruction) -> Figure:
     """Draw the recorded and the fitted profiles about the highlight, and their residuals, in up to six images.
@@ -45,7 +42,7 @@ def profile_figure(result: Reconstruction) -> Figure:
             brightest = float(np.max(model[pixels.used], initial=0.0))
             grid[0, position].set_yscale("log")
             if brightest > 0:  # a narrow lobe decreases to values that no image shows
-                grid[0, position].set_ylim(_FAINTEST * brightest, 2 * brightest)
+                grid[0, position].set_ylim(1e-5 * brightest, 2 * brightest)
             grid[0, position].set_title(
                 f"{fit.names[k]}, {np.degrees(solution.theta_d[k]):.0f}°", loc="left", fontsize=8
             )

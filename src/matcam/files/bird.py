@@ -31,14 +31,9 @@ from matcam.files.samples import checked_samples, samples_from
 SCHEMA = "urn:bird-project:brdf_json_schema_v1.0"
 """Name of the schema, which the format requires in its documents."""
 _ANGLES = ("theta_i", "phi_i", "theta_r", "phi_r")
-_NANO = {"nm": 1.0, "μm": 1e3, "µm": 1e3, "um": 1e3}
 _MOST = 2_000_000
 """Largest number of readings that are written; each takes about 100 bytes."""
-_LONGEST_NAME = 60
-"""Largest number of characters in the name of a channel, as in CSV. Each name takes as much memory as the longest."""
 _NOT_STATED = "not stated"
-_GRAZING = 1e-9
-"""Smallest difference of written angles from 90 degrees, degrees. The schema excludes 90 degrees."""
 
 
 def read_bird(path: str | Path) -> xr.DataArray:
@@ -84,8 +79,8 @@ def read_bird(path: str | Path) -> xr.DataArray:
             raise FileFormatError(f"{path}: data.{name} must lie in [0, 90] degrees")
     channel = _channels(path, data, len(values))
     names = list(dict.fromkeys(channel))
-    if max(map(len, names)) > _LONGEST_NAME:
-        raise FileFormatError(f"{path}: the name of a channel must have at most {_LONGEST_NAME} characters")
+    if max(map(len, names)) > 60:  # as in CSV; each name takes as much memory as the longest
+        raise FileFormatError(f"{path}: the name of a channel must have at most 60 characters")
     pairs = np.stack([np.mod(a, 2 * np.pi) for a in angles], axis=1).round(9)
     unique, first, position = np.unique(pairs, axis=0, return_index=True, return_inverse=True)
     order = np.argsort(np.argsort(first))  # pairs of directions in the order of the file
@@ -144,10 +139,11 @@ def write_bird(path: str | Path, samples: xr.DataArray, *, force: bool = False) 
     theta_i, theta_r = (np.arccos(np.clip(np.asarray(one), 0, 1)) for one in cosines(*half))
     phi_r = np.asarray(azimuth_difference(*half)) * np.where(np.sin(half[2]) >= 0, -1.0, 1.0)
     row, column = np.nonzero(known)
+    largest = 90 - 1e-9  # the schema excludes 90 degrees
     degrees = {
-        "theta_i": np.minimum(np.degrees(theta_i), 90 - _GRAZING),
+        "theta_i": np.minimum(np.degrees(theta_i), largest),
         "phi_i": np.zeros(len(theta_i)),
-        "theta_r": np.minimum(np.degrees(theta_r), 90 - _GRAZING),
+        "theta_r": np.minimum(np.degrees(theta_r), largest),
         "phi_r": np.mod(np.degrees(phi_r), 360.0),
     }
     data: dict[str, Any] = {name: {"unit": "°", "values": angle[row].tolist()} for name, angle in degrees.items()}
@@ -181,8 +177,9 @@ def _column(path: Path, data: dict[str, Any], name: str, units: dict[str, float]
 
 def _channels(path: Path, data: dict[str, Any], count: int) -> list[str]:
     parts: list[list[str]] = []
+    nano = {"nm": 1.0, "μm": 1e3, "µm": 1e3, "um": 1e3}
     if "wavelength_i" in data:
-        parts.append([f"{one:g} nm" for one in _column(path, data, "wavelength_i", _NANO)])
+        parts.append([f"{one:g} nm" for one in _column(path, data, "wavelength_i", nano)])
     for name in ("polarization_i", "polarization_r"):
         states = data.get(name, {}).get("values") if isinstance(data.get(name, {}), dict) else None
         if isinstance(states, list):

@@ -32,11 +32,9 @@ from matcam.files.capture_frames import INTENSITY, CaptureFrame, LampGuess, stat
 from matcam.files.capture_settings import CaptureSettings, Stated
 from matcam.files.photographs import PICTURES, Photograph, open_photograph
 
-FORMAT, VERSION = "matcam capture", 1
 SETTINGS, LIST = "capture.toml", "frames.csv"
 KINDS = ("frames", "dark", "flat", "outline", "reference")
 COLUMNS = ("file", "lamp", "angle_deg", "azimuth_deg", "exposure", "time_s")
-_WHAT = "a capture"
 _MOST = 20_000  # lines of frames.csv
 
 Region = tuple[int, int, int, int]
@@ -253,8 +251,8 @@ def _check_light(folder: Path, settings: dict[str, Any], lamps: dict[str, LampGu
 def read_settings(path: Path) -> dict[str, Any]:
     """Read and check a `capture.toml`. The message of a FileFormatError contains the invalid field."""
     check_within(path, path.parent)
-    document = read_toml(path, _WHAT)
-    checked_version(document, path, _WHAT, FORMAT, (VERSION,))
+    document = read_toml(path, "a capture")
+    checked_version(document, path, "a capture", "matcam capture", (1,))
     settings = validated(CaptureSettings, document, path).model_dump()
     radius = settings["sample"]["radius_mm"]
     for name, distance in settings["distances"].items():

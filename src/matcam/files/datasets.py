@@ -24,8 +24,6 @@ from matcam.core.readers.apart import read_apart
 from matcam.core.readers.names import is_folder
 from matcam.files.decoders import DESCRIPTION, check_stored_sizes
 
-_DEFLATE = {"zlib": True, "complevel": 1, "shuffle": True}
-
 
 def write_netcdf(path: str | Path, data: xr.Dataset, *, force: bool = False, compress: bool = True) -> None:
     """Write a Dataset with its attributes as NetCDF-4.
@@ -92,7 +90,8 @@ def _compressed(data: xr.Dataset) -> _Encoding:
     encoding: _Encoding = {}
     for name, one in data.data_vars.items():
         if one.ndim and one.dtype.kind in "biuf":
-            encoding[str(name)] = _DEFLATE | ({"chunksizes": (1, *one.shape[1:])} if one.ndim > 2 else {})
+            chunks = {"chunksizes": (1, *one.shape[1:])} if one.ndim > 2 else {}
+            encoding[str(name)] = {"zlib": True, "complevel": 1, "shuffle": True, **chunks}
     return encoding
 
 

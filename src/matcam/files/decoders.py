@@ -22,7 +22,7 @@ from matcam.core import checks
 from matcam.core.errors import FileFormatError
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"
-_MOST_TIMES, _MOST_VARIABLES, _SPARE = 16, 256, 1 << 16
+_MOST_VARIABLES = 256
 _FILTERS = {1: "deflate", 2: "shuffle", 3: "fletcher32", 4: "szip", 5: "nbit", 6: "scaleoffset"}
 """Built-in filters of HDF5 by number. All others are plugins, which are not loaded."""
 _CODECS = {"bytes", "crc32c", "gzip", "zstd", "blosc", "transpose", "vlen-utf8"}
@@ -55,7 +55,7 @@ def check_stored_sizes(path: Path, size: int, variables: Mapping[str, tuple[tupl
         # a Python string and the pointers to it take 64 bytes
         each = kind.itemsize if isinstance(kind, np.dtype) and kind.kind != "O" else 64
         total += math.prod(shape) * max(each, 1)
-        if total > _MOST_TIMES * size + _SPARE:
+        if total > 16 * size + (1 << 16):
             raise FileFormatError(
                 f"{path}: variable {name!r:.60} of {' x '.join(map(str, shape))} values does not fit into {size} bytes: "
                 "the file is damaged, or compressed too strongly; create it again without compression"
@@ -100,6 +100,7 @@ def _check_hdf5(path: Path, file: Any) -> None:
     import h5py
 
     shapes: dict[str, tuple[tuple[int, ...], Any]] = {}
+    chunks: dict[str, tuple[tuple[int, ...], Any]] = {}
     for index, name in enumerate(file):
         if index > _MOST_VARIABLES:
             raise FileFormatError(
@@ -152,11 +153,11 @@ def _check_hdf5(path: Path, file: Any) -> None:
             seen.add(code)
         shapes[name] = (variable.shape or (), variable.dtype)
         if variable.chunks:  # a chunk is decoded completely, even if the array uses little of it
-            shapes[f"{name} (chunk)"] = (variable.chunks, variable.dtype)
+            chunks[f"{name} (chunk)"] = (variable.chunks, variable.dtype)
     # checked before reading, because a damaged dimension is filled up to its declared length
     size = path.stat().st_size
-    check_stored_sizes(path, size, {name: v for name, v in shapes.items() if not name.endswith(" (chunk)")})
-    check_stored_sizes(path, size, {name: v for name, v in shapes.items() if name.endswith(" (chunk)")})
+    check_stored_sizes(path, size, shapes)
+    check_stored_sizes(path, size, chunks)
 
 
 def decode_zarr(path: Path) -> dict[str, Any]:

@@ -9,8 +9,6 @@ import xarray as xr
 
 from matcam.core.grid import CHANNELS, GRID_SHAPE, brdf_table
 
-FILE = "data/chromium.npz"
-
 
 def example_table() -> xr.DataArray:
     """Load a simulated record of a polished chromium sphere.
@@ -29,7 +27,10 @@ def example_table() -> xr.DataArray:
         >>> table.shape, table.attrs["sample"]
         ((90, 90, 180, 3), 'sphere')
     """
-    with resources.files("matcam").joinpath(FILE).open("rb") as file, np.load(file, allow_pickle=False) as stored:
+    with (
+        resources.files("matcam").joinpath("data/chromium.npz").open("rb") as file,
+        np.load(file, allow_pickle=False) as stored,
+    ):
         cells, slices = stored["valid"], np.broadcast_to(stored["theta_d"][:, None], stored["valid"].shape)
         values = np.full((*GRID_SHAPE, len(CHANNELS)), np.nan)
         values[stored["theta_h"][cells], slices[cells], stored["phi_d"][cells]] = stored["value"][cells]

@@ -28,9 +28,7 @@ from matcam.core.readers.texts import read_lines
 from matcam.files.photographs import PICTURES
 from matcam.files.picture_header import read_exif
 
-_NANO = 1e-9
 _UNITS = {"ns": 1e-9, "us": 1e-6, "ms": 1e-3, "s": 1.0}
-_TIME = re.compile(r"(?<![a-zA-Z0-9.])(\d+(?:\.\d+)?)\s?(ns|us|ms|s)(?![a-zA-Z0-9])")
 _KINDS = {"dark": False, "bias": False, "flat": True, "bright": True}
 """True for lit frames and False for dark frames, by the beginning of the name of a file or of its folder."""
 _MOST_LINES = 20_000
@@ -144,10 +142,10 @@ def _described(path: Path) -> ExposureSeries:
                 if not 0 < bits <= 32:
                     raise ValueError
             elif key == "b" and len(cells) == 2:
-                sets.append(ExposureSet(True, _number(cells[0]) * _NANO, _number(cells[1]), ()))
+                sets.append(ExposureSet(True, 1e-9 * _number(cells[0]), _number(cells[1]), ()))
                 files.append([])
             elif key == "d" and len(cells) == 1:
-                sets.append(ExposureSet(False, _number(cells[0]) * _NANO, 0.0, ()))
+                sets.append(ExposureSet(False, 1e-9 * _number(cells[0]), 0.0, ()))
                 files.append([])
             elif key == "i" and len(cells) == 1 and sets:
                 files[-1].append(listed_file(path.parent, cells[0].replace("\\", "/"), "the descriptor's folder"))
@@ -179,7 +177,8 @@ def _listed(folder: Path) -> ExposureSeries:
         if lit is None:
             continue
         check_within(file, folder)
-        stated = _TIME.findall(re.sub(r"[_-]", " ", str(inside)))
+        words = re.sub(r"[_-]", " ", str(inside))
+        stated = re.findall(r"(?<![a-zA-Z0-9.])(\d+(?:\.\d+)?)\s?(ns|us|ms|s)(?![a-zA-Z0-9])", words)
         time = float(stated[-1][0]) * _UNITS[stated[-1][1]] if stated else read_exif(file).time
         if time is None:
             raise FileFormatError(

@@ -37,7 +37,7 @@ from matcam.core.remark import some_of
 from matcam.files.picture_header import LARGEST, check_memory, check_promised, picture_memory
 
 _DECODERS = "matcam.files.picture_decoders"
-_MAGIC, _FLOAT, _MOST_CHANNELS = 20000630, 2, 4096
+_MOST_CHANNELS = 4096
 _LINES_PER_CHUNK = {0: 1, 1: 1, 2: 1, 3: 16, 4: 32}
 """Number of scan lines per chunk by compression: none, RLE, ZIPS, ZIP, PIZ. Other compressions lose digits of floats."""
 
@@ -259,7 +259,7 @@ def _checked_header(path: Path) -> tuple[dict[str, tuple[str, ...]], int, int]:
         with reading(path, "an image"), path.open("rb") as file:
             size = path.stat().st_size
             head = file.read(min(size, 1 << 20))
-            if len(head) < 8 or struct.unpack_from("<i", head)[0] != _MAGIC:
+            if len(head) < 8 or struct.unpack_from("<i", head)[0] != 20000630:
                 raise FileFormatError(f"{path}: the file is not an OpenEXR file: convert it to OpenEXR")
             version = struct.unpack_from("<i", head, 4)[0]
             if version & 0xFF != 2 or version & 0x1A00:
@@ -320,7 +320,7 @@ def _described(path: Path, attributes: dict[str, bytes], size: int) -> tuple[dic
         name, at = _text(listed, at)
         kind, _, *sampling = struct.unpack_from("<4i", listed, at)
         at += 16
-        if kind != _FLOAT:
+        if kind != 2:
             stored = {0: "whole numbers", 1: "16-bit floats"}.get(kind, "an unknown type")
             raise FileFormatError(
                 f"{path}: channel {name!r:.40} contains {stored}, but only 32-bit floats are supported"

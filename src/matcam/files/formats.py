@@ -10,7 +10,6 @@ import contextlib
 import struct
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
-from importlib import import_module
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -18,6 +17,7 @@ from typing import Any
 from matcam.core.errors import ArgumentError, FileFormatError
 from matcam.core.io import reading
 from matcam.core.readers.names import is_folder, is_there
+from matcam.core.registry import imported
 
 CONTENTS = {
     "table": "a table on the MERL grid",
@@ -75,7 +75,7 @@ class Format:
 
         `options` are passed to the reader, such as `sampling` for MERL.
         """
-        return _function(self.reader)(path, **options)
+        return imported(f"matcam.{self.reader}")(path, **options)
 
     def writer(self, content: str) -> Callable[..., None]:
         """Select the function that writes a content.
@@ -84,7 +84,7 @@ class Format:
         support the content.
         """
         if content in self.writers:
-            return _function(self.writers[content])
+            return imported(f"matcam.{self.writers[content]}")
         choice, suffix = ", ".join(suffixes_for(content)), self.suffixes[0]
         if content == "picture":
             raise ArgumentError(f"an image cannot be stored in {suffix}: use {choice}")
@@ -323,8 +323,3 @@ def decoded_by(paths: Iterable[Path]) -> list[str]:
             inside = path.iterdir() if is_folder(path) else [path] if is_there(path) else []
             suffixes |= {file.suffix.lower() for file in islice(inside, 100)}
     return sorted({module for suffix in suffixes & set(_DECODERS) for module in _DECODERS[suffix]})
-
-
-def _function(position: str) -> Callable[..., Any]:
-    module, name = position.split(":")
-    return getattr(import_module(f"matcam.{module}"), name)

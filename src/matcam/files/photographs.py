@@ -26,9 +26,7 @@ SUFFIXES = (
 """Suffixes of camera raw files."""
 
 _DECODERS = "matcam.files.picture_decoders"
-_LIBRARIES = ("tifffile", "imagecodecs._zlib", "imagecodecs._png", "imagecodecs._jpeg8")
 _EXR = b"\x76\x2f\x31\x01"
-_LARGEST = 2 << 30  # largest size of a file, bytes
 PICTURES = (".tif", ".tiff", ".png", ".jpg", ".jpeg", ".exr", *SUFFIXES)
 """Suffixes of files that are listed as photographs."""
 
@@ -83,8 +81,9 @@ def read_photograph(path: str | Path, region: tuple[int, int, int, int] | None =
     """
     path = Path(path)
     there = _memory_for(path)
+    libraries = ("tifffile", "imagecodecs._zlib", "imagecodecs._png", "imagecodecs._jpeg8")
     return read_apart(
-        f"{_DECODERS}:decode_photograph", path, "an image", libraries=_LIBRARIES, there=there, region=region
+        f"{_DECODERS}:decode_photograph", path, "an image", libraries=libraries, there=there, region=region
     )
 
 
@@ -100,9 +99,10 @@ def _read_exr(path: Path) -> np.ndarray:
 def _memory_for(path: Path) -> int:
     """Compute the available memory for an image, bytes. A FileFormatError is raised for a file that is too large."""
     with reading(path, "an image"):
-        if path.stat().st_size > _LARGEST:
+        size, largest = path.stat().st_size, 2 << 30
+        if size > largest:
             raise FileFormatError(
-                f"{path}: the file has {path.stat().st_size} bytes, but at most {_LARGEST} are allowed for a photograph: give "
+                f"{path}: the file has {size} bytes, but at most {largest} are allowed for a photograph: give "
                 "a smaller file"
             )
     return picture_memory()

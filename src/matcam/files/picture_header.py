@@ -21,10 +21,6 @@ from matcam.core.errors import FileFormatError
 from matcam.core.memory import available_memory
 from matcam.core.readers.apart import files_are_trusted
 
-_UNASKED, _MOST_TIMES = 1 << 30, 100
-"""Memory that any image may take, bytes, and largest ratio of the size of a larger image to that of its file. No camera writes
-a file with a higher compression.
-"""
 _MOST_SEGMENTS = 200
 LARGEST = 1 << 29
 """Largest number of values in an image of floats (2 GiB). A header with a larger number is treated as damaged."""
@@ -61,7 +57,8 @@ def check_memory(path: Path, height: int, width: int, channels: int, depth: int,
             f"{there / 2**30:.1f} GiB of memory may be used: free memory, or give a smaller image"
         )
     size = path.stat().st_size
-    if needed > _UNASKED and decoded > _MOST_TIMES * size and not files_are_trusted():
+    # no camera writes a file that is compressed more than 100 times
+    if needed > 1 << 30 and decoded > 100 * size and not files_are_trusted():
         raise FileFormatError(
             f"{path}: an image of {width} x {height} px in {size} bytes is compressed too strongly and needs "
             f"{needed / 2**30:.1f} GiB of memory: store it with less compression"

@@ -52,7 +52,6 @@ _DIMS = {
     "spectra": (*_LIGHT, "wavelengths", "row", "column"),
     "wavelengths": ("wavelengths",),
 }
-_REQUIRED = ("phi_i", "theta_i", "ndf", "sigma", "vndf", "luminance", "jacobian")
 _ORDER = (
     "version",
     "description",
@@ -169,7 +168,8 @@ def _next_aligned(at: int) -> int:
 
 def _checked(fields: dict[str, np.ndarray]) -> xr.Dataset:
     colour = "spectra" if "wavelengths" in fields else "rgb"
-    missing = [name for name in (*_REQUIRED, colour) if name not in fields]
+    required = (*_LIGHT, "ndf", "sigma", "vndf", "luminance", "jacobian", colour)
+    missing = [name for name in required if name not in fields]
     if missing:
         raise ArgumentError(
             f"field {missing[0]} is missing, so the data are not a BRDF in RGL's parameterisation: add this field"

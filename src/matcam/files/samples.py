@@ -37,8 +37,6 @@ from matcam.files.table_decoders import PAIR as _PAIR
 from matcam.files.table_decoders import VALUE as _VALUE
 
 _ON_THE_GRID = 1e-6  # largest difference of the angles of a sample from those of its cell, rad
-_LABEL = re.compile(r"[^,\x00-\x1f\"]{1,60}")
-"""Pattern of channel labels that can be names of columns: without commas, quotes and control characters."""
 
 
 def samples_of(table: xr.DataArray) -> xr.DataArray:
@@ -105,7 +103,8 @@ def checked_samples(samples: xr.DataArray) -> xr.DataArray:
             raise ArgumentError(f"samples must have a numeric coordinate {name} along the dimension sample")
         check_unit(f"coordinate {name}", samples[name], "rad")
     labels = [str(label) for label in samples["channel"].values]
-    if "channel" not in samples.coords or len(set(labels)) < len(labels) or not all(map(_LABEL.fullmatch, labels)):
+    usable = all(re.fullmatch(r"[^,\x00-\x1f\"]{1,60}", label) for label in labels)  # as names of columns
+    if "channel" not in samples.coords or len(set(labels)) < len(labels) or not usable:
         raise ArgumentError(
             "samples must have a coordinate channel with a different label for each channel, of 1 to 60 characters without "
             f"commas, quotes and control characters, got {', '.join(labels)!r:.60}"

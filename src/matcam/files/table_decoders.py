@@ -19,7 +19,7 @@ HALF = ("theta_h", "theta_d", "phi_d")
 PAIR = ("theta_i", "phi_i", "theta_o", "phi_o")
 VALUE = "_per_sr"
 _UNITS = {"rad": 1.0, "deg": np.pi / 180}
-_LONGEST_HEAD, _LINES_AT_ONCE = 4096, 1 << 16
+_LINES_AT_ONCE = 1 << 16
 _LONGEST_LINE = 16 << 10
 """Largest length of a line of a CSV file, bytes: enough for 450 columns of 25 characters."""
 
@@ -28,7 +28,7 @@ RGL_TYPES = dict(enumerate(("u1", "i1", "<u2", "<i2", "<u4", "<i4", "<u8", "<i8"
 UTIA_SHAPE = (3, 6, 48, 6, 48)
 _UTIA_BYTES = 8 * math.prod(UTIA_SHAPE)
 """Size of a UTIA file, bytes. The format has no other property by which a file can be identified."""
-_MOST_FIELDS, _MOST_DIMENSIONS, _LONGEST_NAME = 64, 8, 64
+_MOST_FIELDS, _MOST_DIMENSIONS = 64, 8
 
 
 def decode_csv(path: Path) -> dict[str, Any]:
@@ -91,7 +91,7 @@ def _check_lines(path: Path) -> None:
 
 def _columns(path: Path) -> tuple[list[str], list[float]]:
     with path.open("rb") as file:
-        head = file.readline(_LONGEST_HEAD)
+        head = file.readline(4096)
     try:
         given = [name.strip() for name in head.decode("utf-8-sig").split(",")]
     except UnicodeDecodeError:
@@ -181,7 +181,7 @@ def decode_rgl(path: Path) -> dict[str, np.ndarray]:
         for _ in range(count):
             (length,) = struct.unpack_from("<H", content, at)
             name = content[at + 2 : at + 2 + length].decode()
-            if not 0 < length <= _LONGEST_NAME or not name.isidentifier() or name in found:
+            if not 0 < length <= 64 or not name.isidentifier() or name in found:
                 raise FileFormatError(
                     f"{path}: the name of a field at byte {at} is invalid or repeated: the file is damaged; copy it "
                     "again"

@@ -13,8 +13,6 @@ import numpy as np
 
 from matcam.core.errors import FileFormatError
 
-_LARGEST = 256 << 20
-"""Largest size of a file, bytes: a thousand times that of a measurement at one wavelength."""
 AXES = ("SampleRotation", "AngleOfIncidence", "ScatterAzimuth", "ScatterRadial")
 _CHANNELS = {"Monochrome": "Y", "TristimulusX": "X", "TristimulusY": "Y", "TristimulusZ": "Z"}
 
@@ -25,9 +23,11 @@ def decode_zemax(path: Path) -> dict[str, Any]:
     The result has the angles of each axis (degrees), the names of the channels, and `values` (1/sr) of shape (channels,
     incidence, azimuth, radial).
     """
-    if path.stat().st_size > _LARGEST:
+    # the limit is a thousand times the size of a measurement at one wavelength
+    size, largest = path.stat().st_size, 256 << 20
+    if size > largest:
         raise FileFormatError(
-            f"{path}: the file has {path.stat().st_size} bytes, but at most {_LARGEST} are allowed for a BSDF of Zemax: give a "
+            f"{path}: the file has {size} bytes, but at most {largest} are allowed for a BSDF of Zemax: give a "
             "smaller file"
         )
     words = re.sub(r"#[^\n]*", "", path.read_text(encoding="latin-1")).split()

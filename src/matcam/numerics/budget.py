@@ -18,7 +18,7 @@ from scipy.special import stdtrit
 
 from matcam.core import checks
 from matcam.core.errors import ArgumentError
-from matcam.core.io import check_output, plain, write_columns, write_json
+from matcam.core.io import plain, write_columns, write_json
 
 _COVERAGE = 0.9545
 """Probability of +-2 standard deviations of a normal distribution."""
@@ -248,7 +248,7 @@ def write_budgets(path: str | Path, budgets: Sequence[UncertaintyBudget], *, for
         ...     path.read_text().splitlines()[1]
         '"length, m",B,1,0.001,1,0.001,inf'
     """
-    _check_name(path)
+    check_budget_name(path)
     budgets = checks.instances("budgets", budgets, UncertaintyBudget)
     if Path(path).suffix.lower() == ".json":
         write_json(path, {"budgets": [one.to_dict() for one in budgets]}, force=force)
@@ -257,17 +257,8 @@ def write_budgets(path: str | Path, budgets: Sequence[UncertaintyBudget], *, for
     write_columns(path, {name: [cell for part in parts for cell in part[name]] for name in _COLUMNS}, force=force)
 
 
-def check_budget(path: str | Path, *, force: bool, inputs: Sequence[str | Path] = ()) -> None:
-    """Check in advance that `write_budgets` can write a file.
-
-    An ArgumentError is raised if the name does not end in .json or .csv. An OutputError is raised if the file cannot be
-    written, exists without `force`, or is one of `inputs`.
-    """
-    _check_name(path)
-    check_output(path, force=force, inputs=inputs)
-
-
-def _check_name(path: str | Path) -> None:
+def check_budget_name(path: str | Path) -> None:
+    """Raise ArgumentError if the name of a file of budgets does not end in .json or .csv."""
     if Path(path).suffix.lower() not in (".json", ".csv"):
         raise ArgumentError(f"{path}: the name of a budget file must end in .json or .csv")
 

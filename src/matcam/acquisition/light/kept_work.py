@@ -54,7 +54,7 @@ class KeptWork:
 
     def clear(self) -> None:
         since = time.time() - _OLD
-        old = [one.name for one in sealed_files(self.folder) if one.status.st_mtime < since and is_kept(one.name)]
+        old = [name for name, of in sealed_files(self.folder).items() if of.st_mtime < since and is_kept(name)]
         remove_sealed(self.folder, [*(path.name for path in self._files), *old])
 
 

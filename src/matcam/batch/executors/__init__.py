@@ -9,19 +9,6 @@ from collections.abc import Generator, Sequence
 from matcam.batch.job import Job, Outcome
 from matcam.core.threads import ONE_BLAS_THREAD
 
-_ONE_CORE = {**ONE_BLAS_THREAD, "NPROC": "1"}  # NPROC is the size of the pools of threads of XLA and matcam
-"""Environment variables for the BLAS of NumPy and XLA, which read them on import."""
-_KEPT_MEMORY = {
-    "MALLOC_ARENA_MAX": "1",
-    # a worker reuses freed memory for its next table, because the system would zero new pages, which is slow
-    "MALLOC_MMAP_THRESHOLD_": str(1 << 30),
-    "MALLOC_TRIM_THRESHOLD_": str(1 << 32),
-}
-"""Environment variables of the C library; values of the user are kept."""
-_PLATFORMS = "JAX_PLATFORMS"
-_PREALLOCATE = "XLA_PYTHON_CLIENT_PREALLOCATE"
-_XLA = "--xla_cpu_multi_thread_eigen=false"
-
 
 class Executor(ABC):
     """Executor of the jobs of a run."""
@@ -40,14 +27,18 @@ def one_core_environment() -> dict[str, str]:
     Settings of the user for XLA and memory have priority. Without this restriction, each parallel worker would start a
     thread for every core.
     """
-    # workers compute on their cores; if the user selected a GPU, the first worker must not allocate all of it
-    platforms = os.environ.get(_PLATFORMS, "cpu")
-    shared = os.environ.get(_PREALLOCATE, "false")
-    memory = {name: os.environ.get(name, value) for name, value in _KEPT_MEMORY.items()}
+    defaults = {
+        # workers compute on their cores; if the user selected a GPU, the first worker must not allocate all of it
+        "JAX_PLATFORMS": "cpu",
+        "XLA_PYTHON_CLIENT_PREALLOCATE": "false",
+        "MALLOC_ARENA_MAX": "1",
+        # a worker reuses freed memory for its next table, because the system would zero new pages, which is slow
+        "MALLOC_MMAP_THRESHOLD_": str(1 << 30),
+        "MALLOC_TRIM_THRESHOLD_": str(1 << 32),
+    }
     return {
-        **_ONE_CORE,
-        **memory,
-        _PLATFORMS: platforms,
-        _PREALLOCATE: shared,
-        "XLA_FLAGS": f"{os.environ.get('XLA_FLAGS', '')} {_XLA}".strip(),
+        **{name: os.environ.get(name, value) for name, value in defaults.items()},
+        **ONE_BLAS_THREAD,
+        "NPROC": "1",  # size of the pools of threads of XLA and matcam
+        "XLA_FLAGS": f"{os.environ.get('XLA_FLAGS', '')} --xla_cpu_multi_thread_eigen=false".strip(),
     }

@@ -51,7 +51,6 @@ _LOGARITHM = (
     0.6666666666666666, 0.4000000000000088, 0.2857142857080361, 0.22222222391714783, 0.18181795640040438, 0.15386239707844115,
     0.1326877300396345, 0.13086627556452163,
 )  # fmt: skip
-_TINY = 1e-300  # prevents 0 / 0
 _MANTISSA_BITS, _BITS_OF_HALF_ROOT = 52, 0x3FE6A09E667F3BCD  # number of bits of a mantissa, and the bits of sqrt(1/2)
 
 
@@ -99,7 +98,7 @@ def angle_of(y: jax.Array, x: jax.Array) -> jax.Array:
     """
     x = xp.maximum(x, 0.0)
     steep = y > x
-    ratio = xp.minimum(x, y) / xp.maximum(xp.maximum(x, y), _TINY)
+    ratio = xp.minimum(x, y) / xp.maximum(xp.maximum(x, y), 1e-300)  # prevents 0 / 0
     middle = ratio > sqrt(2) - 1  # tan(pi/8): beyond it, the angle is computed from its difference to pi/4
     ratio = xp.where(middle, (ratio - 1) / (ratio + 1), ratio)
     square = ratio * ratio

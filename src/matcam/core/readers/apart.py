@@ -38,7 +38,8 @@ from matcam.core.errors import FileFormatError
 from matcam.core.io import reading
 from matcam.core.memory import available_memory
 from matcam.core.readers.answers import read_answer
-from matcam.core.readers.serving import called, decoded
+from matcam.core.readers.serving import decoded
+from matcam.core.registry import imported
 from matcam.core.threads import ONE_BLAS_THREAD
 
 _SERVING = "matcam.core.readers.serving"
@@ -83,7 +84,7 @@ def files_are_trusted() -> bool:
 def start_reader(modules: Sequence[str]) -> None:
     if _CAN_FORK and not files_are_trusted():
         with contextlib.suppress(OSError):  # the first file that is read reports the error
-            for one in _request({"module": "", "libraries": list(modules)})[1:]:
+            for one in _request({"decoder": "", "libraries": list(modules)})[1:]:
                 one.close()
 
 
@@ -119,10 +120,9 @@ def read_apart(
         MatcamError: errors of matcam that the decoder raises are raised unchanged.
     """
     limits = _limits.get()
-    module, name = decoder.split(":")
     if limits is None:
         try:
-            return decoded(module, name, path, options, what)
+            return decoded(decoder, path, options, what)
         except MemoryError:
             raise FileFormatError(
                 f"{path}: reading needs more memory than is available: free memory, or give a smaller file"
@@ -130,7 +130,7 @@ def read_apart(
     with reading(path, what):
         size = path.stat().st_size if size is None else size
         if small and size <= small:
-            return called(module, name, path, options)
+            return imported(decoder)(path, **options)
     # the slowest decoder (PNG) reads 30 MB in 1 s
     seconds = 2.0 + size / 5e6 if limits.seconds is None else limits.seconds
     # the wall-clock time may exceed the processor time, because the machine may be busy, or the disk slow
@@ -140,7 +140,7 @@ def read_apart(
     allowed = min((512 << 20) + 32 * size, available_memory() // 2)
     memory = allowed if limits.memory is None else limits.memory
     folder = path.anchor or str(Path.cwd())
-    request = {"module": module, "name": name, "path": str(path), "folder": folder, "options": options, "what": what,
+    request = {"decoder": decoder, "path": str(path), "folder": folder, "options": options, "what": what,
                "seconds": seconds, "wall": wall, "memory": memory, "libraries": libraries}  # fmt: skip
     for _ in range(_ATTEMPTS):
         try:

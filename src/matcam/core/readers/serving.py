@@ -21,13 +21,10 @@ from matcam.core import errors
 from matcam.core.errors import FileFormatError, one_line
 from matcam.core.io import reading
 from matcam.core.readers.answers import packed, write_answer
+from matcam.core.registry import imported
 
 
-def called(module: str, name: str, path: Path, options: dict[str, Any]) -> Any:
-    return getattr(importlib.import_module(module), name)(path, **options)
-
-
-def decoded(module: str, name: str, path: Path, options: dict[str, Any], what: str) -> Any:
+def decoded(decoder: str, path: Path, options: dict[str, Any], what: str) -> Any:
     """Call a decoder, and convert its errors to FileFormatError.
 
     A decoder may raise any error for a damaged file. Errors of matcam and a MemoryError are not converted. The message is one
@@ -35,7 +32,7 @@ def decoded(module: str, name: str, path: Path, options: dict[str, Any], what: s
     """
     with reading(path, what):
         try:
-            return called(module, name, path, options)
+            return imported(decoder)(path, **options)
         except (errors.MatcamError, MemoryError):
             raise
         except Exception as error:
@@ -52,7 +49,7 @@ def _serve(request: dict[str, Any], write: Callable[[Any], Any]) -> None:
     try:
         os.chdir(request["folder"])  # messages contain the path as the caller gave it
         path = Path(request["path"])
-        answer = decoded(request["module"], request["name"], path, request["options"], request["what"])
+        answer = decoded(request["decoder"], path, request["options"], request["what"])
         message = {"answer": packed(answer, arrays)}
     except errors.MatcamError as error:
         message, arrays = {"error": type(error).__name__, "text": str(error)}, []
@@ -119,11 +116,12 @@ def serve_by_forking(number: int) -> None:
         while len(text) < length and (piece := requests.recv(length - len(text))):
             text += piece
         request = json.loads(bytes(text))
-        for name in filter(None, (request["module"], *request["libraries"])):  # once, for all future children
+        module = request["decoder"].partition(":")[0]
+        for name in filter(None, (module, *request["libraries"])):  # once, for all future children
             with contextlib.suppress(ImportError):
                 importlib.import_module(name)
         with channel:
-            if not request["module"]:
+            if not module:
                 status.close()
             elif child := os.fork():
                 children[child] = status

@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 import xarray as xr
 
 from matcam.core.errors import ArgumentError
-from matcam.core.registry import Registry
+from matcam.core.registry import imported
 from matcam.core.results.summary import Summarised, Summary, draw
 
 D = TypeVar("D", xr.Dataset, xr.DataArray)
@@ -60,21 +60,18 @@ def named(data: D, texts: Mapping[str, str] | None = None) -> D:
 
 
 _KINDS = {
-    "Fresnel term": {"raw", "corrected", "supported_angle"},
-    "corrected table": {"brdf", "correction_std", "supported"},
-    "bounds": {"width_std", "lens_std_free", "fresnel_std"},
-    "prediction": {"response", "relative_response", "loss_angle"},
+    "Fresnel term": ({"raw", "corrected", "supported_angle"}, "matcam.inverse.dataset_summaries:fresnel_summary"),
+    "corrected table": (
+        {"brdf", "correction_std", "supported"},
+        "matcam.inverse.dataset_summaries:corrected_summary",
+    ),
+    "bounds": ({"width_std", "lens_std_free", "fresnel_std"}, "matcam.inverse.dataset_summaries:bounds_summary"),
+    "prediction": (
+        {"response", "relative_response", "loss_angle"},
+        "matcam.forward.prediction:prediction_summary",
+    ),
 }
-"""Variables by which each kind of Dataset is identified; no other kind has all of them."""
-_SUMMARIES: Registry[Any] = Registry(
-    {
-        "Fresnel term": "matcam.inverse.dataset_summaries:fresnel_summary",
-        "corrected table": "matcam.inverse.dataset_summaries:corrected_summary",
-        "bounds": "matcam.inverse.dataset_summaries:bounds_summary",
-        "prediction": "matcam.forward.prediction:prediction_summary",
-    }
-)
-"""Function that summarises each kind of Dataset, imported on first use."""
+"""Kinds of Datasets: variables that only this kind has all of, and function that summarises it, imported on first use."""
 
 
 @xr.register_dataset_accessor("matcam")
@@ -95,7 +92,7 @@ class DatasetAccessor(Summarised):
         An ArgumentError is raised for any other Dataset.
         """
         names = set(map(str, self._data.variables))
-        found = [kind for kind, variables in _KINDS.items() if variables <= names]
+        found = [kind for kind, (variables, _) in _KINDS.items() if variables <= names]
         if not found:
             raise ArgumentError(
                 "summary and plot need a result of fresnel, correct, limits or predict, but this Dataset lacks the variables "
@@ -104,7 +101,7 @@ class DatasetAccessor(Summarised):
         return found[0]
 
     def _summary(self) -> Summary:
-        return _SUMMARIES[self.kind](self._data)
+        return imported(_KINDS[self.kind][1])(self._data)
 
     def plot(self, ax: Any = None, **options: Any) -> Any:
         """Draw the result; see `Summarised.plot`."""

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from matcam.core.registry import Registry
+from matcam.core.registry import imported
 from matcam.core.remark import Remark
 
 if TYPE_CHECKING:
@@ -26,9 +26,6 @@ many to read.
 """
 _WIDTH = 100
 """Number of characters of a line of text, as in the reports of lmfit and statsmodels."""
-
-_FIGURES: Registry[Any] = Registry({"draw": "matcam.figures.artists:draw"})
-"""Function that draws results. It is imported with the first figure, so that no layer below depends on figures."""
 
 
 class Quantity(NamedTuple):
@@ -241,4 +238,5 @@ def draw(kind: str, result: Any, ax: Axes | None, options: Mapping[str, Any]) ->
         ax: Axes to draw on. None: the Axes of a new figure.
         options: options of the figure.
     """
-    return _FIGURES["draw"](kind, result, ax, options)
+    # imported with the first figure, so that no layer below depends on figures
+    return imported("matcam.figures.artists:draw")(kind, result, ax, options)
