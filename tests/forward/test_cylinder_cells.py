@@ -59,7 +59,7 @@ def test_drawn_cells_are_those_of_an_independent_quadrature(view, alpha):
     truth = np.array(
         [oracle.record(lobe.p22, smith(lobe), radius, lens, *cell, alpha) for cell in zip(*angles, strict=True)]
     )
-    positions = line_positions(rig_of(*view), *angles)
+    positions = line_positions(rig_of(*view).sample, *angles)
     found = np.asarray(record_cells(Microfacet(GGX(alpha), 1.0), rig_of(*view), positions))[:, 0] / np.asarray(
         cosines(*angles)[0]
     )
@@ -74,7 +74,9 @@ def test_a_lens_out_of_focus_makes_discs(alpha):
         [oracle.record(lobe.p22, smith(lobe), 150.0, lens, *cell, alpha) for cell in zip(*angles, strict=True)]
     )
     rig = rig_of(0.5, 0.5, 150.0, aperture=0.03, focus=0.4)
-    found = np.asarray(record_cells(Microfacet(GGX(alpha), 1.0), rig, line_positions(rig, *angles)))[:, 0]
+    found = np.asarray(
+        record_cells(Microfacet(GGX(alpha), 1.0), rig, line_positions(rig.sample, *angles, rig.lamp.nearness))
+    )[:, 0]
     found = found / np.asarray(cosines(*angles)[0])
     assert np.all(np.abs(found - truth) < np.maximum(1e-4 * truth, 1e-7 * truth.max()))
 
@@ -84,7 +86,7 @@ def check_cells(count, rule=(1, 1), alpha=0.05, most=np.pi / 2, **geometry):
     rig, theirs = made(radius=60.0, kind="cylinder", **geometry)
     angles = drawn_cells(np.random.default_rng(7), 4 * count)
     angles = tuple(a[angles[1] < most][:count] for a in angles)
-    positions, cos_i = line_positions(rig, *angles), np.asarray(cosines(*angles)[0])
+    positions, cos_i = line_positions(rig.sample, *angles, rig.lamp.nearness), np.asarray(cosines(*angles)[0])
     found = np.asarray(record_cells(Microfacet(GGX(alpha), 1.0, 0.2), rig, positions))[:, 0]
     found = found / (cos_i * np.asarray(closeness(rig.lamp.nearness, cos_i)) ** 2)
     surface = lamp_record.Surface(alpha, 0.2)
@@ -118,7 +120,7 @@ def test_cells_under_a_disc(count, geometry):
 
 def test_a_lamp_is_turned_until_the_normal_lies_across_the_axis():
     angles = drawn_cells(np.random.default_rng(2), 40)
-    positions = line_positions(rig_of(0.5, 0.5, 100.0), *angles)
+    positions = line_positions(rig_of(0.5, 0.5, 100.0).sample, *angles)
     for n, cell in enumerate(zip(*angles, strict=True)):
         normal, light, _ = oracle.directions(*cell)
         np.testing.assert_allclose(positions.x[n], 100 * normal[0], atol=1e-10)
@@ -139,7 +141,7 @@ def test_a_table_holds_the_cells_of_both_ways_and_a_sharp_camera_reads_the_mater
 
 def test_the_peak_is_that_of_the_exact_peak_response():
     rig, theta_d = rig_of(0.6, 0.5, 200.0), np.radians(np.arange(1.0, 86.0, 7.0))
-    positions = line_positions(rig, 0 * theta_d, theta_d, 0 * theta_d)
+    positions = line_positions(rig.sample, 0 * theta_d, theta_d, 0 * theta_d, rig.lamp.nearness)
     recorded = np.asarray(record_cells(Microfacet(GGX(0.004), 1.0, masking=None), rig, positions))[:, 0]
     true = 1 / (np.pi * 0.004**2) / (4 * np.cos(theta_d))
     np.testing.assert_allclose(
@@ -170,7 +172,9 @@ def test_a_lens_of_several_gaussians_is_the_sum_of_its_terms(optics, alpha):
         ]
     )
     rig = Rig(Camera(optics, BoxPixel(0.5)), Cylinder(150.0))
-    found = np.asarray(record_cells(Microfacet(GGX(alpha), 1.0), rig, line_positions(rig, *angles)))[:, 0]
+    found = np.asarray(
+        record_cells(Microfacet(GGX(alpha), 1.0), rig, line_positions(rig.sample, *angles, rig.lamp.nearness))
+    )[:, 0]
     found = found / np.asarray(cosines(*angles)[0])
     assert np.all(np.abs(found - truth) < np.maximum(1e-4 * truth, 1e-7 * truth.max()))
 
@@ -190,7 +194,7 @@ def test_under_a_lamp_across_the_axis_a_row_of_the_picture_says_the_same(apertur
 @pytest.mark.slow
 def test_derivatives_are_those_of_differences():
     jax = pytest.importorskip("jax")
-    positions = line_positions(rig_of(0.6, 0.5, 80.0), *drawn_cells(np.random.default_rng(4), 30))
+    positions = line_positions(rig_of(0.6, 0.5, 80.0).sample, *drawn_cells(np.random.default_rng(4), 30))
 
     def total(alpha, sigma):
         return record_cells(Microfacet(GGX(alpha), 1.0), rig_of(sigma, 0.5, 80.0), positions).sum()

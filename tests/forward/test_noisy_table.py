@@ -29,7 +29,7 @@ def test_pixels_agree_with_the_oracles_map(pixels):
     for j, (_, index) in enumerate(merl_lobe.PixelMap().pairs):
         if j % 11:
             continue
-        ours = np.stack([pixels.first[j], pixels.second[j]])
+        ours = pixels[:, j]
         pairs = np.unique(np.stack([ours.ravel(), index.ravel()]), axis=1)
         assert pairs.shape[1] == np.unique(ours).size == np.unique(index).size
 
@@ -52,7 +52,7 @@ def test_pixel_counts_add_up_to_the_lit_picture():
 
 def test_about_seventy_five_cells_share_the_peaks_pixel(pixels):
     """docs/model.md 5."""
-    first, second = pixels.first[30].ravel(), pixels.second[30].ravel()
+    first, second = pixels[:, 30].reshape(2, -1)
     numbers, counts = np.unique(np.concatenate([first, second]), return_counts=True)
     assert counts.max() > 300  # all of the first two rings
     near = (first[:, None] == numbers[counts > 20]).any(axis=1)

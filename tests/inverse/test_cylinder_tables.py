@@ -91,7 +91,7 @@ def simulated_cells(material, rig, cells):
     for way in (0, np.pi):
         shown = (*angles[:2], angles[2] + way)
         cos_i = np.asarray(cosines(*shown)[0])
-        radiance = record_cells(material, rig, line_positions(rig, *shown))
+        radiance = record_cells(material, rig, line_positions(rig.sample, *shown, rig.lamp.nearness))
         directions.append(np.asarray(radiance)[:, 0] / cos_i / np.asarray(closeness(rig.lamp.nearness, cos_i)) ** 2)
     return at, np.mean(directions, axis=0)
 

@@ -126,7 +126,7 @@ def test_the_derivative_to_a_disc():
     def total(radius):
         own = jax.tree.map(jnp.asarray, disc)._replace(radius=jnp.broadcast_to(radius, (16,)))
         points = chord_points(view.on_sphere, own)
-        return jnp.sum(lamp_kernel(view.on_sphere, blur, (0,), own, points, normal, at, (zero, zero)), -1)
+        return jnp.sum(lamp_kernel(view.on_sphere, blur, own, points, normal, at, (zero, zero)), -1)
 
     known, step = np.radians(0.5), 1e-5
     _, slope = jax.jvp(total, (jnp.asarray(known),), (jnp.asarray(1.0),))

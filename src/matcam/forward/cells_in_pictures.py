@@ -11,11 +11,13 @@ from matcam.core.arrays import xp
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import GRID_SHAPE, Sampling, cosines, merl_grid, theta_h_edges
 from matcam.core.jax import AnyArray, computes_on_gpu, is_concrete, jax, jnp
+from matcam.forward.cylinder_cells import line_positions
 from matcam.forward.pixel_grid import phase_of_slices, slice_pixels, turned
 from matcam.forward.sampler.cell_rings import Rings, rings_of
 from matcam.forward.sampler.plan import RecordPositions
 from matcam.lamp.lamps import closeness
 from matcam.rigs import ON_REAL_PIXELS, CellValue, PixelPhase
+from matcam.sample.curved import Cylinder
 from matcam.sample.positions import positions_of
 from matcam.sample.shape import Curved
 
@@ -85,9 +87,10 @@ class TableCells(NamedTuple):
 
     `irradiance` and `weight` have the shape (theta_d, theta_h, phi_d, points along theta_h, points along phi_d).
 
-    If the lamp is in the x direction of the sensor, the positions at phi_d + pi are mirror images of the positions at
-    pi - phi_d. Reversing the order of phi_d, and of the points along phi_d, therefore yields the other direction. For
-    any other azimuth of the lamp, or if the kernel of the lens is not symmetric, phi_d covers the full turn.
+    If the lamp is in the x direction of the sensor, or if the sample is a cylinder, the positions at phi_d + pi are mirror
+    images of the positions at pi - phi_d. Reversing the order of phi_d, and of the points along phi_d, therefore yields the
+    other direction. For any other azimuth of the lamp, or if the kernel of the lens is not symmetric, phi_d covers the full
+    turn.
 
     Attributes:
         positions: positions of the visible points that are not on rings, followed by the positions from which rings are
@@ -125,14 +128,16 @@ def _table_cells(sample: Curved, choice: CellChoice, lamp_nearness: jax.Array | 
     cos_i, cos_o = (np.asarray(c) for c in cosines(theta_h, theta_d, phi_d))
     seen = (cos_i > 0) & (cos_o > 0)
 
-    def placed(theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> tuple[np.ndarray, ...]:
+    def placed(theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> RecordPositions:
+        if isinstance(sample, Cylinder):
+            return line_positions(sample, theta_h, theta_d, phi_d, lamp_nearness)
         x, y, lamp_angle = positions_of(sample, theta_h, theta_d, phi_d, lamp_nearness)
-        return *turned(x, y, azimuth), lamp_angle
+        return RecordPositions(*turned(x, y, azimuth), lamp_angle, np.full(x.shape, azimuth) if azimuth else None)
 
-    x, y, lamp_angle = placed(theta_h, theta_d, phi_d)
+    every = placed(theta_h, theta_d, phi_d)
     if choice.crop is not None:
         height, width = choice.crop
-        seen &= (np.abs(x) <= width / 2) & (np.abs(y) <= height / 2)
+        seen &= (np.abs(every.x) <= width / 2) & (np.abs(every.y) <= height / 2)
     # in a distant rig, a normal that is not visible has a position on the sensor, too
     whole = np.ones(seen.shape, dtype=bool) if sample.distant and lamp_nearness is None else seen
     rings, samples = rings_of(theta_h, theta_d, phi_d, whole, _per_radian(sample, choice.finest), mirrored)
@@ -141,15 +146,19 @@ def _table_cells(sample: Curved, choice: CellChoice, lamp_nearness: jax.Array | 
         on_ring[ring.cells] = True
     index = np.flatnonzero(seen & ~on_ring.reshape(seen.shape))
     picture = np.broadcast_to(np.arange(n_d)[:, None, None, None, None], seen.shape)
-    direct = [a.ravel()[index] for a in (x, y, lamp_angle, picture)]
     slices = np.searchsorted(merl_grid(cell_sampling(cell_value)).theta_d, samples[1] - 1e-9)
-    x, y, lamp_angle, picture = (np.concatenate(both) for both in zip(direct, (*placed(*samples), slices), strict=True))
-    positions = RecordPositions(x, y, lamp_angle, np.full(x.size, azimuth) if azimuth else None, picture)
+    positions = jax.tree.map(
+        lambda cells, of_rings: np.concatenate([cells.ravel()[index], of_rings]),
+        every._replace(picture=picture),
+        placed(*samples)._replace(picture=slices),
+    )
 
-    # number of pixels per point, for a distant camera: r^2 cos_o sin theta_h dtheta_h dphi_d (docs/model.md 8)
-    edges = theta_h_edges()
-    solid = (np.sin(edges[:-1] + np.diff(edges) / 2) * np.diff(edges) * np.pi / n_p)[None, :, None, None, None]
-    content = np.where(seen, cos_o * solid, 0.0) * float(sample.radius) ** 2 / points.size**2
+    if isinstance(sample, Cylinder):  # each direction of a cell has its own image and pixel
+        content = seen * 1.0
+    else:  # number of pixels per point, for a distant camera: r^2 cos_o sin theta_h dtheta_h dphi_d (docs/model.md 8)
+        edges = theta_h_edges()
+        solid = (np.sin(edges[:-1] + np.diff(edges) / 2) * np.diff(edges) * np.pi / n_p)[None, :, None, None, None]
+        content = np.where(seen, cos_o * solid, 0.0) * float(sample.radius) ** 2 / points.size**2
     pixels = (content + _other_way(content, mirrored)).sum(axis=(3, 4))[:, :, :n_p].transpose(1, 0, 2)
     # equal intervals of sqrt(theta_h) contain unequal numbers of pixels
     weight = content * share[None, :, None, :, None] * np.sin(theta_h) if cell_value == "mean" else seen * 1.0

@@ -20,7 +20,6 @@ from matcam.rigs import Rig
 from matcam.sample.curved import Sphere
 
 _FALSE_LIGHT_THETA_H = np.radians([0.5, 1, 2, 3, 5, 7, 10, 15, 20, 30, 40, 50, 60])
-_FAR_FROM_HIGHLIGHT = 29.9  # smallest theta_h far from the highlight, degrees
 _NAMES = {
     "true": "BRDF of the material [1/sr]",
     "recorded": "BRDF as recorded, with the halo [1/sr]",
@@ -74,7 +73,7 @@ def false_light(material: Material, rig: Rig, theta_d: float = np.pi / 8) -> xr.
     true = np.asarray(material.brdf(theta_h, theta_d, phi_d)).reshape(theta_h.size, -1)
     dims = ("theta_h", "channel")
     added = with_halo - without
-    far = np.degrees(theta_h) >= _FAR_FROM_HIGHLIGHT
+    far = np.degrees(theta_h) > 29.9
     data = xr.Dataset(
         {
             "true": (dims, np.broadcast_to(true, added.shape)),

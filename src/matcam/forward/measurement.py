@@ -9,8 +9,6 @@ same pixel have the same noise (docs/model.md 8).
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 import xarray as xr
 from jax.typing import ArrayLike
@@ -39,7 +37,7 @@ from matcam.forward.cells_in_pictures import (
     cell_means,
     cell_sampling,
 )
-from matcam.forward.cylinder_cells import check_cylinder, cylinder_table
+from matcam.forward.cylinder_cells import check_cylinder, record_cells
 from matcam.forward.frequencies.table_records import frequency_error, record_by_frequencies, served_by_frequencies
 from matcam.forward.integral.blur import Imaging, imaging_of, kernel_error
 from matcam.forward.pixel_grid import phase_of_slices, pixel_numbers, slice_pixels
@@ -173,7 +171,7 @@ def table_values(
         return _flat_values(material, rig), np.zeros(GRID_SHAPE)
     if isinstance(rig.sample, Cylinder):
         check_cylinder(rig, _azimuth(rig, azimuth))
-        return cylinder_table(material, rig, workspace)
+        return _on_cylinder(material, rig, rig.sample, workspace)
     seen = [_values_through(material, one, _azimuth(rig, azimuth), shift, workspace) for one, shift in _colours(rig)]
     if len(seen) == 1:
         return jnp.asarray(seen[0][0]), seen[0][1]
@@ -207,6 +205,15 @@ def _values_through(
     lobe = graded_for(checks.outside_jit(material.finest, "the material's parameters"), imaging), material.elongation
     cells, plan = _table_plan(imaging, chosen, lobe, workspace)
     return cell_means(plan.record(material, imaging), cells), cells.pixels
+
+
+def _on_cylinder(material: Material, rig: Rig, sample: Cylinder, workspace: Workspace) -> tuple[jax.Array, np.ndarray]:
+    """Compute values and pixel counts of a table of a cylinder."""
+    sample, near = jax.lax.stop_gradient((sample, rig.lamp.nearness))
+    chosen = CellChoice(rig.cell_value, rig.crop)
+    key = float(sample.radius), float(sample.distance), 0.0 if near is None else float(near), chosen
+    cells = workspace.remember("cylinder cells", key, lambda: chosen.cells(sample, near), most=1)
+    return jnp.asarray(cell_means(record_cells(material, rig, cells.positions), cells)), cells.pixels
 
 
 def _by_frequencies(
@@ -247,14 +254,9 @@ def true_table(material: Material, sampling: Sampling = "centre") -> xr.DataArra
     return measure(material, Rig(merl().camera, Flat(), cell_value=sampling))
 
 
-class TablePlan(NamedTuple):
-    """Cells of a table, and the plan of their record."""
-
-    cells: TableCells | RealCells
-    plan: PlannedBlocks
-
-
-def _table_plan(imaging: Imaging, chosen: CellChoice, lobe: tuple[float, float], workspace: Workspace) -> TablePlan:
+def _table_plan(
+    imaging: Imaging, chosen: CellChoice, lobe: tuple[float, float], workspace: Workspace
+) -> tuple[TableCells | RealCells, PlannedBlocks]:
     """Compute the cells of a table and the plan of their record.
 
     An ArgumentError is raised if parameters of the rig are traced by jax.jit.
@@ -269,12 +271,12 @@ def _table_plan(imaging: Imaging, chosen: CellChoice, lobe: tuple[float, float],
             "outside jax.jit and jax.vmap"
         )
 
-    def plan() -> TablePlan:
+    def plan() -> tuple[TableCells | RealCells, PlannedBlocks]:
         cells = chosen.cells(imaging.sample, imaging.lamp_nearness)
         plan = PlannedBlocks(imaging, cells.positions, *lobe)
         if computes_on_gpu():
             cells = transferred(cells)._replace(pixels=cells.pixels)
-        return TablePlan(cells, plan)
+        return cells, plan
 
     key = tree, tuple(np.asarray(leaf).tobytes() for leaf in leaves), chosen, lobe
     return workspace.remember("table plan", key, plan, most=1)
@@ -352,8 +354,8 @@ def with_pixel_noise(table: xr.DataArray, rig: Rig, noise: PixelNoise, seed: int
             of_pixels = rng.standard_normal((2, share.shape[1], values.shape[3]))
             draws = np.stack([share @ e for e in of_pixels]).reshape(2, *values[:, j].shape)
         elif pixels is not None:
-            numbers, position = np.unique(np.stack([pixels.first[j], pixels.second[j]]), return_inverse=True)
-            position = position.reshape(2, *pixels.first[j].shape)
+            numbers, position = np.unique(pixels[:, j], return_inverse=True)
+            position = position.reshape(pixels[:, j].shape)
             draws = rng.standard_normal((2, numbers.size, values.shape[3]))[:, position].mean(axis=1)
         else:  # each direction has its own pixel
             draws = rng.standard_normal((2, 2, *values[:, j].shape)).mean(axis=1)
@@ -363,29 +365,18 @@ def with_pixel_noise(table: xr.DataArray, rig: Rig, noise: PixelNoise, seed: int
     return table.copy(data=values)
 
 
-class CellPixels(NamedTuple):
-    """Indices of the pixels of each cell (see `pixel_numbers`). Both arrays have the shape (theta_d, theta_h, phi_d).
+def cell_pixels(sphere: Sphere, sampling: Sampling, azimuth: float = 0.0) -> np.ndarray:
+    """Number the pixels of all cells in the images of a sphere, see `pixel_numbers`, (2, theta_d, theta_h, phi_d).
 
-    The optical axis is at the centre of a pixel.
-
-    Attributes:
-        first: pixel at azimuth pi - phi_d about the half vector.
-        second: pixel at the opposite azimuth.
-    """
-
-    first: np.ndarray
-    second: np.ndarray
-
-
-def cell_pixels(sphere: Sphere, sampling: Sampling, azimuth: float = 0.0) -> CellPixels:
-    """Number the pixels of all cells in the images of a sphere.
+    The first axis is that of the azimuth pi - phi_d about the half vector and of the opposite azimuth. The optical axis is at
+    the centre of a pixel.
 
     azimuth: azimuth of the lamp, rad.
     """
     grid = merl_grid(sampling)
     theta_h, theta_d, phi_d = grid.theta_h[:, None], grid.theta_d[:, None, None], grid.phi_d
     positions = (positions_of(sphere, theta_h, theta_d, phi_d + turn) for turn in (0, np.pi))
-    return CellPixels(*(pixel_numbers(x, y, azimuth=azimuth) for x, y, _ in positions))
+    return np.stack([pixel_numbers(x, y, azimuth=azimuth) for x, y, _ in positions])
 
 
 def simulated_chromium() -> xr.DataArray:

@@ -23,11 +23,6 @@ from matcam.rigs import ON_REAL_PIXELS, CellValue, PixelPhase, Rig
 if TYPE_CHECKING:
     from jax.typing import ArrayLike
 
-_SMALLEST = 1e-12
-"""Weight up to which a pixel is omitted from an interpolation, no unit. Such weights are rounding errors."""
-_STRIDE = 1 << 16
-"""Factor of the column in the number of a pixel. It exceeds the height of any image, px."""
-
 
 class PixelGrid(NamedTuple):
     """Real pixel grid, and the rule for the values of cells on this grid.
@@ -80,6 +75,24 @@ class PositionPixels(NamedTuple):
     weight: np.ndarray
 
 
+class CellPositions(NamedTuple):
+    """Two positions on a sphere that show a cell.
+
+    The last axis is that of the two positions.
+
+    Attributes:
+        x: distance from the optical axis towards the lamp, px.
+        y: distance from the optical axis, perpendicular to x, px.
+        cos_i: cosine of the angle of incidence.
+        cos_o: cosine of the viewing angle.
+    """
+
+    x: np.ndarray
+    y: np.ndarray
+    cos_i: np.ndarray
+    cos_o: np.ndarray
+
+
 class SlicePixels(NamedTuple):
     """Pixels that determine the values of all cells of one theta_d slice.
 
@@ -96,6 +109,18 @@ class SlicePixels(NamedTuple):
     y: np.ndarray
     cos_i: np.ndarray
     share: csr_matrix
+
+
+def cell_positions(radius: float, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> CellPositions:
+    """Compute the two image positions that show each cell.
+
+    Camera and lamp are distant (docs/model.md 3).
+    """
+    psi = np.pi - phi_d[..., None] + np.array([0.0, np.pi])
+    th, td = theta_h[..., None], theta_d[..., None]
+    mean, half = np.cos(th) * np.cos(td), np.sin(th) * np.sin(td) * np.cos(psi)
+    x = radius * (np.cos(th) * np.sin(td) + np.sin(th) * np.cos(psi) * np.cos(td))
+    return CellPositions(x, radius * np.sin(th) * np.sin(psi), mean + half, mean - half)
 
 
 def looked_up(rule: CellValue, phase: ArrayLike, x: np.ndarray, y: np.ndarray) -> PositionPixels:
@@ -183,13 +208,11 @@ def slice_pixels(
     """
     n_h, _, n_p = GRID_SHAPE
     grid = merl_grid("centre")
-    th, psi = grid.theta_h[:, None, None], np.pi - grid.phi_d[:, None] + np.array([0.0, np.pi])
-    x = radius * (np.cos(th) * np.sin(theta_d) + np.sin(th) * np.cos(psi) * np.cos(theta_d))
-    y = radius * np.sin(th) * np.sin(psi)
-    above = np.cos(th) * np.cos(theta_d) > np.sin(th) * np.sin(theta_d) * np.abs(np.cos(psi))
-    found = looked_up("bilinear" if rule == "bilinear" else "nearest", phase, *turned(x, y, azimuth))
+    own = cell_positions(radius, grid.theta_h[:, None], np.array(theta_d), grid.phi_d)
+    above = (own.cos_i > 0) & (own.cos_o > 0)
+    found = looked_up("bilinear" if rule == "bilinear" else "nearest", phase, *turned(own.x, own.y, azimuth))
     cell = np.broadcast_to(np.arange(n_h * n_p).reshape(n_h, n_p, 1, 1), found.x.shape)
-    used = (found.weight > _SMALLEST) & above[..., None]
+    used = (found.weight > 1e-12) & above[..., None]  # smaller weights are rounding errors
     cells, columns, rows, weight = (a[used] for a in (cell, found.x, found.y, found.weight))
     if rule == "mean":
         inside = _pixels_inside(phase, radius, theta_d, azimuth)
@@ -241,7 +264,8 @@ def pixel_numbers(x: np.ndarray, y: np.ndarray, phase: npt.ArrayLike = (0.0, 0.0
         relative to the rows of pixels, rad.
     """
     (x, y), phase = turned(x, y, azimuth), np.asarray(phase)
-    return np.rint(x - phase[..., 0]) * _STRIDE + np.rint(y - phase[..., 1])
+    # the factor of the column exceeds the height of any image, px
+    return np.rint(x - phase[..., 0]) * 65536 + np.rint(y - phase[..., 1])
 
 
 def turned(x: np.ndarray, y: np.ndarray, angle: float) -> tuple[np.ndarray, np.ndarray]:

@@ -140,7 +140,7 @@ def simulate_capture(
     lamps = list(sample.lamps(np.asarray(plan.theta_d, dtype=float), plan.azimuth, errors, rng))
     pictures = []
     for number, lamp in enumerate(lamps):
-        pictures.append(_drawn(sample, material, lamp, plan.error))
+        pictures.append(sample.drawn(material, lamp, plan.error))
         if progress:
             progress(number + 1, len(lamps))
     well = float(sensor.full_well)
@@ -233,10 +233,6 @@ def _sensor(rig: Rig) -> Sensor:
             f"a capture needs a sensor with a specified number of bits, at most 16, got bits={sensor.bits}"
         )
     return sensor
-
-
-def _drawn(sample: SyntheticSample, material: Material, lamp: dict[str, Any], error: float) -> np.ndarray:
-    return sample.drawn(material, lamp, error)
 
 
 def _mosaic(sensor: Sensor, radiance: np.ndarray) -> np.ndarray:

@@ -24,18 +24,12 @@ MARGIN = 48
 """Width of the border of an image beside a curved sample, px. The border contains the reference."""
 _ROWS = 96
 """Height of a cylinder's image, px."""
-_LARGEST_TILT = math.radians(40)
-"""Largest tilt of a flat sample, rad."""
 _LAMP_OF_FLAT = math.radians(20)
-"""Angle between the fixed lamp and the optical axis for a flat sample, rad. The tilts of the sample then yield half angles
-from 10 degrees through 0 to 30 degrees.
+"""Angle between the fixed lamp and the optical axis for a flat sample, rad. The tilts of the sample, up to 40
+degrees, then yield half angles from 10 degrees through 0 to 30 degrees.
 """
 _TEXTURE_SLOPE = -2.0
 """Exponent of frequency in the power spectrum of the textures, as in natural images (van der Schaaf and van Hateren 1996)."""
-_CONTRASTS = (0.2, 0.3)
-"""Relative standard deviations of the diffuse and of the specular texture."""
-_MM_PER_PX = 0.02
-"""Length on a flat sample per pixel, mm."""
 
 
 class LampErrors(NamedTuple):
@@ -226,13 +220,14 @@ class _FlatSample:
         self.rig, self.shape = rig, shape
         rng = np.random.default_rng(seed + 1_000_000)
         size = (2 * shape[0], 2 * shape[1])  # an image of the tilted sample shows a larger part of the texture
-        self.textures = [1 + contrast * _noise(size, rng) for contrast in _CONTRASTS]
+        # relative standard deviations of the diffuse and of the specular texture
+        self.textures = [1 + contrast * _noise(size, rng) for contrast in (0.2, 0.3)]
         self._tilts: list[float] = []
 
     def lamps(
         self, theta_d: np.ndarray, azimuth: float, errors: LampErrors, rng: np.random.Generator
     ) -> Iterator[dict[str, Any]]:
-        tilts = np.linspace(0, _LARGEST_TILT, len(theta_d))
+        tilts = np.linspace(0, math.radians(40), len(theta_d))
         self._tilts = np.degrees(tilts).round(6).tolist()
         half = math.degrees(_LAMP_OF_FLAT / 2)
         exact = errors._replace(direction=0.0, shift=0.0)  # reconstruct assumes that both are exact
@@ -249,7 +244,7 @@ class _FlatSample:
         return None
 
     def settings(self) -> dict[str, Any]:
-        return {"kind": "flat", "tilt_deg": self._tilts, "mm_per_px": _MM_PER_PX}
+        return {"kind": "flat", "tilt_deg": self._tilts, "mm_per_px": 0.02}
 
 
 def _noise(shape: tuple[int, int], rng: np.random.Generator) -> np.ndarray:

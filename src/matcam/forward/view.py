@@ -37,7 +37,6 @@ from matcam.sample.shape import Curved
 
 _AT_ONCE = 1 << 18
 """Largest number of positions of a fine record that are computed at once, which limits the memory."""
-_FARTHEST_REACH = 8.0  # largest margin beyond the limb of an image without a given shape, px
 
 
 class View(NamedTuple):
@@ -137,7 +136,7 @@ def _picture_shape(rig: Rig, shape: tuple[int, int] | None, reach: float) -> tup
         return picture_shape("shape", shape)
     if rig.crop is not None:
         return rig.crop
-    side = 2 * int(np.ceil(float(rig.sample.radius) + min(reach, _FARTHEST_REACH))) + 1  # type: ignore[attr-defined]
+    side = 2 * int(np.ceil(float(rig.sample.radius) + min(reach, 8.0))) + 1  # type: ignore[attr-defined]
     return picture_shape("shape", (side, side))
 
 

@@ -32,8 +32,6 @@ _MORE = 4.4
 """Largest width of a lit crescent minus the depth of the region of the limb, in standard deviations of the transition. A
 narrower crescent belongs entirely to this region.
 """
-_NO_BORDER = 1e9
-"""Depth of a border outside any sphere, px."""
 
 
 class RegionWidths(NamedTuple):
@@ -103,7 +101,8 @@ class Regions(NamedTuple):
 
     def limb(self, x: jax.Array, y: jax.Array) -> jax.Array:
         """Evaluate the weight `limb` at a position in the scene, px, without the factor (1 - highlight)."""
-        middle = jnp.where(self.all_limb, _NO_BORDER, _ENDS * self.widths.sigma)
+        # a border outside any sphere, if the lit part belongs entirely to the region of the limb
+        middle = jnp.where(self.all_limb, 1e9, _ENDS * self.widths.sigma)
         radius = self.scene.sample.radius
         return self.fall(radius - plane_length(x, y) - middle)
 

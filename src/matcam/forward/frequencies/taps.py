@@ -16,9 +16,6 @@ from matcam.core.jax import AnyArray, jax, jnp
 
 _LOST = 14.0
 """Logarithm of the inverse error of the distribution, for an error of 1e-6."""
-_DEGREE = 12
-"""Degree of the polynomial in the squared distance that approximates the window to 3e-7."""
-_ON_A_POINT = 1e-9  # distance below which light is at a grid point, steps
 
 
 class Taps(NamedTuple):
@@ -47,7 +44,7 @@ class Taps(NamedTuple):
         off = (at - nearest)[..., None, :]
         whole = (jnp.asarray(start)[..., None] - nearest)[..., None, :] + np.arange(count)[:, None]
         away = whole - off
-        on_it = jnp.abs(away) < _ON_A_POINT
+        on_it = jnp.abs(away) < 1e-9
         # up to its sign, sin(pi away) equals sin(pi off), so one sine suffices for all grid points
         sign = 4 * jnp.abs(whole / 2 - jnp.floor(whole / 2)) - 1
         sinc = jnp.where(on_it, 1.0, sign * sine(jnp.pi * off) / (jnp.pi * jnp.where(on_it, 1.0, away)))
@@ -56,9 +53,12 @@ class Taps(NamedTuple):
 
 
 def _window() -> np.ndarray:
-    """Compute the coefficients of the window as a polynomial in (distance / support radius)^2, highest power first."""
+    """Compute the coefficients of the window as a polynomial in (distance / support radius)^2, to 3e-7.
+
+    The highest power is first.
+    """
     at = (1 + np.cos(np.pi * (np.arange(400) + 0.5) / 400)) / 2
-    fitted = np.polynomial.Chebyshev.fit(at, np.exp(_LOST * (np.sqrt(1 - at) - 1)), _DEGREE, domain=[0, 1])
+    fitted = np.polynomial.Chebyshev.fit(at, np.exp(_LOST * (np.sqrt(1 - at) - 1)), 12, domain=[0, 1])
     return fitted.convert(kind=np.polynomial.Polynomial).coef[::-1]
 
 

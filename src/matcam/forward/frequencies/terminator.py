@@ -16,9 +16,6 @@ from matcam.core.jax import jax, jnp
 from matcam.forward.frequencies.lines import Lines
 from matcam.forward.frequencies.regions import Regions
 
-_STEP = 0.25
-"""Distance over which the slope is determined, in steps of the grid."""
-
 
 def remove_kink(grid: jax.Array, regions: Regions, upright: bool, across: jax.Array, along: jax.Array) -> jax.Array:
     """Add the corrections at the terminator along all rows, or along all columns, to a grid.
@@ -48,7 +45,7 @@ def remove_kink(grid: jax.Array, regions: Regions, upright: bool, across: jax.Ar
     grows, beyond = towards - axis * at / depth, beside - axis * across / depth
     share = grows**2 / jnp.where(there, grows**2 + beyond**2, 1.0)
     share = jnp.where(there, share * regions.inside(*lines.ordered(at, fixed)), 0.0)
-    near = _STEP * jnp.abs(step)
+    near = jnp.abs(step) / 4  # distance over which the slope is determined
     slope = regions.sent(*lines.ordered(at - side * near, fixed)) / near
     position = (at - first) / step
     below = jnp.floor(jax.lax.stop_gradient(position))

@@ -33,10 +33,6 @@ from matcam.rigs import Rig
 from matcam.sample.curved import Sphere
 from matcam.sample.shape import Curved
 
-_LEAST_DISC = 1e-4
-"""Smallest radius of a disc in standard deviations of its blur. The difference over a chord then has 12 digits."""
-
-
 Line = Callable[[jax.Array], jax.Array]
 """Kernel along one axis, 1/px, as a function of the offset from the pixel's centre, px."""
 
@@ -165,7 +161,8 @@ class Blur(eqx.Module):
             return self._through_residual(spread, of)
         if not self.chords:
             return of(lambda x: self.kernel(x, term, spread.along), lambda y: self.kernel(y, term, spread.across))
-        disc = jnp.maximum(spread.disc, _LEAST_DISC * self.stds[term])
+        # the difference over a chord of the smallest disc has 12 digits
+        disc = jnp.maximum(spread.disc, 1e-4 * self.stds[term])
 
         def of_chord(chord: Chords) -> jax.Array:
             at, half, share = chord
@@ -309,18 +306,6 @@ class Blur(eqx.Module):
         """Build the blur without the source disc."""
         varies = self.chords > 0 or not (is_concrete(self.aperture) and float(self.aperture) == 0)
         return dataclasses.replace(self, lamp_radius=jnp.zeros(()), varies=varies)
-
-
-class BlurTerms(eqx.Module):
-    """Some terms of a blur, integrated over the same nodes.
-
-    Attributes:
-        blur: complete blur.
-        terms: indices of the selected terms of the blur.
-    """
-
-    blur: Blur
-    terms: tuple[int, ...] = eqx.field(static=True)
 
 
 def variances_at(

@@ -83,28 +83,26 @@ def groups_of(blur: Blur, sample: Curved) -> tuple[BlurGroup, ...]:
     return tuple(groups)
 
 
-def fineness_of(blur: Blur, terms: tuple[int, ...], reach: np.ndarray | float) -> np.ndarray:
-    """Compute the fineness of terms of a blur, see `BlurScale`.
+def fineness_of(blur: Blur, reach: np.ndarray | float) -> np.ndarray:
+    """Compute the fineness of a blur that consists of Gaussians or of a residual, see `BlurScale`.
 
-    Args:
-        blur: the blur.
-        terms: index of the residual of the blur, or indices of some of its Gaussians.
-        reach: support radius, px, of any shape.
+    reach: support radius, px, of any shape.
     """
-    if blur.residual is not None and blur.is_residual(terms[0]):
+    if blur.residual is not None:
         return np.maximum(reach / float(blur.residual.period) / _PERIODS, 1.0)
-    stds = np.asarray(jax.lax.stop_gradient(blur.stds))
-    return np.maximum(reach / float(np.min(stds[list(terms)])) / _WIDTHS, 1.0)
+    return np.maximum(reach / float(np.min(jax.lax.stop_gradient(blur.stds))) / _WIDTHS, 1.0)
 
 
 def _group(blur: Blur, terms: tuple[int, ...], half: float, widest: float) -> BlurGroup:
     """Build a group of Gaussians. widest: largest standard deviation with defocus and source disc, px."""
     std, reach = float(np.hypot(widest, half / np.sqrt(3))), half + _FOLLOWED * widest
-    return BlurGroup(terms, BlurScale(10 * std, 4.8 * std, reach, float(fineness_of(blur, terms, reach))))
+    return BlurGroup(terms, BlurScale(10 * std, 4.8 * std, reach, float(fineness_of(blur.only(terms), reach))))
 
 
 def _residual_group(blur: Blur, term: int, reach: float) -> BlurGroup:
-    return BlurGroup((term,), BlurScale(_REST_NEAR * reach, reach, reach, float(fineness_of(blur, (term,), reach))))
+    return BlurGroup(
+        (term,), BlurScale(_REST_NEAR * reach, reach, reach, float(fineness_of(blur.only((term,)), reach)))
+    )
 
 
 def _widest_spread(blur: Blur, sample: Curved) -> tuple[float, float]:

@@ -28,10 +28,6 @@ _ACROSS = np.polynomial.legendre.leggauss(8)[0]
 """Gauss-Legendre nodes in c, in [-1, 1]."""
 _ALONG = np.polynomial.legendre.leggauss(4)[0]
 """Gauss-Legendre nodes in the azimuth, in [-1, 1]."""
-_FINE_ACROSS, _FINE_ALONG = (np.polynomial.legendre.leggauss(n) for n in (100, 50))
-"""Nodes and weights in c and in the azimuth for the integrals of the lattice. There are several nodes per period of the
-cutoff frequency everywhere.
-"""
 _DEPTHS = 7
 """Number of depths of the lattice per period of the cutoff frequency."""
 _AZIMUTHS = 18
@@ -117,7 +113,8 @@ def _made(residual: KernelResidual, limb: float) -> LimbRule:
     around = 2 * np.pi / (4 if residual.even else 1)
     count = _AZIMUTHS * (1 if residual.even else 4)
     azimuth = around * np.arange(count) / count
-    (across, c_share), (along, turn_share) = _FINE_ACROSS, _FINE_ALONG
+    # several nodes in c and in the azimuth per period of the cutoff frequency everywhere
+    (across, c_share), (along, turn_share) = (np.polynomial.legendre.leggauss(n) for n in (100, 50))
     basis = np.stack(lagrange_basis(_ACROSS, across)), np.stack(lagrange_basis(_ALONG, along))
     weights = np.zeros((off.size, count, _ACROSS.size * _ALONG.size))
     half = (grid.shape[0] - 1) / 2

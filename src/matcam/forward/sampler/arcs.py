@@ -10,12 +10,8 @@ from matcam.core.jax import jax, jnp
 from matcam.core.programs import kept_program
 from matcam.numerics.blocks import in_blocks, in_calls
 
-_SHORTEST = 1e-14
-"""Length of an arc, rad, below which it is dropped as a rounding error."""
 CHUNK = 1024
 """Largest number of windows of one call."""
-_TINY = 1e-300
-"""Smallest divisor, which avoids a division by 0."""
 _TURN = 2 * np.pi
 _LIGHT_ENDS = 2
 """Number of half-spaces at whose borders the integrand does not vanish: limb and terminator, which come first
@@ -77,7 +73,7 @@ def _gaps(
         circle: angle of the circle from its axis, (...,), rad.
     """
     excess = offset - jnp.cos(circle)[..., None] * axial
-    cosine = excess / jnp.maximum(jnp.sin(circle)[..., None] * radial, _TINY)
+    cosine = excess / jnp.maximum(jnp.sin(circle)[..., None] * radial, 1e-300)
     half = jnp.arccos(jnp.clip(cosine, -1, 1))
     excludes = half > 0
     end, begin = azimuth + half, azimuth - half
@@ -94,7 +90,7 @@ def _gaps(
         length = jnp.where(covered | (own & (half[..., other, None] > _WHOLE)), 0.0, length)
     free = ~jnp.any(excludes, axis=-1, keepdims=True) & (np.arange(half.shape[-1]) == 0)
     vanishes = (length < until_dark) & (free | (np.arange(half.shape[-1]) >= _LIGHT_ENDS))
-    length = jnp.where((excludes | free) & (length > _SHORTEST), length, 0.0)
+    length = jnp.where((excludes | free) & (length > 1e-14), length, 0.0)  # shorter arcs are rounding errors
     return end, jnp.where(vanishes, -length, length)
 
 

@@ -41,8 +41,6 @@ px with a pixel of 1 px then has a step of 1.2 standard deviations, with an erro
 """
 COARSEST = 0.2
 """Largest scale of the grading towards the highlight, px at the centre of the sphere."""
-_UNGRADED = 1e3
-"""Scale of nodes that are not graded, rad."""
 _FAR = 1 / 8
 """Distance from the highlight, in lengths of the window on the sphere, beyond which the radiance is smooth along the window."""
 _STRIP = 2.0
@@ -65,8 +63,6 @@ limb.
 """
 _EQUAL = 1e-9
 """Difference of angles, rad, below which they are equal."""
-_NEWTON = 5
-"""Number of Newton steps for theta from t: the relative error is then 1e-13."""
 
 
 class Circles(NamedTuple):
@@ -158,7 +154,7 @@ def lay_circles(view: SphereView, windows: Windows, finest: float, fineness: flo
     nodes = _ACROSS * fineness
     ratio = np.where(~strip & (low < side), np.clip((high - low) / width, 1, 2), 1.0)
     pitches = np.where(both, width, (high - low) / ratio) / nodes, (high - side) / nodes
-    scale = np.where(strip, _UNGRADED, min(COARSEST / view.radius, finest))
+    scale = np.where(strip, 1e3, min(COARSEST / view.radius, finest))  # nodes along a strip are not graded
     touching = np.where(ends[:, None], touching_angles(view, windows, frame), np.nan)
     spans = _spans(np.where(both, side, np.nan), touching, (low, high), scale, pitches)
     # the integrand vanishes at both ends of the range, unless the highlight, a terminator or a touching limb is there
@@ -339,7 +335,7 @@ def _angles(used: jax.Array, spans: tuple[jax.Array, ...]) -> tuple[jax.Array, j
             return jnp.clip(angle + (t - _t(angle, scale, pitch)) / slope(angle), low, high)
 
         guess = jnp.clip(jnp.minimum(scale * jnp.sinh(jnp.minimum(t / _GRADED, 300.0)), pitch * t), low, high)
-        angle = jax.lax.fori_loop(0, _NEWTON, newton, guess)
+        angle = jax.lax.fori_loop(0, 5, newton, guess)  # to a relative error of 1e-13
         return angle, rate / slope(angle)
 
     return in_blocks(block, used, spans)

@@ -39,16 +39,12 @@ _AWAY = 0.9
 """Smallest angle from the half vector at which the radiance is smooth on the scale of the kernel, relative to the angle
 that corresponds to `BlurScale.near`.
 """
-_LEAST, _GRADED, _ACROSS = 5.0, 2.5, 12.0
-"""Numbers of Gauss-Legendre nodes on an arc: minimum, additional nodes per unit of t, and additional nodes across a window
-whose kernel has the fineness 1.
+
+
+_COUNTS = {False: (5.0, 2.5, 12.0), True: (2.0, 1.5, 8.0)}
+"""Numbers of nodes on an arc of Gauss-Legendre rules, and of midpoint rules (True, see `arc_nodes`): minimum, additional nodes
+per unit of t, and additional nodes across a window whose kernel has the fineness 1.
 """
-_EVENLY, _EVENLY_GRADED, _EVENLY_ACROSS = 2.0, 1.5, 8.0
-"""The same numbers for midpoint rules, see `arc_nodes`."""
-_WIDEST = 1e9
-"""Largest scale of the substitution for rows, px. Nodes with this scale are not graded."""
-_FLAT = 1e-300
-"""Smallest divisor, which avoids a division by 0."""
 
 
 class CrossArcs(NamedTuple):
@@ -124,8 +120,8 @@ def arcs_across(
         *_, mirror, along = _around(imaging, windows)
         low, high = windows.y - windows.half[1], windows.y + windows.half[1]
         middle = np.clip(mirror, low, high)
-        narrow = np.hypot(finest, along * (middle - mirror) / elongation) / np.maximum(along, _FLAT)
-        spans = _Spans.of(middle, np.minimum(narrow, _WIDEST), low, high)
+        narrow = np.hypot(finest, along * (middle - mirror) / elongation) / np.maximum(along, 1e-300)
+        spans = _Spans.of(middle, np.minimum(narrow, 1e9), low, high)  # rows with this scale, px, are not graded
         row, weight, which = spans.nodes(spans.counts(high - low, fineness, True))
     first, last, low, high, ridge, miss = in_calls(_arc_blocks, (*_columns(windows.at(which)), row), imaging)
     middle = np.clip(ridge, first, last)
@@ -188,8 +184,8 @@ class _Spans(NamedTuple):
         width: width of the window, in the unit of `scale`. evenly: True for a midpoint rule.
         """
         steepest = self.scale * np.cosh(np.abs(self.middle) + self.half)
-        least, graded, across = (_EVENLY, _EVENLY_GRADED, _EVENLY_ACROSS) if evenly else (_LEAST, _GRADED, _ACROSS)
-        needed = least + 2 * self.half * (graded + across * fineness * steepest / np.maximum(width, _FLAT))
+        least, graded, across = _COUNTS[evenly]
+        needed = least + 2 * self.half * (graded + across * fineness * steepest / np.maximum(width, 1e-300))
         return np.minimum(2 * np.ceil(needed / 2), MOST_NODES).astype(int)
 
     def nodes(self, counts: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

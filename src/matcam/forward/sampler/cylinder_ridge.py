@@ -16,9 +16,6 @@ from matcam.sample.curved import Cylinder
 from matcam.sample.shape import Element
 from matcam.sample.sight import highlight_between
 
-_STEPS = 6
-"""Number of Newton steps to the position closest to the half vector. Each reduces the error to a few per cent."""
-
 
 class PlacedLamps(NamedTuple):
     """Directions and distances of lamps, as arrays that broadcast.
@@ -106,7 +103,8 @@ def ridge_of(
 
     line = light.nearness is None and cylinder.distant
     start = jnp.clip(angle, low, high) + 0 * row
-    u = start if line else jax.lax.fori_loop(0, _STEPS, newton, start)
+    # each step reduces the error to a few per cent
+    u = start if line else jax.lax.fori_loop(0, 6, newton, start)
     element, lamp, _ = seen_at(cylinder, light, u, row)
     half = [a + b for a, b in zip(lamp, element.view, strict=True)]
     return u, jnp.arctan2(jnp.abs(half[1]), jnp.hypot(half[0], half[2]))

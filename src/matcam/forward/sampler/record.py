@@ -13,7 +13,7 @@ import numpy as np
 from matcam.core.jax import AnyArray, computes_on_gpu, is_concrete, jax, jnp, transferred
 from matcam.core.programs import kept_program
 from matcam.core.threads import available_cores, in_order
-from matcam.forward.integral.blur import BlurTerms, Imaging
+from matcam.forward.integral.blur import Imaging
 from matcam.forward.integral.residual_at_limb import LimbRule
 from matcam.forward.integral.scene import Scene, Turn
 from matcam.forward.sampler.arc_rules import MOST_NODES, arc_rules
@@ -54,6 +54,10 @@ class Subject(NamedTuple):
     def known(self) -> bool:
         """True if all parameters are concrete, which excludes differentiation."""
         return all(map(is_concrete, jax.tree.leaves(tuple(self))))
+
+    def through(self, terms: tuple[int, ...]) -> Subject:
+        """Restrict the blur to some of its terms."""
+        return self._replace(imaging=self.imaging._replace(blur=self.imaging.blur.only(terms)))
 
     def under(self, lamp_angle: AnyArray, turn: Turn | None = None) -> Scene:
         """Build the scene under lamps. lamp_angle: angle between lamp and optical axis, rad."""
@@ -163,11 +167,11 @@ def _arc_tile(
 
 
 def _recorded(subject: Subject, tile: _Tile) -> tuple[AnyArray, Any]:
-    blur, used = BlurTerms(subject.imaging.blur, tile.terms), tile.used if subject.known else None
+    subject, used = subject.through(tile.terms), tile.used if subject.known else None
     if tile.counts is None:
-        values = _smooth_blocks(subject, blur, tile.rules, used, tile.rows)
+        values = _smooth_blocks(subject, tile.rules, used, tile.rows)
     else:
-        values = _arc_blocks(subject, blur, used, tile.counts, tile.rules, tile.rows)
+        values = _arc_blocks(subject, used, tile.counts, tile.rules, tile.rows)
     return tile.position, values
 
 
@@ -195,11 +199,11 @@ def _with_tile(total: jax.Array, position: jax.Array, values: jax.Array) -> jax.
 
 
 @kept_program
-def _smooth_blocks(subject: Subject, blur: BlurTerms, rule: LimbRule | None, used: Any, rows: Any) -> jax.Array:
+def _smooth_blocks(subject: Subject, rule: LimbRule | None, used: Any, rows: Any) -> jax.Array:
     def block(arguments: Any) -> jax.Array:
         x, y, lamp_angle, turn = arguments
         scene = subject.under(lamp_angle, turn)
-        return record_inside(scene, blur, x, y) if rule is None else rule.record(scene, x, y)
+        return record_inside(scene, subject.imaging.blur, x, y) if rule is None else rule.record(scene, x, y)
 
     return in_blocks(block, used, rows)
 
@@ -215,8 +219,8 @@ class _ArcInputs(NamedTuple):
 
 
 @kept_program(runs="mostly")
-def _arc_blocks(subject: Subject, blur: BlurTerms, used: Any, counts: Any, rules: Any, rows: _ArcInputs) -> jax.Array:
-    sample, kernel = subject.imaging.sample, blur.blur
+def _arc_blocks(subject: Subject, used: Any, counts: Any, rules: Any, rows: _ArcInputs) -> jax.Array:
+    sample, blur = subject.imaging.sample, subject.imaging.blur
 
     def block(arguments: Any) -> jax.Array:
         count, pixels, directions, towards_lamp = arguments
@@ -227,9 +231,9 @@ def _arc_blocks(subject: Subject, blur: BlurTerms, used: Any, counts: Any, rules
             element, weight = pixels.arcs.element(sample, node, directions)
             at_x, at_y = scene.on_sensor(element.x, element.y)
             x, y = pixels.x - at_x, pixels.y - at_y
-            spread = kernel.spread(sample, element.normal[2], scene.lamp_angle, scene.lamp_nearness)
-            at = kernel.across if scene.uniform_rows else partial(kernel.at, y=y)
-            terms = (kernel.share(one) * at(one, spread, x) for one in blur.terms)
+            spread = blur.spread(sample, element.normal[2], scene.lamp_angle, scene.lamp_nearness)
+            at = blur.across if scene.uniform_rows else partial(blur.at, y=y)
+            terms = (blur.share(one) * at(one, spread, x) for one in blur.terms)
             return scene.sent(element) * (sum(terms, jnp.zeros(())) * weight * share)[:, None]
 
         nothing = jnp.zeros((pixels.x.size, scene.channels()))

@@ -3,41 +3,39 @@
 from __future__ import annotations
 
 from matcam.core.jax import jax, jnp
-from matcam.forward.integral.blur import Blur, BlurTerms
+from matcam.forward.integral.blur import Blur
 from matcam.forward.integral.pupil import mean_over_pupil
 from matcam.forward.integral.scene import Scene
 from matcam.sample.shape import Element
 
 
-def record_inside(scene: Scene, blur: BlurTerms, x: jax.Array, y: jax.Array) -> jax.Array:
+def record_inside(scene: Scene, blur: Blur, x: jax.Array, y: jax.Array) -> jax.Array:
     """Compute the record of pixels whose kernel contains no highlight, no limb and no terminator.
 
     Args:
         scene: the scene, under one lamp or one lamp per pixel.
-        blur: terms of the blur.
+        blur: blur of which all terms are included.
         x: positions of the pixels to the right of the optical axis, (pixels,), px.
         y: positions of the pixels above the optical axis, (pixels,), px.
 
     Returns:
-        Contribution of the terms to the record, 1/sr, (pixels, channels).
+        Record, 1/sr, (pixels, channels).
     """
     total: jax.Array | float = 0.0
     centre, _ = scene.sample.at(*scene.from_sensor(x, y))
-    spread = blur.blur.spread(scene.sample, centre.normal[2], scene.lamp_angle, scene.lamp_nearness)
+    spread = blur.spread(scene.sample, centre.normal[2], scene.lamp_angle, scene.lamp_nearness)
     scene = scene.beside_nodes(1)
     for term in blur.terms:
         if scene.uniform_rows:
-            dx, share = blur.blur.rule(term, spread.along)
+            dx, share = blur.rule(term, spread.along)
             dy = jnp.zeros_like(dx)
         else:
-            dx, dy, share = blur.blur.plane_rule(term, spread)
-        light = _arriving(scene, blur.blur, x[:, None] - dx, y[:, None] - dy)
-        if blur.blur.is_residual(
-            term
-        ):  # the corners of the residual have negligible weight and may lie beyond the limb
+            dx, dy, share = blur.plane_rule(term, spread)
+        light = _arriving(scene, blur, x[:, None] - dx, y[:, None] - dy)
+        if blur.is_residual(term):  # the corners of the residual have negligible weight and may lie beyond the limb
             _, lit = scene.shown(x[:, None] - dx, y[:, None] - dy)
             light = jnp.where(lit[..., None], light, 0.0)
-        total += blur.blur.share(term) * jnp.sum(light * share[..., None], axis=1)
+        total += blur.share(term) * jnp.sum(light * share[..., None], axis=1)
     return jnp.asarray(total)
 
 

@@ -17,8 +17,6 @@ from matcam.lamp.lamps import LampPoint, disc_of, lamp_points
 from matcam.material.material import Material
 from matcam.rigs import Rig
 
-_LEAST_FINENESS = 0.25
-"""Fineness of the image of a lamp, see `disc_fineness`, below which the smallest number of points is used."""
 _PLACES = 1 << 18
 """Largest number of pixels times points of a lamp that are computed at once. Their arrays fit into 1 GiB."""
 
@@ -40,7 +38,8 @@ def record_under_lamp(material: Material, rig: Rig, imaging: Imaging, positions:
     levels = np.zeros(positions.x.size)
     if disc_of(rig.lamp) > 0:
         turns = 0.0 if positions.azimuth is None else positions.azimuth
-        fineness = np.maximum(disc_fineness(rig, imaging, positions.lamp_angle, material, turns), _LEAST_FINENESS)
+        # at smaller values the number of points is the smallest one
+        fineness = np.maximum(disc_fineness(rig, imaging, positions.lamp_angle, material, turns), 0.25)
         levels = np.exp2(np.ceil(2 * np.log2(fineness)) / 2)
     parts, order = [], []
     for level in np.unique(levels):

@@ -19,16 +19,16 @@ from matcam.forward.integral.blur_groups import groups_of
 from matcam.forward.pixel_grid import turned
 from matcam.forward.sampler.windows import Windows
 from matcam.inverse.operator.chosen_cells import ChosenCells
-from matcam.inverse.operator.cylinder_rule import CylinderRule, LinePixels, cylinder_rule, line_window
+from matcam.inverse.operator.cylinder_rule import LinePixels, cylinder_rule, line_window
 from matcam.inverse.operator.line_rule import ARMS, ImagePositions, line_rule
 from matcam.inverse.operator.pixel_blurs import PixelBlurs, gaussian_blurs, residual_blurs
 from matcam.inverse.operator.sample_view import SampleView, sample_view
-from matcam.inverse.operator.sphere_rule import Kernel, SphereRule, WindowArcs, sphere_range, sphere_rules
+from matcam.inverse.operator.sphere_rule import Kernel, WindowArcs, sphere_range, sphere_rules
 from matcam.inverse.operator.theta_nodes import (
     NODES,
     PIECE,
     PIECES,
-    CircleSums,
+    PixelRule,
     Scale,
     masking_angles,
     padded,
@@ -198,11 +198,10 @@ def _sphere_rules(
     own = scale if np.min(widths[0].reaches[0]) > _SURROUNDINGS[0] else scale._replace(largest=np.inf)
     widest, onto = (one.scaled(scale) for one in sphere_range(sphere, windows))
 
-    def rules(through: PixelBlurs, numbers: Sequence[int], at: WindowArcs) -> list[SphereRule]:
+    def rules(through: PixelBlurs, numbers: Sequence[int], at: WindowArcs) -> list[PixelRule]:
         kernels = [
             Kernel(
                 through.blurs[n],
-                through.terms,
                 through.spreads[n],
                 through.discs[n],
                 _pixel_nodes(through.blurs, n) if view.azimuth else 0,
@@ -211,13 +210,13 @@ def _sphere_rules(
         ]
         return sphere_rules(sphere, at, kernels, onto, theta_d, factor)
 
-    def parts(through: PixelBlurs) -> list[list[SphereRule]]:
+    def parts(through: PixelBlurs) -> list[list[PixelRule]]:
         """Compute one rule for each angular range and blur.
 
         The sum over the ranges is the rule of a blur. Blurs with the residual of the first blur share the rules of that blur.
         """
         common = through.blurs[0].residual
-        found: dict[int, list[SphereRule]] = {}
+        found: dict[int, list[PixelRule]] = {}
         own_rule = [n for n, blur in enumerate(through.blurs) if not n or common is None or blur.residual is not common]
         for numbers in _by_window(through, own_rule):
             seen_in = windows._replace(half=through.reaches[numbers[0]])
@@ -227,7 +226,7 @@ def _sphere_rules(
             found |= {n: list(of_blur) for n, of_blur in zip(numbers, zip(*of_ranges, strict=True), strict=True)}
         return [found[n] if n in found else found[0] for n in range(len(through.blurs))]
 
-    first: list[SphereRule] = []
+    first: list[PixelRule] = []
     by_column: dict[int, list[tuple[np.ndarray, ...]]] = {}
     for through in widths:
         of_blurs = parts(through)
@@ -248,7 +247,7 @@ def _sphere_rules(
     return _Found(theta, list(weights), masking_angles(shown.circles), *(tuple(one) for one in moments))
 
 
-def _summed(rules: list[SphereRule]) -> tuple[np.ndarray, ...]:
+def _summed(rules: list[PixelRule]) -> tuple[np.ndarray, ...]:
     arrays = zip(*((one.weight, one.moment) for one in rules), strict=True)
     return tuple(np.sum(one, axis=0) for one in arrays if one[0] is not None)
 
@@ -269,12 +268,11 @@ def _standing_for(widths: list[PixelBlurs]) -> PixelBlurs:
 
 def _line_rules(radius: float, pixels: ImagePositions, through: PixelBlurs, scale: Scale) -> list[_Found]:
     blurs, spreads, reaches, *_ = through
-    terms = through.terms
     onto = np.max([along for along, _ in reaches], axis=0)
     arms = []
     for arm in ARMS:
         rules = [
-            line_rule(jnp.asarray(radius), blur, jnp.asarray(spread[0]), terms, pixels, reach[0], onto, scale, arm)
+            line_rule(jnp.asarray(radius), blur, jnp.asarray(spread[0]), pixels, reach[0], onto, scale, arm)
             for blur, spread, reach in zip(blurs, spreads, reaches, strict=True)
         ]
         theta, cos_psi = np.asarray(rules[0].theta), np.asarray(rules[0].cos_psi)
@@ -291,8 +289,8 @@ def _cylinder_rules(
     """
     blurs, spreads, reaches, _, lamps, _ = through
     widest = np.max([along for along, _ in reaches], axis=0)
-    low, high = line_window(view.cylinder, view.lamp, pixels, widest, max(lamps))
-    onto = jnp.asarray(low), jnp.asarray(high)
+    onto = line_window(view.cylinder, view.lamp, pixels, widest, max(lamps))
+    onto = onto._replace(largest_scale=scale.limit(onto.high))
     near = jnp.asarray(view.lamp) if view.lamp else None
     arms = []
     for arm in ARMS:
@@ -301,7 +299,6 @@ def _cylinder_rules(
                 view.cylinder,
                 blur,
                 jnp.asarray(spread[0]),
-                through.terms,
                 pixels,
                 near,
                 reach[0],
@@ -314,15 +311,10 @@ def _cylinder_rules(
             )
             for blur, spread, reach, disc in zip(blurs, spreads, reaches, lamps, strict=True)
         ]
-        arms.append(_found(rules))
+        weights, circles, moments = zip(*jax.device_get(rules), strict=True)
+        angles = masking_angles(circles[0])
+        arms.append(_Found(onto.nodes(NODES)[0], weights, angles, () if theta_d is None else moments))
     return arms
-
-
-def _found(rules: list[CylinderRule]) -> _Found:
-    theta = np.asarray(rules[0].theta)
-    circles = CircleSums(*(np.asarray(a) for a in rules[0].circles))
-    moments = tuple(np.asarray(rule.moment) for rule in rules if rule.moment is not None)
-    return _Found(theta, [np.asarray(rule.weight) for rule in rules], masking_angles(circles), moments)
 
 
 def _pixel_nodes(blurs: list[Blur], n: int) -> int:

@@ -14,14 +14,16 @@ from typing import NamedTuple
 import numpy as np
 
 from matcam.core.grid import GRID_SHAPE, Sampling, merl_grid
-from matcam.forward.pixel_grid import PixelGrid, grid_of, pixel_angles, pixel_numbers, turned
-from matcam.inverse.operator.pixels_behind import (
+from matcam.forward.pixel_grid import (
     CellPositions,
-    PixelsBehind,
+    PixelGrid,
     cell_positions,
-    pixel_counts,
-    pixels_behind,
+    grid_of,
+    pixel_angles,
+    pixel_numbers,
+    turned,
 )
+from matcam.inverse.operator.pixels_behind import PixelsBehind, pixel_counts, pixels_behind
 from matcam.inverse.operator.sample_view import BOTH_DIRECTIONS, SampleView, sample_view
 from matcam.rigs import Rig
 

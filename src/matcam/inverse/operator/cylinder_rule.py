@@ -23,7 +23,16 @@ from matcam.forward.integral.blur import Blur, Spread
 from matcam.forward.sampler.cylinder_ridge import PlacedLamps, ends_of_light, ridge_of, seen_at, towards
 from matcam.inverse.operator.line_rule import LEAST_ARM, arm_nodes
 from matcam.inverse.operator.sphere_rule import Directions
-from matcam.inverse.operator.theta_nodes import NODES, CircleSums, NodeSpacing, Scale, cos_azimuth, onto_nodes, rise_of
+from matcam.inverse.operator.theta_nodes import (
+    CircleSums,
+    NodeSpacing,
+    PixelRule,
+    Scale,
+    ThetaRange,
+    cos_azimuth,
+    onto_nodes,
+    rise_of,
+)
 from matcam.numerics.approximation import nodes_in_panels
 from matcam.sample.curved import Cylinder
 
@@ -32,10 +41,6 @@ _PANEL, _ACROSS = 16, 10
 _BLOCK = 8
 _SLACK = 0.02
 """Share by which the range of theta_h is widened, because it is computed from single points."""
-_SHORT = 1e-3
-"""Length of the image of a chord, in standard deviations of the blur, below which the image is treated as a point. The
-closed form would lose digits.
-"""
 
 
 class LinePixels(NamedTuple):
@@ -52,23 +57,6 @@ class LinePixels(NamedTuple):
     lamp_angle: np.ndarray
     azimuth: np.ndarray
     factor: np.ndarray
-
-
-class CylinderRule(NamedTuple):
-    """Quadrature rule in theta_h for one arm in each pixel.
-
-    Attributes:
-        theta: angle between normal and half vector, rad, (pixels, nodes).
-        weight: weight of each node, no unit, (pixels, nodes).
-        circles: sums over the nodes of all samples at about the same angle from the normal closest to the half vector.
-        moment: `weight` times the deviation of theta_d from its value for the cell (`rise_of`), rad, (pixels, nodes). None: not
-            requested.
-    """
-
-    theta: jax.Array
-    weight: jax.Array
-    circles: CircleSums
-    moment: jax.Array | None
 
 
 class _Samples(NamedTuple):
@@ -97,10 +85,8 @@ def lamp_of(pixels: LinePixels, nearness: float) -> PlacedLamps:
     return PlacedLamps(lamp, near)  # type: ignore[arg-type]
 
 
-def line_window(
-    cylinder: Cylinder, nearness: float, pixels: LinePixels, reach: np.ndarray, disc: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Compute the smallest and the largest theta_h in the window of each pixel, rad, (pixels,) each.
+def line_window(cylinder: Cylinder, nearness: float, pixels: LinePixels, reach: np.ndarray, disc: float) -> ThetaRange:
+    """Compute the range of theta_h in the window of each pixel.
 
     Args:
         cylinder: the cylinder.
@@ -130,38 +116,36 @@ def line_window(
     low, high = angle.min(1), angle.max(1)
     slack = _SLACK * (high - low) + LEAST_ARM
     # nodes below the smallest angle would have to resolve the peak of the lobe, which is not in the window
-    return np.where(meets, 0.0, (1 - _SLACK) * low), np.minimum(high + slack, np.pi / 2)
+    return ThetaRange(np.where(meets, 0.0, (1 - _SLACK) * low), np.minimum(high + slack, np.pi / 2))
 
 
-@partial(jit_plainly, static=("terms", "arm", "discs"))
+@partial(jit_plainly, static=("arm", "discs"))
 def cylinder_rule(
     cylinder: Cylinder,
     blur: Blur,
     variance: jax.Array,
-    terms: tuple[int, ...],
     pixels: LinePixels,
     nearness: jax.Array | None,
     reach: jax.Array,
     disc: jax.Array,
-    onto: tuple[jax.Array, jax.Array],
+    onto: ThetaRange,
     scale_of: Scale,
     arm: float,
     discs: bool,
     theta_d: jax.Array | np.ndarray | None = None,
-) -> CylinderRule:
-    """Compute the quadrature rule of one arm for terms of a blur.
+) -> PixelRule:
+    """Compute the quadrature rule of one arm for a blur.
 
     Args:
         cylinder: the cylinder.
         blur: blur for a point source.
         variance: variance that is added to the blur, (pixels,), px^2.
-        terms: terms of the blur.
         pixels: the pixels. Their number is a multiple of `_BLOCK`, see `padded`.
         nearness: inverse of the lamp's distance, 1/radii; None: distant.
         reach: half width of the window of each pixel, (pixels,), px.
         disc: angular radius of the source disc, rad.
-        onto: smallest and largest theta_h of the nodes, (pixels,) each, rad.
-        scale_of: scale of the nodes.
+        onto: range of theta_h in which the nodes lie.
+        scale_of: scale of the nodes on the arm.
         arm: one of `line_rule.ARMS`.
         discs: True if the lamp is a disc, False for a point source.
         theta_d: theta_d of the cells, (pixels,), rad, at which the moments are 0; None: no moments.
@@ -169,14 +153,12 @@ def cylinder_rule(
 
     def block(arguments):  # type: ignore[no-untyped-def]
         arguments, cell = arguments
-        x, angle, azimuth, factor, variance, reach, from_theta, to_theta = (a[:, None] for a in arguments)
+        x, angle, azimuth, factor, variance, reach, *ends = (a[:, None] for a in arguments)
         sine, rows = jnp.sin(angle), not discs and (nearness is not None or not cylinder.distant)
         lamp = sine * jnp.cos(azimuth), sine * jnp.sin(azimuth), jnp.cos(angle)
         light = PlacedLamps(lamp, None if nearness is None else jnp.full_like(x, nearness))
         low, high = ends_of_light(cylinder, light)
-        samples = _samples(
-            cylinder, blur, terms, variance, light, reach, scale_of.limit(to_theta), disc if discs else None
-        )
+        samples = _samples(cylinder, blur, variance, light, reach, ends[2], disc if discs else None)
         closest, _ = ridge_of(cylinder, samples.light, samples.row, low, high)
 
         def turns(column: jax.Array) -> jax.Array:
@@ -197,36 +179,33 @@ def cylinder_rule(
         element, to_lamp, square = seen_at(cylinder, samples.light.beside(1), u, row)
         at = _angles(element, to_lamp)
         kernel = _kernel(
-            cylinder, blur, terms, variance[..., None], (x[..., None], u, row), samples.shift if discs else None, rows
+            cylinder, blur, variance[..., None], (x[..., None], u, row), samples.shift if discs else None, rows
         )
         area = element.area / (cylinder.stretch / (1 - cylinder.nearness * jnp.cos(u)))
         share = kernel * step * samples.share[..., None] * area * factor[..., None] / 4
         if square is not None:
             share = share / square
         share = jnp.where((at.cos_i > 0) & (at.cos_o > 0), share, 0.0)
-        spacing = NodeSpacing.of(from_theta, to_theta, scale_of.limit(to_theta))
-        position = spacing.by_pixel().position(at.theta_h)
+        position = NodeSpacing.of(*ends).by_pixel().position(at.theta_h)
         weight = onto_nodes(position, share)
         moment = None if cell is None else onto_nodes(position, share * rise_of(at.theta_d, cell[:, None, None]))
-        nodes = spacing.angle(NODES[0])
         # nodes of all samples at about the same angle from the closest normal form a circle
         cos_psi = cos_azimuth(at.cos_i, at.cos_o, at.theta_h, at.theta_d)
         sums = [
             jnp.sum(share * one, axis=1)
             for one in (1.0, cos_psi, cos_psi**2, cos_psi**3, position, at.theta_d, at.theta_d * cos_psi)
         ]
-        return nodes, weight, CircleSums(sums[0], jnp.stack(sums[1:4], 1), *sums[4:]), moment
+        return weight, CircleSums(sums[0], jnp.stack(sums[1:4], 1), *sums[4:]), moment
 
     arguments = (*pixels, variance, reach, *onto), theta_d
     found = jax.lax.map(block, jax.tree.map(lambda a: jnp.asarray(a).reshape(-1, _BLOCK), arguments))
-    theta, weight, circles, moment = jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:]), found)
-    return CylinderRule(theta, weight, circles._replace(cosine=jnp.moveaxis(circles.cosine, 1, 0)), moment)
+    weight, circles, moment = jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:]), found)
+    return PixelRule(weight, circles._replace(cosine=jnp.moveaxis(circles.cosine, 1, 0)), moment)
 
 
 def _samples(
     cylinder: Cylinder,
     blur: Blur,
-    terms: tuple[int, ...],
     variance: jax.Array,
     light: PlacedLamps,
     reach: jax.Array,
@@ -246,7 +225,7 @@ def _samples(
             middle, slope = _meeting(*(_miss(cylinder, light, at, ends) for at in (-reach, zero, reach)))
             row, share = _crowded(middle * reach, (-reach, -half + zero, half + zero, reach), flat * reach / slope)
         else:
-            offset, weight = blur.rule(terms[0], variance[:, 0])
+            offset, weight = blur.rule(0, variance[:, 0])
             row, share = zero + offset, jnp.broadcast_to(weight, (reach.shape[0], offset.shape[-1]))
     if disc is None:
         many = PlacedLamps(tuple(a + 0 * row for a in light.towards), _beside(light.nearness, row))  # type: ignore[arg-type]
@@ -337,7 +316,7 @@ def _angles(element, lamp) -> Directions:  # type: ignore[no-untyped-def]
     return Directions(jnp.ones(()), jnp.ones(()), cos_i, cos_o, theta_h, theta_d)
 
 
-def _kernel(cylinder, blur: Blur, terms, variance, at, shift, rows: bool):  # type: ignore[no-untyped-def]
+def _kernel(cylinder, blur: Blur, variance, at, shift, rows: bool):  # type: ignore[no-untyped-def]
     """Evaluate the kernel at nodes, 1/px, or 1/px^2 if `rows` is True.
 
     `at` contains the column of the pixel, px, and two coordinates of the nodes: angle, rad, and row, px. `shift` contains the
@@ -350,13 +329,14 @@ def _kernel(cylinder, blur: Blur, terms, variance, at, shift, rows: bool):  # ty
         return sum(
             blur.weights[j]
             * blur.through_disc(j, spread, lambda across, along: across(offset) * (along(-row) if rows else 1.0))
-            for j in terms
+            for j in blur.terms
         )
     ends = [x - cylinder.surface(u + a[..., None], jnp.zeros(())).x for a in shift]
     length = ends[0] - ends[1]
-    short = jnp.abs(length) < _SHORT * blur.stds[terms[0]]
+    # the closed form would lose digits for an image of a chord that is nearly a point
+    short = jnp.abs(length) < 1e-3 * blur.stds[0]
     total = jnp.zeros(())
-    for j in terms:
+    for j in blur.terms:
         mean = blur.kernel_until(ends[0], j, variance) - blur.kernel_until(ends[1], j, variance)
         mean = jnp.where(short, blur.kernel(offset, j, variance), mean / jnp.where(short, 1.0, length))
         total += blur.weights[j] * mean

@@ -134,7 +134,6 @@ def lamp_discs(
 def lamp_kernel(
     view: SphereView,
     blur: Blur,
-    terms: tuple[int, ...],
     disc: LampDisc,
     points: ChordPoints,
     normal: tuple,
@@ -149,7 +148,6 @@ def lamp_kernel(
     Args:
         view: the sphere and the distances of camera and lamp.
         blur: the blur for a point source.
-        terms: terms of the blur.
         disc: source disc for the pixel of each group.
         points: result of `chord_points` for the disc.
         normal: components of the normals for the centre of the lamp, (groups, nodes) each.
@@ -158,13 +156,13 @@ def lamp_kernel(
     """
 
     def by_chords() -> jax.Array:
-        return _by_chords(view, blur, terms, disc, points, normal, at, variances)
+        return _by_chords(view, blur, disc, points, normal, at, variances)
 
     if not _is_distant(view):
         return by_chords()
     return jax.lax.cond(
         jnp.all(of_gaussians(view, disc)),
-        lambda: _by_gaussians(view, blur, terms, disc, normal, at, variances),
+        lambda: _by_gaussians(view, blur, disc, normal, at, variances),
         by_chords,
     )
 
@@ -231,7 +229,7 @@ def chord_points(view: SphereView, disc: LampDisc) -> ChordPoints:
     return ChordPoints(chords[2], jnp.stack(centre), *found)
 
 
-def _by_gaussians(view, blur: Blur, terms, disc: LampDisc, normal, at, variances):  # type: ignore[no-untyped-def]
+def _by_gaussians(view, blur: Blur, disc: LampDisc, normal, at, variances):  # type: ignore[no-untyped-def]
     """Integrate the kernel over a disc much smaller than the blur, as a sum of Gaussians."""
     widening = dataclasses.replace(blur, varies=True)
     offset = at[0] - view.radius * normal[0], at[1] - view.radius * normal[1]
@@ -241,14 +239,14 @@ def _by_gaussians(view, blur: Blur, terms, disc: LampDisc, normal, at, variances
         share, wide = gaussian
         along, across = (v + wide * half**2 for v, half in zip(variances, half_widths, strict=True))
         added = Spread(along, across, jnp.zeros(()))
-        seen = sum((blur.share(j) * widening.at(j, added, *offset) for j in terms), jnp.zeros(()))
+        seen = sum((blur.share(j) * widening.at(j, added, *offset) for j in blur.terms), jnp.zeros(()))
         return total + share * seen, None
 
     start = jnp.zeros(jnp.broadcast_shapes(*(a.shape for a in normal)))
     return jax.lax.scan(of_width, start, tuple(jnp.asarray(a) for a in DISC_GAUSSIANS.T))[0]
 
 
-def _by_chords(view, blur: Blur, terms, disc: LampDisc, points: ChordPoints, normal, at, variances):  # type: ignore[no-untyped-def]
+def _by_chords(view, blur: Blur, disc: LampDisc, points: ChordPoints, normal, at, variances):  # type: ignore[no-untyped-def]
     """Integrate the kernel over a disc as a sum over chords, in closed form along each chord."""
     cosine, sine = (a[:, None] for a in disc.turn.T)
     own_x, own_y = _rotated(at[0], at[1], cosine, sine)
@@ -269,7 +267,7 @@ def _by_chords(view, blur: Blur, terms, disc: LampDisc, points: ChordPoints, nor
             blur.weights[j]
             * blur.kernel(_parabola(*x, on), j, variances[0])
             * (blur.kernel_until(y_2, j, variances[1]) - blur.kernel_until(y_0, j, variances[1]))
-            for j in terms
+            for j in blur.terms
         )
         density = 2 * (half * (1 + less * (3 * on**2 - 1)) + 2 * curvature * on)
         return total + seen * _parabola(*light, on) / density

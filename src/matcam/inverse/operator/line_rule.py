@@ -65,19 +65,18 @@ class LineRule(NamedTuple):
     cos_psi: jax.Array
 
 
-@partial(jit_plainly, static=("terms", "arm"))
+@partial(jit_plainly, static=("arm",))
 def line_rule(
     radius: jax.Array,
     blur: Blur,
     variance: jax.Array,
-    terms: tuple[int, ...],
     pixels: ImagePositions,
     reach: jax.Array,
     onto: jax.Array,
     scale_of: Scale,
     arm: float,
 ) -> LineRule:
-    """Compute the quadrature rule of one arm for terms of a blur.
+    """Compute the quadrature rule of one arm for a blur.
 
     The rule is differentiable with respect to its numerical arguments.
 
@@ -85,7 +84,6 @@ def line_rule(
         radius: radius of the cylinder in the image, px.
         blur: the blur.
         variance: variance that is added to the blur, px^2, (pixels,).
-        terms: terms of the blur.
         pixels: positions on a sphere with the lamp towards +x. Their number is a multiple of `_BLOCK`, see
             `padded`.
         reach: half width of the window of each pixel, px, (pixels,).
@@ -119,7 +117,7 @@ def line_rule(
         offset = column - radius * jnp.sin(at)
         spread = Spread(variance, variance, jnp.abs(blur.defocus(radius, jnp.cos(at))))
         # the radiance is uniform along the axis, so the kernel depends on the column of each chord only
-        kernel = sum(blur.weights[j] * blur.through_disc(j, spread, lambda along, _: along(offset)) for j in terms)
+        kernel = sum(blur.weights[j] * blur.through_disc(j, spread, lambda along, _: along(offset)) for j in blur.terms)
         weight = onto_nodes(spacing.share(t), factor * radius / 4 * kernel * step)
         turn = spacing.angle(NODES[0])
         u = closest + arm * turn

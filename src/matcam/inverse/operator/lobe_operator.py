@@ -60,8 +60,6 @@ from matcam.sample.curved import Cylinder, Sphere
 
 _LEAST_COSINE = 1e-4
 """Smallest cosine of incidence and view at which masking is evaluated. Lambda is therefore also finite below the horizon."""
-_NO_AZIMUTH = 1e-30
-"""Smallest square of a product of two sines, so that the azimuth of a direction along the normal is finite."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -177,47 +175,44 @@ def _in_blocks(nodes: OperatorNodes) -> tuple[OperatorNodes, ...]:
     return tuple(nodes._replace(at=block) for block in in_blocks(nodes.at))
 
 
-class _Rules(NamedTuple):
-    """Arrays of an operator as they are stored on disk."""
+def _operator(
+    cells: ChosenCells,
+    axes: tuple[Axis, ...],
+    theta: np.ndarray,
+    weight: np.ndarray,
+    cos_psi: np.ndarray,
+    theta_d: np.ndarray | None = None,
+    share: np.ndarray | None = None,
+    along: tuple[np.ndarray, ...] = (),
+    moment: np.ndarray | None = None,
+    moment_along: tuple[np.ndarray, ...] = (),
+) -> LobeOperator:
+    """Build an operator from the arrays of its nodes, as they are stored on disk."""
+    if theta_d is None:
+        theta_d = np.repeat(cells.theta_d, cells.valid.shape[1]).reshape(-1, *[1] * theta.ndim)
+    # in blocks, whose intermediate arrays fit into the cache of a processor
+    blocks = in_blocks((theta, theta_d, cos_psi, weight, along, share))
+    own = LobeOperator(tuple(OperatorNodes(_nodes(*one), axes) for one in blocks), cells.valid.shape)
+    return own if moment is None else dataclasses.replace(own, moment=own.with_weights(moment, moment_along))
 
-    theta: np.ndarray
-    weight: np.ndarray
-    cos_psi: np.ndarray
-    along: tuple[np.ndarray, ...]
-    theta_d: np.ndarray | None = None
-    share: np.ndarray | None = None
-    moment: np.ndarray | None = None
-    moment_along: tuple[np.ndarray, ...] = ()
 
-    def operator(self, cells: ChosenCells, axes: tuple[Axis, ...]) -> LobeOperator:
-        rules = self
-        if self.theta_d is None:
-            theta_d = np.repeat(cells.theta_d, cells.valid.shape[1])
-            rules = self._replace(theta_d=theta_d.reshape(-1, *[1] * self.theta.ndim))
-        # in blocks, whose intermediate arrays fit into the cache of a processor
-        blocks = tuple(OperatorNodes(one.nodes(), axes) for one in in_blocks(rules))
-        own = LobeOperator(blocks, cells.valid.shape)
-        if self.moment is None:
-            return own
-        return dataclasses.replace(own, moment=own.with_weights(self.moment, self.moment_along))
-
-    def nodes(self) -> NodeArrays:
-        theta, theta_d = self.theta[..., None], self.theta_d
-        assert theta_d is not None
-        mean = np.cos(theta) * np.cos(theta_d)
-        half = np.sin(theta) * np.sin(theta_d) * self.cos_psi
-        cos_i, cos_o = (np.maximum(c, _LEAST_COSINE) for c in (mean + half, mean - half))
-        # azimuth between light and view about the normal, by the spherical law of cosines
-        across = np.sqrt(np.maximum((1 - cos_i**2) * (1 - cos_o**2), _NO_AZIMUTH))
-        azimuth = np.arccos(np.clip((np.cos(2 * theta_d) - cos_i * cos_o) / across, -1.0, 1.0))
-        return NodeArrays(
-            slope2=np.tan(self.theta) ** 2,
-            weight=self.weight,
-            along=self.along,
-            light_and_view=TabulatedDirections.of(np.stack([cos_i, cos_o], axis=1), COTS.size),
-            azimuth=azimuth,
-            share=self.share,
-        )
+def _nodes(
+    theta: np.ndarray,
+    theta_d: np.ndarray,
+    cos_psi: np.ndarray,
+    weight: np.ndarray,
+    along: tuple[np.ndarray, ...],
+    share: np.ndarray | None,
+) -> NodeArrays:
+    slope2, theta = np.tan(theta) ** 2, theta[..., None]
+    mean = np.cos(theta) * np.cos(theta_d)
+    half = np.sin(theta) * np.sin(theta_d) * cos_psi
+    cos_i, cos_o = (np.maximum(c, _LEAST_COSINE) for c in (mean + half, mean - half))
+    # azimuth between light and view about the normal, by the spherical law of cosines; finite along the normal
+    across = np.sqrt(np.maximum((1 - cos_i**2) * (1 - cos_o**2), 1e-30))
+    azimuth = np.arccos(np.clip((np.cos(2 * theta_d) - cos_i * cos_o) / across, -1.0, 1.0))
+    light_and_view = TabulatedDirections.of(np.stack([cos_i, cos_o], axis=1), COTS.size)
+    return NodeArrays(slope2, weight, along, light_and_view, azimuth, share)
 
 
 class WholeRule(NamedTuple):
@@ -340,7 +335,7 @@ def operator_in(
         tuple(stored.pop(f"{name}{n}") for n in range(len(axes)) if f"{name}{n}" in stored)
         for name in ("along", MOMENT_ALONG)
     )
-    return _Rules(along=along, moment_along=moment_along, **stored).operator(cells, axes)
+    return _operator(cells, axes, along=along, moment_along=moment_along, **stored)
 
 
 def perfect_operator(
@@ -375,4 +370,4 @@ def point_operator(cells: ChosenCells) -> LobeOperator:
         psi = np.pi - cells.phi_d.ravel()[:, None, None] + np.array([0.0, np.pi])[:, None]
     else:
         theta, psi = cells.real.theta.reshape(-1, count, 1), cells.real.psi.reshape(-1, count, 1)
-    return _Rules(theta, weight.reshape(-1, count, 1), np.cos(psi)[..., None], ()).operator(cells, ())
+    return _operator(cells, (), theta, weight.reshape(-1, count, 1), np.cos(psi)[..., None])

@@ -39,10 +39,6 @@ class PixelBlurs(NamedTuple):
     lamps: list[float]
     columns: tuple[int, ...]
 
-    @property
-    def terms(self) -> tuple[int, ...]:
-        return self.blurs[0].terms
-
     def of(self, piece: slice) -> PixelBlurs:
         """Select a subset of pixels."""
         return self._replace(

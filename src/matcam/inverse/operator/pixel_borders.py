@@ -12,8 +12,7 @@ import numpy as np
 import xarray as xr
 
 from matcam.core.grid import GRID_SHAPE, Sampling, merl_grid
-from matcam.forward.pixel_grid import pixel_angles, turned
-from matcam.inverse.operator.pixels_behind import cell_positions
+from matcam.forward.pixel_grid import cell_positions, pixel_angles, turned
 
 RINGS = 16
 """Number of rings about the highlight whose cells are compared. They extend to 2.8 degrees, 13 px on the sphere of the MERL
@@ -22,7 +21,6 @@ rig.
 SLICES = np.arange(3, 84, 6)
 UNKNOWN_STD = 0.3
 """Standard deviation of an unknown phase, px. It is that of a uniform distribution over a pixel, 1 / sqrt(12)."""
-_LEAST_OUTWARDS = 0.1
 _EQUAL = 1e-9
 _SIGNATURES = np.random.default_rng(0).random((64, 64))
 """Random values that distinguish neighbouring pixels, and means of them."""
@@ -50,7 +48,7 @@ class Repeats(NamedTuple):
         """
         known = np.concatenate([self.outwards.ravel(), self.around.ravel()])
         outwards = self.outwards[self.outwards >= 0]
-        if not outwards.size or outwards.mean() < _LEAST_OUTWARDS:
+        if not outwards.size or outwards.mean() < 0.1:
             return 0.0
         return float(known[known >= 0].mean())
 

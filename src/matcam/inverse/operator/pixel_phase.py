@@ -39,8 +39,6 @@ from matcam.inverse.operator.pixel_borders import (
 from matcam.inverse.operator.sample_view import rig_behind, sample_view
 from matcam.rigs import ON_REAL_PIXELS, UNKNOWN, CellValue, PixelPhase, Rig
 
-_DIAGONAL = 1e-6
-"""Sine of four times an azimuth below which the azimuth is treated as a multiple of 45 degrees. It exceeds rounding errors."""
 _LEAST_REPEATS = 0.3
 """Smallest share of neighbouring cells near the highlight that have the same value if they were read from pixels."""
 _COMMON = 0.02
@@ -49,28 +47,14 @@ _MOST_OF_A_SLICE = 0.5
 """Share of the cells of a slice that must have a value. A slice with fewer values is not used."""
 _COARSE, _FINE = 0.0625, 5e-4
 """First and last step of the search for a phase, px. The last step is below the accuracy of a phase, a few 1e-3 px."""
-_MOST_REPEATS = 0.95
-"""Share of equal neighbours above which the table is treated as a constant, which has no highlight."""
 _MOST_WRONG = 0.1
 """Largest share of the borders between values that a grid may leave unexplained."""
 _FEW_RINGS, _FEW_AZIMUTHS = 7, 6
 """Number of rings, and step in azimuths, of the cells that determine the phase of an interpolated table."""
 _SIGN_RINGS, _SIGN_AZIMUTHS = 11, 4
 """Number of rings, and step in azimuths, of the cells that decide between a phase and its mirror image."""
-_FLAT = 1e-10
-"""Relative variance of cells below which they are a constant, which any grid interpolates."""
-_CORNERS = np.array([[0.0, 0.0], [0.04, 0.0], [0.0, 0.04]])
-"""Offsets of the corners of the first simplex from its starting point, px. They are less than half the distance
-between starting points.
-"""
-_STARTS_FROM = 3
-"""Step between the slices from which the starting points of the search are selected. Two of the five slices suffice, because
-all slices have the same phase.
-"""
 _FIRST_TRIES, _TRIES = 25, 90
 """Largest number of phases that are tried to detect a grid of pixels, and to determine its phase."""
-_FALLS = 0.2
-"""Ratio of the residual after the first tries to that at the starting point, below which a grid is detected."""
 _LARGEST_RESIDUAL = 1e-6
 """Largest share of the variance of interpolated cells that a grid may leave unexplained. The correct grid is exact."""
 READ_FROM: dict[CellValue, str] = {
@@ -248,7 +232,7 @@ def _upright(found: FoundPhase, cells: list[_NearCells], azimuth: float) -> Foun
     parallel to the rows, columns or diagonals of the pixels, the mirror image of a grid is not a grid of the same
     orientation, and the phase is returned unchanged.
     """
-    if abs(np.sin(4 * azimuth)) > _DIAGONAL:
+    if abs(np.sin(4 * azimuth)) > 1e-6:  # the azimuth is no multiple of 45 degrees, up to rounding errors
         return found
     (x, y), cos, sin = found.phase, np.round(np.cos(2 * azimuth)), np.round(np.sin(2 * azimuth))
     mirrored = float(x * cos + y * sin), float(x * sin - y * cos)  # type: ignore[operator]
@@ -306,15 +290,17 @@ def bilinear_phase(table: xr.DataArray, radius: float) -> FoundPhase:
         return minimize(log_residual, corners[0], method="Nelder-Mead", options=options)
 
     def followed(before: float, u: float, v: float) -> OptimizeResult:
-        """Refine a starting point, unless the first steps detect no grid.
+        """Refine a starting point, unless the first tries do not reduce the residual to a fifth, and so detect no grid.
 
         before: ln of the residual at the starting point.
         """
-        first = descended(np.array([u, v]) + _CORNERS, _FIRST_TRIES)
-        return first if first.fun > before + np.log(_FALLS) else descended(first.final_simplex[0], _TRIES)
+        # the first simplex is smaller than half the distance between starting points
+        first = descended(np.add([[0.0, 0.0], [0.04, 0.0], [0.0, 0.04]], [u, v]), _FIRST_TRIES)
+        return first if first.fun > before + np.log(0.2) else descended(first.final_simplex[0], _TRIES)
 
     line = np.arange(-0.5, 0.5, 0.1)
-    starts = sorted((log_residual((u, v), cells[::_STARTS_FROM]), u, v) for u in line for v in line)[:3]
+    # two of the five slices suffice for starting points, because all slices have the same phase
+    starts = sorted((log_residual((u, v), cells[::3]), u, v) for u in line for v in line)[:3]
     found = min((followed(log_residual((u, v)), u, v) for _, u, v in starts), key=lambda one: one.fun)
     unexplained = float(np.exp(found.fun))
     if unexplained > _LARGEST_RESIDUAL:
@@ -337,7 +323,7 @@ def _interpolation_residual(rule: CellValue, cells: _NearCells, phase: tuple[flo
     matrix = np.bincount(entry.ravel(), found.weight.ravel() / 2, shape[0] * shape[1]).reshape(shape)
     best, *_ = lstsq(matrix, values, cond=1e-10, lapack_driver="gelsy", check_finite=False)
     left, own = values - matrix @ best, values - values.mean()
-    if (own**2).mean() <= _FLAT * values.mean() ** 2:  # interpolation from any grid gives a constant
+    if (own**2).mean() <= 1e-10 * values.mean() ** 2:  # interpolation from any grid gives a constant
         return 1.0
     return float((left**2).sum() / (own**2).sum())
 
@@ -370,7 +356,7 @@ def cell_rule(table: xr.DataArray, radius: float) -> CellRule:
     radius: radius of the sphere, px.
     """
     repeated, values = repeats(table).share, _distinct(table)
-    if repeated > _MOST_REPEATS:  # a constant has no highlight
+    if repeated > 0.95:  # a constant has no highlight
         return CellRule(None, None, repeated, values)
     rules: tuple[CellValue, ...] = ("bilinear",) if repeated < _LEAST_REPEATS else ("mean", "nearest")
     if repeated >= _LEAST_REPEATS and _common_phase("nearest", table, radius, repeats(table)).unexplained <= _COMMON:

@@ -13,31 +13,21 @@ from typing import NamedTuple
 import numpy as np
 
 from matcam.core.grid import GRID_SHAPE, merl_grid, theta_h_edges
-from matcam.forward.pixel_grid import PixelGrid, looked_up, phase_of_slices, pixel_numbers, slice_pixels, turned
+from matcam.forward.pixel_grid import (
+    PixelGrid,
+    cell_positions,
+    looked_up,
+    phase_of_slices,
+    pixel_numbers,
+    slice_pixels,
+    turned,
+)
 from matcam.inverse.operator.sample_view import BOTH_DIRECTIONS
 
 _POINTS = 4
 """Number of positions that represent the pixels of a cell on one side: two opposite pairs represent any covariance."""
 _GAUSS = 0.5 + np.array([-1.0, 1.0]) / np.sqrt(12)
 """Two Gauss-Legendre points along a side of a cell, as shares of its length."""
-
-
-class CellPositions(NamedTuple):
-    """Two positions on a sphere that show a cell.
-
-    The last axis is that of the two positions.
-
-    Attributes:
-        x: distance from the optical axis towards the lamp, px.
-        y: distance from the optical axis, perpendicular to x, px.
-        cos_i: cosine of the angle of incidence.
-        cos_o: cosine of the viewing angle.
-    """
-
-    x: np.ndarray
-    y: np.ndarray
-    cos_i: np.ndarray
-    cos_o: np.ndarray
 
 
 class PixelsBehind(NamedTuple):
@@ -56,18 +46,6 @@ class PixelsBehind(NamedTuple):
     y: np.ndarray
     weight: np.ndarray
     noise_share: np.ndarray
-
-
-def cell_positions(radius: float, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> CellPositions:
-    """Compute the two image positions that show each cell.
-
-    Camera and lamp are distant (docs/model.md 3).
-    """
-    psi = np.pi - phi_d[..., None] + np.array([0.0, np.pi])
-    th, td = theta_h[..., None], theta_d[..., None]
-    mean, half = np.cos(th) * np.cos(td), np.sin(th) * np.sin(td) * np.cos(psi)
-    x = radius * (np.cos(th) * np.sin(td) + np.sin(th) * np.cos(psi) * np.cos(td))
-    return CellPositions(x, radius * np.sin(th) * np.sin(psi), mean + half, mean - half)
 
 
 def pixel_counts(radius: float, theta_d: np.ndarray) -> np.ndarray:

@@ -52,11 +52,11 @@ class SampleView(NamedTuple):
 
     @property
     def sphere(self) -> Sphere:
-        return Sphere(self.radius) if self.camera == 0 else Sphere(self.radius, 1 / self.camera)
+        return Sphere(self.radius, 1 / self.camera if self.camera else np.inf)
 
     @property
     def cylinder(self) -> Cylinder:
-        return Cylinder(self.radius) if self.camera == 0 else Cylinder(self.radius, 1 / self.camera)
+        return Cylinder(self.radius, 1 / self.camera if self.camera else np.inf)
 
     def position(self, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> Position:
         """Compute image position, px, and lamp angle, rad, from half and difference angles, rad."""
@@ -106,8 +106,6 @@ class SampleView(NamedTuple):
 
         The integrand is the record times cos_i at F = 1 (`sphere_rule.py`). In a distant rig the result is radius^2.
         """
-        if self.distant:
-            return np.full(np.shape(theta_d), self.radius**2)
         along, across = (np.asarray(a) for a in self.sphere.px_per_rad(xp.asarray(theta_d), self.lamp))
         return along * across * self.irradiance(np.cos(theta_d)) / np.cos(theta_d)
 
@@ -116,8 +114,6 @@ class SampleView(NamedTuple):
         return SphereView(self.radius, self.camera, self.lamp)
 
 
-_ONE_AZIMUTH = 1e-6
-"""Sine of half the difference below which two azimuths are treated as equal. It exceeds rounding errors."""
 _ALIGNED = 1e-9
 """Sine of a multiple of the azimuth below which the axes of the pixels are treated as aligned with the plane of camera and
 lamp. It exceeds rounding errors.
@@ -155,7 +151,7 @@ def rig_behind(table: xr.DataArray, rig: Rig) -> Rig:
     stated, own = azimuth_of(table), rig.lamp_azimuth
     if own is None:
         return replace(rig, lamp_azimuth=stated) if stated else rig
-    if stated is not None and abs(np.sin((stated - own) / 2)) > _ONE_AZIMUTH:
+    if stated is not None and abs(np.sin((stated - own) / 2)) > 1e-6:  # more than rounding errors
         raise ArgumentError(
             f"lamp_azimuth must be that of the table, attrs['lamp_azimuth'] = {stated:g} rad, or None, got {own:g} rad"
         )

@@ -50,6 +50,7 @@ from matcam.inverse.operator.theta_nodes import (
     NODES,
     CircleSums,
     NodeSpacing,
+    PixelRule,
     ThetaRange,
     cos_azimuth,
     legendre_sums,
@@ -61,10 +62,6 @@ _GROUP = 4
 """Number of nodes of an arc that are computed at once. It divides `MOST_NODES`."""
 _MIDPOINT = MOST_NODES // _GROUP + 1
 """Index of the first midpoint rule in `_tabulated_rules`."""
-_BESIDE_BORDER = 24
-"""Smallest number of Gauss-Legendre nodes on an arc whose source disc is described by chords. The borders of the image of the
-disc may cross short arcs, too.
-"""
 _KERNELS = 2
 """Largest number of kernels that one call of the compiled program evaluates at the same nodes. The two Gaussians that are
 stretched along and across the plane of camera and lamp have the same windows.
@@ -90,11 +87,10 @@ _SLACK = 0.02
 
 
 class Kernel(NamedTuple):
-    """Kernel of some terms of a blur in some pixels.
+    """Kernel of a blur in some pixels.
 
     Attributes:
         blur: the blur.
-        terms: indices of the terms.
         variances: variances that lamp and defocus add along the plane of camera and lamp and across it, two arrays (pixels,),
             px^2.
         disc: source disc; None: a point source, or a disc that is part of the variances.
@@ -103,7 +99,6 @@ class Kernel(NamedTuple):
     """
 
     blur: Blur
-    terms: tuple[int, ...]
     variances: tuple[np.ndarray, ...]
     disc: LampDisc | None = None
     pixel_nodes: int = 0
@@ -120,21 +115,6 @@ def kernel_reach(half_width: float, stds: np.ndarray) -> np.ndarray:
         stds: standard deviations of the Gaussians of the blur, px.
     """
     return half_width + _REACH * stds
-
-
-class SphereRule(NamedTuple):
-    """Quadrature rule in theta_h for each pixel.
-
-    Attributes:
-        weight: weights at the nodes of theta_h, (pixels, 40), no unit.
-        circles: sums over the circles, from which the azimuths for masking are computed.
-        moment: `weight` times the deviation of theta_d from its value for the cell (`rise_of`), rad, (pixels, 40). None in a
-            distant rig.
-    """
-
-    weight: np.ndarray
-    circles: CircleSums
-    moment: np.ndarray | None = None
 
 
 def sphere_range(view: SphereView, windows: Windows) -> tuple[ThetaRange, ThetaRange]:
@@ -268,19 +248,19 @@ def sphere_rules(
     onto: ThetaRange,
     theta_d: np.ndarray,
     factor: np.ndarray,
-) -> list[SphereRule]:
+) -> list[PixelRule]:
     """Compute the quadrature rule in theta_h for each kernel and pixel.
 
     Args:
         view: the sphere and the distances of camera and lamp.
         at: arcs in windows that contain the support of the kernels.
-        kernels: kernels with the same terms. Kernels without a source disc are evaluated at the same nodes.
+        kernels: kernels of blurs with the same numbers of terms. Kernels without a source disc are evaluated at the same nodes.
         onto: range of theta_h in which the nodes lie.
         theta_d: theta_d of the cells, (pixels,), rad.
         factor: factors by which the records are multiplied, (pixels,), no unit.
     """
     together = _KERNELS if all(kernel.disc is None for kernel in kernels) else 1
-    rules: list[SphereRule] = []
+    rules: list[PixelRule] = []
     for first in range(0, len(kernels), together):
         sums = _kernel_sums(view, at, kernels[first : first + together], onto, theta_d)
         rules += [_from_sums(view, at, own, onto, theta_d, factor) for own in sums]
@@ -307,9 +287,10 @@ def _kernel_sums(
     if kernel.disc is not None:
         with_borders = ~of_gaussians(view, kernel.disc)[pixel]
     reach = windows.half.max(axis=0)
-    fineness = np.max([fineness_of(one.blur, one.terms, reach) for one in kernels], axis=0)
+    fineness = np.max([fineness_of(one.blur, reach) for one in kernels], axis=0)
     nodes, evenly = nodes_on_arcs(view, windows, layout, fineness, 1.0)
-    nodes = np.where(with_borders & ~evenly, np.maximum(nodes, _BESIDE_BORDER), nodes)
+    # the borders of the image of a disc that is described by chords may cross short arcs, too
+    nodes = np.where(with_borders & ~evenly, np.maximum(nodes, 24), nodes)
     rule = -(-nodes // _GROUP) + evenly * _MIDPOINT
     per_arc = angle[arcs.circle], arcs.middle, arcs.half
     sums = np.zeros((count, 7 + 2 * NODES[0].size if near else 4, arcs.circle.size))
@@ -326,7 +307,7 @@ def _kernel_sums(
         found = _arc_sums(
             np.array(-(-some.size // _BLOCK)), np.array(count), np.array(view), np.stack([a[seen_by] for a in per_pixel]),
             np.stack([a[index] for a in per_arc]), spread[:, seen_by], rule[index].reshape(-1, _BLOCK)[:, 0],
-            _tabulated_rules(), blurs, kernel.disc_at(seen_by), kernel.terms, near, kernel.pixel_nodes,
+            _tabulated_rules(), blurs, kernel.disc_at(seen_by), near, kernel.pixel_nodes,
         )  # fmt: skip
         sums[..., some] = np.asarray(found)[:count, :, : some.size]
     return sums
@@ -334,7 +315,7 @@ def _kernel_sums(
 
 def _from_sums(
     view: SphereView, at: WindowArcs, sums: np.ndarray, onto: ThetaRange, theta_d: np.ndarray, factor: np.ndarray
-) -> SphereRule:
+) -> PixelRule:
     """Compute the rule of a kernel from `sums`, the result of `_kernel_sums` for this kernel, (sums, arcs)."""
     circles, arcs = at.layout.circles, at.layout.arcs
     angle, step = (a.reshape(factor.size, -1) for a in (circles.angle, circles.weight))
@@ -346,15 +327,15 @@ def _from_sums(
         others += [total * spacing.by_pixel().position(angle), total * theta_d[:, None], others[0] * theta_d[:, None]]
     seen = CircleSums(total, np.stack(others[:3]), *others[3:])
     if not near:
-        return SphereRule(onto.carry(angle, through * total), seen)
+        return PixelRule(onto.carry(angle, through * total), seen)
     own, pixel = np.zeros((2, factor.size, NODES[0].size)), circles.window[arcs.circle]
     begins = np.flatnonzero(np.diff(pixel, prepend=-1))
     if not begins.size:
-        return SphereRule(own[0], seen, own[1])
+        return PixelRule(own[0], seen, own[1])
     for weight, moment in zip(own, np.split(moments, 2), strict=True):
         by_pixel = np.add.reduceat(moment * through.ravel()[arcs.circle], begins, axis=1)
         weight[pixel[begins]] = (FROM_MOMENTS @ by_pixel).T
-    return SphereRule(own[0], seen, own[1])
+    return PixelRule(own[0], seen, own[1])
 
 
 @cache
@@ -367,7 +348,7 @@ def _tabulated_rules() -> np.ndarray:
     return np.moveaxis(rules, 1, 0).reshape(-1, 2, MOST_NODES // _GROUP, _GROUP)
 
 
-@partial(jit_plainly, runs="mostly", static=("terms", "near", "pixel_nodes"))
+@partial(jit_plainly, runs="mostly", static=("near", "pixel_nodes"))
 def _arc_sums(
     used: Any,
     kernels: Any,
@@ -379,7 +360,6 @@ def _arc_sums(
     rules: Any,
     blurs: Blur,
     disc: LampDisc | None,
-    terms: tuple[int, ...],
     near: bool,
     pixel_nodes: int,
 ) -> jax.Array:
@@ -451,11 +431,11 @@ def _arc_sums(
             blur = jax.tree.map(lambda a: a[number], blurs)
             var_x, var_y = variances[number]
             if disc is None:
-                seen = sum((blur.share(term) * through(blur, term, var_x, var_y) for term in terms), jnp.zeros(()))
+                seen = sum((blur.share(term) * through(blur, term, var_x, var_y) for term in blur.terms), jnp.zeros(()))
             else:
                 normals = tuple(jnp.broadcast_to(n, off.shape).T for n in normal)
                 per_arc = (tuple(a[:, None] for a in pair) for pair in (in_plane(x, y), (var_x, var_y)))
-                seen = lamp_kernel(view, blur, terms, disc, points, normals, *per_arc).T
+                seen = lamp_kernel(view, blur, disc, points, normals, *per_arc).T
             share = jax.lax.optimization_barrier(seen * measure)
             own = jnp.stack([jnp.sum(share * one, axis=0) for one in factors])
             if near:

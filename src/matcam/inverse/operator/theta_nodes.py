@@ -302,6 +302,21 @@ class CircleSums(NamedTuple):
     product: np.ndarray
 
 
+class PixelRule(NamedTuple):
+    """Quadrature rule in theta_h for each pixel.
+
+    Attributes:
+        weight: weights at the nodes of theta_h, (pixels, 40), no unit.
+        circles: sums over the circles, from which the azimuths for masking are computed.
+        moment: `weight` times the deviation of theta_d from its value for the cell (`rise_of`), rad, (pixels, 40). None: not
+            required.
+    """
+
+    weight: np.ndarray
+    circles: CircleSums
+    moment: np.ndarray | None = None
+
+
 def masking_angles(circles: CircleSums) -> dict[str, np.ndarray]:
     """Compute the angles at which masking is evaluated at the nodes, and their shares, by name.
 
