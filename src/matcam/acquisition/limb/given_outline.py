@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from matcam.acquisition.limb.limb_edges import LimbSectors
-from matcam.acquisition.outline import Outline, Sighting
+from matcam.acquisition.outline import Outline
 from matcam.core.errors import FitError
 from matcam.files.capture import Capture
 from matcam.files.photographs import open_photograph
@@ -22,16 +22,13 @@ whose axes differ by 22 %, 2.3 % for a square.
 """
 
 
-def given_outline(
-    capture: Capture, sighting: Sighting, sigma: float, shape: tuple[int, int] | None = None
-) -> Outline | None:
+def given_outline(capture: Capture, sigma: float, shape: tuple[int, int] | None = None) -> Outline | None:
     """Determine the outline of a sphere from a specified circle or, without a circle, from a mask.
 
     The result is None if neither is specified.
 
     Args:
         capture: capture of a sphere.
-        sighting: geometry of the camera.
         sigma: standard deviation of the lens's blur, px.
         shape: width and height of the frames, px. Default: None, the size of the mask is not checked.
 
@@ -41,28 +38,25 @@ def given_outline(
     """
     if capture.circle is not None:
         centre, radius = capture.circle
-        return stated_circle(centre, radius.value, radius.std, sighting, sigma)
+        return stated_circle(centre, radius.value, radius.std, sigma)
     if capture.mask is not None:
-        return mask_outline(capture.mask, capture.settings["outline"]["mask_std_px"], sighting, sigma, shape)
+        return mask_outline(capture.mask, capture.settings["outline"]["mask_std_px"], sigma, shape)
     return None
 
 
-def stated_circle(centre: tuple[float, float], radius: float, std: float, sighting: Sighting, sigma: float) -> Outline:
+def stated_circle(centre: tuple[float, float], radius: float, std: float, sigma: float) -> Outline:
     """Convert a specified circle to an outline.
 
     Args:
         centre: column and row, px.
         radius: radius of the limb, px.
         std: standard deviation of radius, column and row each, px; 0: unknown, 0.5 px is used.
-        sighting: geometry of the camera.
         sigma: standard deviation of the lens's blur, px.
     """
-    return _outline(centre[1], centre[0], radius, np.full(3, std or _STATED_STD), sighting, sigma)
+    return _outline(centre[1], centre[0], radius, np.full(3, std or _STATED_STD), sigma)
 
 
-def mask_outline(
-    path: Path, std: float, sighting: Sighting, sigma: float, shape: tuple[int, int] | None = None
-) -> Outline:
+def mask_outline(path: Path, std: float, sigma: float, shape: tuple[int, int] | None = None) -> Outline:
     """Measure the outline of the disc in a mask.
 
     The area determines the radius, and the first moments the centre.
@@ -71,7 +65,6 @@ def mask_outline(
         path: image of two values; the value at the border marks the pixels outside the sphere.
         std: standard deviation of the radius, px. An offset of the edge of the mask changes the radius but not the centre,
             so the standard deviation of the centre is assumed to be half as large.
-        sighting: geometry of the camera.
         sigma: standard deviation of the lens's blur, px.
         shape: width and height of the frames, px. Default: None, not checked.
 
@@ -102,10 +95,10 @@ def mask_outline(
             f"{path}: the shape in the mask is not a disc: the radius is {radius:.1f} px by area, but {by_moments:.1f} px by "
             "second moments: exclude the stand from the mask"
         )
-    return _outline(row, column, radius, np.array([std / 2, std / 2, std]), sighting, sigma)
+    return _outline(row, column, radius, np.array([std / 2, std / 2, std]), sigma)
 
 
-def _outline(row: float, column: float, radius: float, std: np.ndarray, sighting: Sighting, sigma: float) -> Outline:
+def _outline(row: float, column: float, radius: float, std: np.ndarray, sigma: float) -> Outline:
     none = LimbSectors(*(np.zeros(0) for _ in LimbSectors._fields))
     covariance = np.diag(std**2)
     return Outline(
@@ -114,8 +107,6 @@ def _outline(row: float, column: float, radius: float, std: np.ndarray, sighting
         radius=radius,
         covariance=covariance,
         sigma=sigma,
-        sigma_std=sigma,
-        sighting=sighting,
         sectors=none,
         used=np.zeros(0, bool),
         scatter=0.0,
