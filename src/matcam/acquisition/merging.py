@@ -10,7 +10,8 @@ pixel in an exposure is predicted from shorter exposures, because selection by t
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -51,7 +52,8 @@ def merge(
 ) -> tuple[list[MergedPicture], Radiometry]:
     """Calibrate a capture radiometrically, and merge the exposures of every lamp position.
 
-    Each worker has the frames of one lamp position in memory.
+    Each worker has the frames of one lamp position in memory. If the capture has a table of lamp intensities, the images are
+    divided by them.
 
     Args:
         capture: the capture.
@@ -65,8 +67,9 @@ def merge(
         The merged images in the order of the lamps, and the radiometry.
 
     Raises:
-        FitError: no lamp position has a frame that can be read, every frame is dark or clipped, or the frames are processed
-            (sharpened, tone curve) and accept_processed is not set.
+        FitError: no lamp position has a frame that can be read, every frame is dark or clipped, the frames are processed
+            (sharpened, tone curve) and accept_processed is not set, or the number of intensities of a lamp is neither 1 nor
+            the number of colours.
     """
     radiometry = measure_radiometry(capture, region, progress, workers=workers, kept=kept)
     if not capture.settings["camera"]["accept_processed"]:
@@ -82,25 +85,6 @@ def merge(
                 f"{capture.folder}: {proof}: give raw frames, specify camera.tone, correct or delete the times, or accept the "
                 "frames with camera.accept_processed = true"
             )
-    pictures = []
-    for number, picture in enumerate(merged_pictures(capture, radiometry, workers, kept)):
-        pictures.append(picture)
-        if progress:
-            progress("merging", number + 1, len(radiometry.used))
-    return pictures, radiometry
-
-
-def merged_pictures(
-    capture: Capture, radiometry: Radiometry, workers: int = 1, kept: KeptWork | None = None
-) -> Iterator[MergedPicture]:
-    """Yield the merged image of each lamp position, one at a time.
-
-    Args:
-        capture: the capture.
-        radiometry: radiometric calibration from `measure_radiometry`.
-        workers: number of lamp positions that are merged at a time. Default: 1.
-        kept: cache of merged images, from which an interrupted computation resumes. Default: None, no cache.
-    """
     reader = MosaicReader(capture)
     about = "" if kept is None else _fingerprint(capture, radiometry)
 
@@ -117,7 +101,30 @@ def merged_pictures(
         parts = {name: found[name] for name in _KEPT}
         return MergedPicture(lamp, **parts, channels=radiometry.channels, origin=origin_of(radiometry.region))
 
-    yield from in_order(one, list(radiometry.used), workers)
+    pictures = []
+    for picture in in_order(one, list(radiometry.used), workers):
+        pictures.append(picture)
+        if progress:
+            progress("merging", len(pictures), len(radiometry.used))
+    return _under_one_light(pictures, capture), radiometry
+
+
+def _under_one_light(pictures: Sequence[MergedPicture], capture: Capture) -> list[MergedPicture]:
+    if capture.settings["lamp"]["intensity"] != "table":
+        return list(pictures)
+    stated = {one.name: np.array(capture.lamps[one.name].intensity) for one in pictures}
+    mean = float(np.mean([light.mean() for light in stated.values()]))
+    found = []
+    for one in pictures:
+        light = stated[one.name] / mean
+        if len(light) not in (1, len(one.channels)):
+            raise FitError(
+                f"{capture.folder}: the number of intensities of lamp {one.name} is {len(light)}, but it must be 1 or the "
+                f"number of colours of the images, {len(one.channels)}"
+            )
+        share = np.broadcast_to(light, len(one.channels))[one.channel]
+        found.append(replace(one, values=one.values / share, std=one.std / share))
+    return found
 
 
 def _fingerprint(capture: Capture, radiometry: Radiometry) -> str:

@@ -16,7 +16,6 @@ from typing import NamedTuple
 import numpy as np
 
 from matcam.acquisition.check.unmeasured_lens import BY_SHAPE
-from matcam.acquisition.light.picture_light import PictureLight
 from matcam.acquisition.merged_picture import MergedPicture
 from matcam.core.arrays import evenly
 from matcam.core.remark import Remark
@@ -396,7 +395,7 @@ def _with_odd_pictures(search: _Search, best: Alternative) -> tuple[SphereFit, l
         return fit, []
     shares = {k: unexplained_share(solution.problem, solution.p, [k]) for k in odd}
     wider = np.array([shares.get(k, 0.0) for k in range(len(search.pictures))])
-    scene = with_light(search.scene, partial(PictureLight.with_error, std=wider))
+    scene = with_light(search.scene, lambda light: light.with_error(wider))
     fit = replace(search, scene=scene).fitted(best, start=fit, rounds=1)
     chi2, remarks = fit.solution.chi2, []
     for k, share in shares.items():

@@ -8,12 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import numpy as np
 
-from matcam.acquisition.light.picture_light import PictureLight
 from matcam.core.remark import Remark
 from matcam.reconstruction.sphere_fit import SphereFit
 from matcam.reconstruction.sphere_scene import SphereScene, prior_of, with_light
@@ -124,7 +122,7 @@ def with_wider(scene: SphereScene, source: str, factor: float) -> SphereScene:
         assert field is not None
         change = {"camera": scene.camera.with_field(field.wider(factor))}
     elif source == "gain":
-        return with_light(scene, partial(PictureLight.wider, factor=factor))
+        return with_light(scene, lambda light: light.wider(factor))
     else:  # lens, lamp or shift
         change = {f"{source}_std": np.asarray(getattr(scene, f"{source}_std")) * factor}
     return replace(scene, **change)

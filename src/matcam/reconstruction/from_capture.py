@@ -105,12 +105,12 @@ def reconstruct(
 
     fit_pictures: Callable[..., SphereFit] = fit_sphere
     if kind == "cylinder":
-        cylinder = captured_cylinder(capture, progress, workers=workers, kept=kept)
+        found, strips = captured_cylinder(capture, progress, workers=workers, kept=kept)
         # strips of different orientations distinguish two roughnesses
-        turned = len({round(float(np.degrees(strip.turn)) % 180, 3) for strip in cylinder.strips}) > 1
+        turned = len({round(float(np.degrees(strip.turn)) % 180, 3) for strip in strips}) > 1
         stretched = ndf == AUTO and turned
-        found, family = cylinder.scene, "ggx" if stretched else ndf
-        fit_pictures = partial(fit_cylinder, strips=cylinder.strips, stretched=stretched)
+        family = "ggx" if stretched else ndf
+        fit_pictures = partial(fit_cylinder, strips=strips, stretched=stretched)
     else:
         earlier = read_rig(rig_from) if isinstance(rig_from, str | Path) else rig_from
         found, family = captured_scene(capture, progress, earlier, workers=workers, kept=kept), ndf

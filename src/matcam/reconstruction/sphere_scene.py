@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
@@ -105,31 +104,25 @@ def mirror_ball(layout: JointLayout, p: np.ndarray, k: int) -> tuple[MirrorBall,
 
 def part_of(scene: SphereScene, pictures: Sequence[int]) -> SphereScene:
     count, keep = len(scene.lamps), list(pictures)
+
+    def light(lamps: np.ndarray, nearness: float) -> PictureLight:
+        every = scene.lamps.copy()
+        every[keep] = lamps
+        return scene.light_at(every, nearness).part(keep)
+
     return replace(
         scene,
         centres=scene.centres[keep],
         lamps=scene.lamps[keep],
         lamp_std=np.broadcast_to(scene.lamp_std, count)[keep],
-        light=partial(_light_of, scene, keep),
+        light=light,
         rig=None if scene.rig is None else scene.rig._replace(lamps=scene.rig.lamps[keep]),
     )
 
 
 def with_light(scene: SphereScene, change: Callable[[PictureLight], PictureLight]) -> SphereScene:
     """Change the light of the images, for every position of the lamps."""
-    return replace(scene, light=partial(_changed_light, scene, change))
-
-
-def _changed_light(
-    scene: SphereScene, change: Callable[[PictureLight], PictureLight], lamps: np.ndarray, nearness: float
-) -> PictureLight:
-    return change(scene.light_at(lamps, nearness))
-
-
-def _light_of(scene: SphereScene, pictures: list[int], lamps: np.ndarray, nearness: float) -> PictureLight:
-    every = scene.lamps.copy()
-    every[pictures] = lamps
-    return scene.light_at(every, nearness).part(pictures)
+    return replace(scene, light=lambda lamps, nearness: change(scene.light_at(lamps, nearness)))
 
 
 def unstated_distortion(ball: MirrorBall) -> LensField:

@@ -154,7 +154,7 @@ def patch_light(
         )
     gain, among = np.exp(found[:count]), covariance[:count, :count]
     unit_by_nearness = 0.0 if units is None else float(by_nearness[-1])
-    return PictureLight(gain, among, used, by_nearness[:count], unit_by_nearness, units)
+    return PictureLight(gain, among, by_nearness[:count], unit_by_nearness, units)
 
 
 def _tangents(lamps: np.ndarray) -> list[np.ndarray]:

@@ -29,7 +29,6 @@ from matcam.reconstruction.flat.flat_roughness import FlatRoughness, LobeShares,
 from matcam.reconstruction.flat.flat_stack import MARGIN, FlatPicture, FlatStack, flat_stack
 from matcam.reconstruction.flat.texture_posterior import TexturePosterior, texture_posterior
 from matcam.reconstruction.stated.captured_scene import INCOMPLETE
-from matcam.reconstruction.stated.lamp_light import under_one_light
 from matcam.reconstruction.stated.stated_rig import captured_lens, without_field
 
 MAPS = ("diffuse", "specular")
@@ -212,7 +211,6 @@ def reconstruct_flat(
             "texels: give frames of a monochrome camera, and omit camera.cfa"
         )
     merged, radiometry = merge(capture, capture.region, progress, workers=workers, kept=kept)
-    merged = under_one_light(merged, capture)
     remarks.extend(radiometry.remarks)
     pictures, lost = [], []
     for one in merged:

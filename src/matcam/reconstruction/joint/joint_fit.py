@@ -255,21 +255,19 @@ def _of_pictures(work: Callable[[int], T], problem: JointProblem) -> Iterator[T]
     return in_order(work, range(problem.layout.pictures), min(available_cores(), _MOST_AT_ONCE))
 
 
-def cost_at(
-    problem: JointProblem, judge: Likelihood, p: np.ndarray, levels: Sequence[np.ndarray] | None = None
-) -> float:
+def cost_at(problem: JointProblem, judge: Likelihood, p: np.ndarray, levels: Sequence[np.ndarray]) -> float:
     """Compute minus twice the logarithm of likelihood and prior, up to a constant.
 
     Args:
         problem: problem to fit.
         judge: likelihood of the pixels.
         p: parameters, (size,).
-        levels: expected values of the pixels of each image, from which the noise follows. Default: None, the model.
+        levels: expected values of the pixels of each image, from which the noise follows.
     """
 
     def share(k: int) -> float:
         value = problem.picture(p, k, slopes=False).value
-        return judge.cost(problem.pixels[k], value, None if levels is None else levels[k])
+        return judge.cost(problem.pixels[k], value, levels[k])
 
     away = problem.prior_rows @ p - problem.prior_values
     return float(away @ away) + sum(_of_pictures(share, problem))
