@@ -13,14 +13,6 @@ from scipy.ndimage import uniform_filter
 
 MOST = 30_000
 """Largest number of pixels per lamp position, which bounds the memory for all positions."""
-_FAR = 4
-"""Distance, px, at which the noise of sharpened or demosaiced frames is nearly uncorrelated: a Gaussian blur of 1 px leaves
-a correlation of 2 %.
-"""
-_SURROUNDINGS = 9
-"""Side, px, of the square whose mean determines whether its central pixel is dark. A small square, which contains the
-other pixel of a pair, would favour pairs with noise of opposite signs.
-"""
 
 
 class BracketSample(NamedTuple):
@@ -99,7 +91,8 @@ def noise_correlation(light: np.ndarray, noise: float) -> tuple[float, float]:
         light: dark-subtracted frame, (height, width), DN.
         noise: read noise, DN.
     """
-    around = uniform_filter(light, _SURROUNDINGS)
+    # a square of 9 px: a small one, which contains the other pixel of a pair, would favour noise of opposite signs
+    around = uniform_filter(light, 9)
     dark = (np.abs(around) < 1.5 * max(noise, 0.3)) & (np.abs(light) < 6 * max(noise, 0.3))
     products, squares, count = 0.0, 0.0, 0
     for axis in (0, 1):
@@ -107,7 +100,9 @@ def noise_correlation(light: np.ndarray, noise: float) -> tuple[float, float]:
         if pairs < 100:
             continue
         # faint light is smooth and correlated over several pixels, unlike noise after sharpening or demosaicing
-        smooth, _, others = _lagged(light, dark, axis, _FAR)
+        # at 4 px the noise of sharpened or demosaiced frames is nearly uncorrelated: a Gaussian blur of 1 px
+        # leaves 2 %
+        smooth, _, others = _lagged(light, dark, axis, 4)
         smooth = min(max(smooth, 0.0), 0.9 * square) if others >= 100 else 0.0
         products, squares, count = (
             products + pairs * (product - smooth),

@@ -32,10 +32,6 @@ from matcam.core.remark import Remark
 from matcam.files.capture import Capture
 from matcam.files.capture_frames import LampGuess
 
-_WHOLE = 4
-"""Number of lamp positions whose exposures are compared pixel by pixel: few, because the frames are read again."""
-_CHANCE = 0.01
-"""Probability that a steady lamp is reported as drifting, if the specified scatter and the errors of its readings are right."""
 _FIRST, _LAST, _GAP = 10.0, 70.0, 12.0
 """Limits of theta_d, degrees: a capture should begin below the first, end above the second, and have no gap larger than
 the third.
@@ -99,7 +95,9 @@ def check_capture(capture: Capture, progress: Progress | None = None) -> Capture
         found.append(Remark("bad-profile", str(error)))
     if radiometry is not None:
         names = list(radiometry.used)
-        for lamp in [names[i] for i in evenly(len(names), _WHOLE)]:
+        # the exposures of four lamp positions are compared pixel by pixel: few, because the frames are read
+        # again
+        for lamp in [names[i] for i in evenly(len(names), 4)]:
             misfit = bracket_misfit(capture, lamp, radiometry, merge_position(capture, lamp, radiometry))
             remark = misfit_remark(lamp, misfit)
             if remark is not None:
@@ -203,7 +201,8 @@ def _lamp_remarks(capture: Capture, radiometry: Radiometry | None, sample: tuple
     # 1e-5 keeps the weights of readings without noise finite
     weights = 1 / (unknown + max(stated, 1e-5) ** 2)
     chi2 = float(weights @ (light - np.average(light, weights=weights)) ** 2)
-    if scatter <= 2 * stated + 0.002 or chdtrc(light.size - 1, chi2) > _CHANCE:
+    # one false report of a steady lamp in a hundred captures
+    if scatter <= 2 * stated + 0.002 or chdtrc(light.size - 1, chi2) > 0.01:
         return []
     worst = max(values, key=lambda lamp: abs(values[lamp] - 1))
     return [

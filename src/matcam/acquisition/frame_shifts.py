@@ -18,15 +18,6 @@ from matcam.core.errors import FitError
 from matcam.core.remark import Remark
 from matcam.numerics.normal import robust_std
 
-_TURNS = 5
-"""Largest number of Gauss-Newton steps."""
-_BRIGHT = 0.5
-"""Share of the largest contrast of the limb above which a sector is used."""
-_STILL = 1e-3
-"""Largest change of a shift or of the outline at convergence, px."""
-_OUTLIER = 4.0
-"""Number of standard deviations from the fitted limb above which a sector is omitted."""
-
 
 def find_shifts(pictures: Sequence[MergedPicture], outline: Outline, shift_std: float) -> tuple[Outline, np.ndarray]:
     """Estimate the shift of the sphere in every frame, and the common outline.
@@ -47,17 +38,19 @@ def find_shifts(pictures: Sequence[MergedPicture], outline: Outline, shift_std: 
     kind = "coated" if outline.coated else "lit"
     fits = [OutlineFit(one, kind, EXPONENTS[kind], position) for one in pictures]
     sigma = max(outline.sigma, 0.05)
-    for _ in range(_TURNS):
+    for _ in range(5):
         design, offsets, weights = [], [], []
         for k, (fit, shift) in enumerate(zip(fits, shifts, strict=True)):
             edges = fit.edges(position + np.append(shift, 0.0), sigma, fit.exponents)
             with np.errstate(invalid="ignore"):
                 chosen = fit.usable(edges) & (np.abs(edges.offset) < 2.0)
                 # near the ends of the terminator the radiance varies along the limb within a sector
-                chosen &= edges.contrast > _BRIGHT * np.max(edges.contrast, where=chosen, initial=0.0)
+                # share of the largest contrast of the limb above which a sector is used
+                chosen &= edges.contrast > 0.5 * np.max(edges.contrast, where=chosen, initial=0.0)
                 floor = robust_std(edges.offset[chosen]) if chosen.any() else 0.0
                 std = np.sqrt(edges.std**2 * np.maximum(edges.misfit, 1.0) + min(outline.scatter, 0.2) ** 2)
-                chosen &= np.abs(edges.offset) < _OUTLIER * np.hypot(std, floor)
+                # sectors more than 4 standard deviations from the limb are omitted
+                chosen &= np.abs(edges.offset) < 4.0 * np.hypot(std, floor)
             if chosen.sum() < FEWEST_SECTORS:
                 continue
             slopes = limb_slopes(edges.azimuth[chosen])
@@ -76,7 +69,7 @@ def find_shifts(pictures: Sequence[MergedPicture], outline: Outline, shift_std: 
         covariance = np.linalg.inv((matrix.T * weight) @ matrix + np.diag(prior))
         step = covariance @ ((matrix.T * weight) @ offset - prior * np.append(np.zeros(3), shifts))
         position, shifts = position + step[:3], shifts + step[3:].reshape(-1, 2)
-        if np.abs(step).max() < _STILL:
+        if np.abs(step).max() < 1e-3:
             break
     chi2 = float(np.sum(weight * (offset - matrix @ step) ** 2))
     covariance = covariance * max(1.0, chi2 / max(len(offset) - 3, 1))

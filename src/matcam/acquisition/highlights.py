@@ -20,14 +20,8 @@ from matcam.acquisition.mirror_ball import MirrorBall, unit
 from matcam.core.errors import FitError
 from matcam.core.remark import Remark, gathered
 
-_LEVEL = 0.3  # share of the height of the highlight above which a pixel is part of the highlight
-_WORTH = 0.05  # share of the light of the highlight above which another bright spot is reported
-_FAINTEST = 0.3  # smallest height of a highlight, relative to the median of the sphere
 _BROADEST = 0.12  # largest area of a highlight, as a share of the disc
-_LOST = 0.3  # largest clipped share of the disc
-_RIM = 0.995  # share of the radius within which pixels are used, because those at the limb are mixed with background
 _PIXELS = 3000  # largest number of pixels in a fit, which bounds its time
-_SHAPE = 0.05  # relative error of the model, because a highlight may differ from the fitted lobe
 
 
 @dataclass(frozen=True)
@@ -66,7 +60,8 @@ def find_highlight(picture: MergedPicture, ball: MirrorBall, *, blur: float = 0.
     """
     shape = picture.values.shape
     rows, columns = np.indices(shape) + np.array(picture.origin)[:, None, None]
-    on = np.hypot(rows - ball.row, columns - ball.column) < _RIM * ball.radius
+    # pixels at the limb are mixed with the background
+    on = np.hypot(rows - ball.row, columns - ball.column) < 0.995 * ball.radius
     main = np.bincount(picture.channel[on].ravel(), minlength=1).argmax() if on.any() else 0
     one = on & np.isfinite(picture.values) & (picture.channel == main)
     if one.sum() < 30:
@@ -75,7 +70,8 @@ def find_highlight(picture: MergedPicture, ball: MirrorBall, *, blur: float = 0.
             "centre and the radius of the outline"
         )
     lost = float(np.mean(picture.clipped[on]))
-    if lost > _LOST:
+    # largest clipped share of the disc
+    if lost > 0.3:
         raise FitError(f"{picture.name}: {lost:.0%} of the sphere is clipped; add a shorter exposure")
     spots, background = _spots(picture, one, on)
     if not spots:
@@ -140,15 +136,18 @@ def _spots(
         light = ndimage.maximum_filter(light, 3)
     light = np.where(on, light, -np.inf)
     peak = float(light.max())
-    if peak - background < max(10 * noise, _FAINTEST * abs(background)):
+    # smallest height of a highlight, relative to the median of the sphere
+    if peak - background < max(10 * noise, 0.3 * abs(background)):
         return [], background
-    labels, count = ndimage.label(light > background + _LEVEL * (peak - background), np.ones((3, 3)))
+    # share of the height of the highlight above which a pixel is part of the highlight
+    labels, count = ndimage.label(light > background + 0.3 * (peak - background), np.ones((3, 3)))
     index = np.arange(1, count + 1)
     above = np.where(labels > 0, light - background, 0.0)
     total = np.atleast_1d(ndimage.sum(above, labels, index))
     size = np.atleast_1d(ndimage.sum(labels > 0, labels, index)).astype(int)
     positions = np.array(ndimage.center_of_mass(above, labels, index)).reshape(-1, 2)
-    order = [k for k in np.argsort(total)[::-1] if total[k] > _WORTH * total.max()]
+    # weaker spots are not reported
+    order = [k for k in np.argsort(total)[::-1] if total[k] > 0.05 * total.max()]
     return [(float(positions[k, 0]), float(positions[k, 1]), float(total[k]), int(size[k])) for k in order], background
 
 
@@ -179,7 +178,8 @@ def _lobe_position(
     rows, columns = np.unravel_index(chosen, picture.values.shape)
     normals = ball.normals(rows + picture.origin[0], columns + picture.origin[1])
     cosines = np.maximum((ball.views(normals) * normals).sum(-1), 1e-3)
-    error = np.hypot(std, _SHAPE * np.maximum(values, background))
+    # a highlight may differ from the fitted lobe by 5 %
+    error = np.hypot(std, 0.05 * np.maximum(values, background))
     background = max(abs(background), float(np.median(std)))
 
     def model(p: np.ndarray) -> np.ndarray:

@@ -28,15 +28,6 @@ from matcam.files.capture import Capture, Region
 
 _SAFE = 0.93
 """Largest predicted share of the clip level of a usable pixel."""
-_DIM = 10.0
-"""Signal in the longest exposure, relative to the read noise, below which neighbours determine the variance of a pixel.
-
-Weights from the noisy pixel itself would bias its flux.
-"""
-_AGREE = 4.0
-"""Largest difference of a pixel from the neighbours that determine its variance, in standard deviations."""
-_BRIGHT = 30.0
-"""Signal, as a multiple of the read noise, above which a pixel tests the agreement of its exposures."""
 
 _KEPT = ("values", "std", "clipped", "channel")
 """Arrays of a merged image that are stored."""
@@ -202,7 +193,8 @@ def bracket_misfit(capture: Capture, lamp: str, radiometry: Radiometry, picture:
         dark = radiometry.darkness[frame.exposure]
         code = reader.read(frame, radiometry.region)
         mean = relative * steep
-        good = (mean > _BRIGHT * noise) & (mean < _SAFE * (radiometry.clip.level - dark.mean)) & ~picture.clipped
+        # only pixels of 30 times the read noise test the agreement of the exposures
+        good = (mean > 30.0 * noise) & (mean < _SAFE * (radiometry.clip.level - dark.mean)) & ~picture.clipped
         good &= (code < radiometry.clip.threshold) & np.isfinite(picture.values)
         residual = (code - dark.level)[good] - mean[good]
         # the mean contains this frame, which reduces the variance of the residual by that of the mean
@@ -262,8 +254,10 @@ def _weighted(
     around = same_colour_neighbours(flux, step)
     np.maximum(under, np.float32(relative.min()), out=under)
     variance = (np.float32(gain) * np.maximum(around, 0) + np.float32(len(light) * noise**2) / under) / under
-    agrees = (flux - around) ** 2 < _AGREE**2 * variance
-    agrees |= around * np.float32(relative[-1]) < _DIM * noise
+    # largest difference of a pixel from the neighbours that determine its variance, in standard deviations
+    agrees = (flux - around) ** 2 < 4.0**2 * variance
+    # weights from a dim noisy pixel itself would bias its flux
+    agrees |= around * np.float32(relative[-1]) < 10.0 * noise
     flux = np.maximum(np.where(agrees, around, flux), 0)
     top[:], under[:] = 0, 0
     for one, d, e in zip(use, light, relative.astype(np.float32), strict=True):

@@ -15,8 +15,6 @@ from numpy.typing import ArrayLike
 
 from matcam.sample.sight import highlight_between
 
-_TURNS = 60  # largest number of iterations
-_SETTLED = 1e-15  # change of an angle at convergence, rad
 _TOWARDS_CAMERA = np.array([0.0, 0.0, 1.0])
 
 
@@ -157,13 +155,15 @@ def cylinder_line(
     """
     camera, source = 1 / distance, 1 / lamp_distance
     u, end = float(np.arctan2(lamp[0], 1 + lamp[2])), np.arccos(camera) - 1e-3
-    for _ in range(_TURNS):
+    # largest number of iterations
+    for _ in range(60):
         sin, cos = np.sin(u), np.cos(u)
         point = np.array([sin, height(cos), cos])
         half = unit(lamp - source * point) + unit(_TOWARDS_CAMERA - camera * point)
         toward, aside = half[0] * sin + half[2] * cos, half[0] * cos - half[2] * sin
         turn = np.arctan2(aside, toward) - np.arctan(lean * half[1] / max(toward, 1e-6))
         last, u = u, float(np.clip(u + turn, -end, end))
-        if abs(u - last) < _SETTLED:
+        # change of an angle at convergence, rad
+        if abs(u - last) < 1e-15:
             break
     return float(np.sqrt(1 - camera**2) * np.sin(u) / (1 - camera * np.cos(u)))

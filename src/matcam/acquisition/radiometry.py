@@ -53,9 +53,6 @@ from matcam.numerics.frame_noise import code_step
 Progress = Callable[[str, int, int], None]
 """Function that receives the name of a step, the number of finished parts, and the total number of parts."""
 
-_ROUNDING = 1 / 12
-"""Variance of the rounding error of a code, relative to the squared step of the codes: that of a uniform distribution."""
-
 
 @dataclass(frozen=True)
 class Radiometry:
@@ -488,7 +485,8 @@ def _order(samples: Sequence[BracketSample], count: int) -> np.ndarray:
 def _read_noise(darkness: dict[str, Darkness], step: float) -> float:
     """Compute the read noise of one frame including rounding to multiples of `step`, DN; 2 steps if it is unknown."""
     known = [d.read_noise for d in {id(d): d for d in darkness.values()}.values() if math.isfinite(d.read_noise)]
-    return float(max(np.median(known), math.sqrt(_ROUNDING) * step)) if known else 2.0 * step
+    # the variance of a rounding error is 1/12 of the squared step
+    return float(max(np.median(known), math.sqrt(1 / 12) * step)) if known else 2.0 * step
 
 
 def _noise_error(darkness: dict[str, Darkness]) -> float:

@@ -32,25 +32,11 @@ from matcam.reconstruction.sphere_scene import SphereScene, joint_problem, part_
 
 _SPLINE = 1.0
 """Prior standard deviation of the second differences of ln D of a spline modification, no unit."""
-_WRONG = 0.01
-"""Prior probability that a source of specified values is wrong."""
-_NEGLIGIBLE = 1e-3
-"""Probability below which an explanation is neglected."""
-_DOUBTFUL = 0.05
-"""Probability above which a source that may be wrong is reported."""
-_TRIES = 3
-"""Largest number of changes that are fitted in one step of the search."""
-_FEWEST = 3
-"""Smallest number of images that may remain if others are left out."""
-_ODD = 4.0
-"""Ratio of chi squared of an image to the median above which the image is reported. Scatter of the lamps at most doubles it."""
 _MANY, _SOME = 32, 16
 """Number of images above which the explanation is chosen with an even selection of images, and the size of the selection.
 
 All images are fitted at the end.
 """
-_GUESSED = 0.25
-"""Relative standard deviation above which the width of the lens is treated as a guess."""
 
 
 class Alternative(NamedTuple):
@@ -79,7 +65,8 @@ class Alternative(NamedTuple):
     @property
     def log_prior(self) -> float:
         """Logarithm of the prior probability, without that of the lobe, which is the same for all."""
-        return float(len(self.wider) * np.log(_WRONG))
+        # a source is wrong with a prior probability of 1 %
+        return float(len(self.wider) * np.log(0.01))
 
     def widened(self, source: str, factor: float) -> Alternative:
         factors = dict(self.wider)
@@ -204,7 +191,8 @@ class _Search:
         judged = self._judged(compared, one)
         now = self._log_evidence(one, judged)
         changes = self._changes(one, compared, judged, sources=sources)
-        for gain, change in sorted(changes, key=lambda pair: -pair[0])[:_TRIES]:
+        # largest number of changes that are fitted in one step of the search
+        for gain, change in sorted(changes, key=lambda pair: -pair[0])[:3]:
             if gain <= 0 and np.isfinite(now):
                 break
             self.fitted(change, start=fit)
@@ -348,7 +336,8 @@ def _explored(whole: _Search, family: str) -> tuple[_Search, Alternative, dict[A
 def _without_unexplained(search: _Search, best: Alternative) -> _Search:
     fit = search.fits[best]
     keep = [k for k in range(len(search.pictures)) if k not in fit.unexplained_pictures]
-    if len(keep) == len(search.pictures) or len(keep) < _FEWEST:
+    # smallest number of images that may remain if others are left out
+    if len(keep) == len(search.pictures) or len(keep) < 3:
         return search
     part = search.part(keep)
     part.fitted(best, start=fit)
@@ -367,7 +356,8 @@ def _remarks(
     if lost:
         text = f"{', '.join(lost)}: the joint fit does not explain these images, which were left "
         remarks.append(Remark("picture-left-out", text + "out: check their frames and lamp directions"))
-    probable = [one for one, share in sorted(shares.items(), key=lambda pair: -pair[1]) if share > _DOUBTFUL]
+    # probability above which a source that may be wrong is reported
+    probable = [one for one, share in sorted(shares.items(), key=lambda pair: -pair[1]) if share > 0.05]
     for source in dict.fromkeys(source for one in probable for source, _ in one.wider):
         by = [one for one in probable if source in dict(one.wider)]
         probability = sum(share for one, share in shares.items() if source in dict(one.wider))
@@ -390,7 +380,8 @@ def _with_odd_pictures(search: _Search, best: Alternative) -> tuple[SphereFit, l
     """Refit with a wider prior of the gain for images that deviate strongly, which remarks report."""
     fit = search.fits[best]
     solution = fit.solution
-    odd = np.flatnonzero(solution.chi2 > _ODD * max(float(np.median(solution.chi2)), 1.0)).tolist()
+    # scatter of the lamps at most doubles chi squared
+    odd = np.flatnonzero(solution.chi2 > 4.0 * max(float(np.median(solution.chi2)), 1.0)).tolist()
     if not odd:
         return fit, []
     shares = {k: unexplained_share(solution.problem, solution.p, [k]) for k in odd}
@@ -419,7 +410,8 @@ def _with_others(
     more = np.zeros_like(solution.covariance)
     for one, share in shares.items():
         other = fits[one]
-        if share < _NEGLIGIBLE or other.names != fit.names:
+        # probability below which an explanation is neglected
+        if share < 1e-3 or other.names != fit.names:
             continue
         shared = layout.shared_of(other.solution.p, other.layout) - solution.p[: layout.shared]
         if other.kind.family != fit.kind.family:
@@ -441,7 +433,8 @@ def _with_its_lens_open(fit: SphereFit) -> SphereFit:
     With a wrong lobe, the fit otherwise underestimates the standard deviation of the lens.
     """
     solution, scene = fit.solution, fit.scene
-    if scene.lens_std < _GUESSED or solution.unexplained < BY_SHAPE:
+    # the width of a lens that is known to 25 % or worse is a guess
+    if scene.lens_std < 0.25 or solution.unexplained < BY_SHAPE:
         return fit
     lens = fit.layout.of("lens")
 

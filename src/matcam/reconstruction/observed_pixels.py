@@ -18,12 +18,10 @@ from matcam.reconstruction.picture_rule import WINDOW, HighlightPosition, window
 
 SCATTERED = 768
 """Number of pixels of an image outside its window."""
-_STRATA = 24
 LIMB = 3.0
 """Distance from the outline within which the integration rule of a single pixel or column does not resolve the outline, px."""
 OUTSIDE = 1.5
 """Distance beyond the outline up to which a window is read, px. The background is not modelled."""
-_BESIDE = 9.0  # px from the highlight within which the limb is read, too
 _SIMILAR_LEVELS = 15
 """Number of pixels of similar level. The median of their ratios of variance and level is used. Noise of 1 % to 30 % of the
 level changes this median by at most 10 %. Unlike a mean, it follows the steps of the ratio between merged exposures.
@@ -134,7 +132,8 @@ def chosen_pixels(
     used = inside & np.isfinite(values) & (std > 0) & (away < position.radius + OUTSIDE)
     # the limb, with dirt and supports, is read only near the highlight
     peak_column, peak_row = position.at
-    used &= (away < position.radius - LIMB) | (np.hypot(column - peak_column, row - peak_row) < _BESIDE)
+    # px from the highlight within which the limb is read, too
+    used &= (away < position.radius - LIMB) | (np.hypot(column - peak_column, row - peak_row) < 9.0)
     return ObservedPixels(
         window=window,
         column=column[near_row.size :],
@@ -177,7 +176,7 @@ def _scattered(
     normal = np.stack([p_x[index], p_y[index], depth[index]])
     chord = np.linalg.norm(normal - half[:, None], axis=0)
     order = np.argsort(np.log(chord + 1e-9) + 1e-9 * random.random(index.size))
-    edges = np.geomspace(max(chord.min(initial=1.0), 1e-4), max(chord.max(initial=1.0), 2e-4), _STRATA + 1)
+    edges = np.geomspace(max(chord.min(initial=1.0), 1e-4), max(chord.max(initial=1.0), 2e-4), 25)
     stratum = np.searchsorted(edges, chord[order])
     chosen: list[np.ndarray] = []
     left, strata = SCATTERED, np.unique(stratum)

@@ -33,8 +33,6 @@ OWN = ("column", "row", "lamp_a", "lamp_b")
 """Parameters of one image: centre of the outline, px, and the rotation of the lamp from its base direction along two
 tangents, rad.
 """
-_LEAST_COSINE = 0.1
-"""Cosine of the largest angle between a direction to a lamp and its base direction at which coordinates are accurate."""
 
 
 class LampFrame(NamedTuple):
@@ -110,7 +108,9 @@ def turned_lamp(frame: LampFrame, a: Any, b: Any) -> Any:
 def lamp_coordinates(frame: LampFrame, direction: np.ndarray) -> np.ndarray:
     """Compute the rotation (a, b), rad, from the base direction to the unit vector `direction`, (2,)."""
     tangents = np.array([frame.first, frame.second])
-    return tangents @ direction / max(float(direction @ frame.base), _LEAST_COSINE)
+    # cosine of the largest angle between a direction to a lamp and its base direction at which coordinates are
+    # accurate
+    return tangents @ direction / max(float(direction @ frame.base), 0.1)
 
 
 def over_source(

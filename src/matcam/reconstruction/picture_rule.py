@@ -26,8 +26,6 @@ _LIMB_STEP = 0.04  # spacing of nodes near the outline, rad
 _LIMB = 0.35  # distance from the outline within which this spacing is used, rad
 MARGIN = 4.5
 """Margin of the nodes about the pixels of a window, px."""
-_DISC_POINTS = 36
-_NO_DISC = 0.1  # share of the width of the lobe below which a source disc is treated as a point
 
 
 class Window(NamedTuple):
@@ -240,6 +238,7 @@ def lamp_positions(lamp_radius: float, width: float) -> tuple[np.ndarray, np.nda
         Positions as rotations of the direction to the lamp, rad, (points, 2); weights of the positions, whose sum is 1,
         (points,); and the angle over which the disc spreads the peak of a lobe, rad.
     """
-    radius = lamp_radius if lamp_radius / 2 > _NO_DISC * width else 0.0
-    positions, weights = lamp_disc(_DISC_POINTS if radius else 1)
+    # a disc of less than a tenth of the width of the lobe is a point
+    radius = lamp_radius if lamp_radius / 2 > 0.1 * width else 0.0
+    positions, weights = lamp_disc(36 if radius else 1)
     return positions * radius, weights, radius / 2

@@ -44,9 +44,6 @@ _SYSTEMATIC = 0.01
 """
 _HOPELESS = 20.0
 """Mean squared residual of an image, absolute and relative to other images, above which the image is unexplained."""
-_FEW = 6  # number of images in the search for the lobe
-_BETWEEN = np.array([0.75, 1.33])
-"""Relative widths of the second search."""
 
 
 Observe = Callable[..., tuple[PixelModel, list[ObservedPixels], list[FieldChange]]]
@@ -193,7 +190,8 @@ def fit_sphere(
     if start is None:
         cost, lobe = _searched(pictures, known, kind, widths, observe)
         if rivals:  # families are compared at their best widths
-            between = _searched(pictures, known, kind, np.exp(lobe[0]) * _BETWEEN, observe)
+            # relative widths of the second search
+            between = _searched(pictures, known, kind, np.exp(lobe[0]) * np.array([0.75, 1.33]), observe)
             cost, lobe = min((cost, lobe), between, key=lambda one: one[0])
         for rival in rivals:
             other = LobeKind(rival, masking, kind.spline_size)
@@ -303,7 +301,8 @@ def _searched(
     Returns:
         Cost and coordinates of the lobe.
     """
-    few = evenly(len(pictures), _FEW)
+    # number of images in the search for the lobe
+    few = evenly(len(pictures), 6)
     some = [pictures[k] for k in few]
     part = part_of(scene, few.tolist())
     layout = JointLayout(kind.size, len(pictures[0].channels), len(some))

@@ -38,12 +38,6 @@ Centroids have errors of 1 to 2 px.
 """
 _SIGNIFICANT = 4.0
 """Number of standard deviations above which a rotation or a radius is reported: one false alarm in 16,000 captures."""
-_LEAST_TURN = math.radians(0.5)
-"""Rotation, rad, below which there is no report: even in careful set-ups tables are rotated by some tenths of a degree,
-and `reconstruct` fits this rotation.
-"""
-_LEAST_GROWTH = 0.01
-"""Relative difference of radii below which there is no report, because `reconstruct` fits the radius."""
 
 
 class TableCheck(NamedTuple):
@@ -267,7 +261,8 @@ def _turn_remarks(fit: _Fit, std: np.ndarray, whose: str) -> list[Remark]:
     free = std[:3] > 0
     turn, covariance = fit.p[:3], fit.covariance[:3, :3]
     size = float(np.linalg.norm(turn))
-    if size < _LEAST_TURN:
+    # even in careful set-ups tables are rotated by some tenths of a degree, and `reconstruct` fits this rotation
+    if size < math.radians(0.5):
         return []
     along = turn / size
     spread = math.sqrt(float(along @ covariance @ along))
@@ -288,7 +283,8 @@ def _turn_remarks(fit: _Fit, std: np.ndarray, whose: str) -> list[Remark]:
 def _radius_remarks(fit: _Fit, outline: QuickOutline, std: float) -> list[Remark]:
     change = float(fit.p[5] - outline.radius)
     known = math.sqrt(max(std**2 - float(fit.covariance[5, 5]), 1e-12))
-    if abs(change) < max(_SIGNIFICANT * known, _LEAST_GROWTH * outline.radius):
+    # differences of less than 1 % are not reported, because `reconstruct` fits the radius
+    if abs(change) < max(_SIGNIFICANT * known, 0.01 * outline.radius):
         return []
     text = f"the highlights indicate a radius of {fit.p[5]:.1f} ± {math.sqrt(fit.covariance[5, 5]):.1f} px, but the "
     text += f"outline has {outline.radius:.1f} px: check sample.radius_mm, the distances and the angles of frames.csv"

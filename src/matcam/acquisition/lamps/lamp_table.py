@@ -15,8 +15,6 @@ from matcam.acquisition.mirror_ball import unit
 from matcam.core.errors import ArgumentError
 from matcam.core.remark import Remark
 
-_LIKELY = 0.5
-"""Largest ratio of the residual to the original angles at which a mistake is taken to explain a table."""
 _WRONG = np.radians(1.5)
 """Rms angle between highlights and table below which no mistake is assumed, rad."""
 
@@ -89,7 +87,8 @@ def explain_lamp_table(lamps: np.ndarray, table: np.ndarray) -> TableVerdict:
         apart = float(np.median(lamp_angles_apart(made, table))) if stretch > 2 else _rms(made, table)
         left[name] = min(apart / stretch, left.get(name, np.inf))
     best = min(left, key=lambda name: left[name])
-    if left[best] < _LIKELY * rms and left[best] < 2 * _WRONG:
+    # the mistake explains the table if it at least halves the angles
+    if left[best] < 0.5 * rms and left[best] < 2 * _WRONG:
         text = f"the lamp table deviates from the highlights by {np.degrees(rms):.1f} degrees rms: {_WORDS[best]}"
         return TableVerdict(best, (Remark(f"table-{best}", text),))
     text = f"the lamp table deviates from the highlights by {np.degrees(rms):.1f} degrees rms: check its directions"

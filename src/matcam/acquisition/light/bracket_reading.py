@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,9 +18,6 @@ from matcam.core.errors import FileFormatError
 from matcam.core.remark import Remark
 from matcam.files.capture import Capture, Region
 from matcam.files.capture_frames import CaptureFrame
-
-T = TypeVar("T")
-U = TypeVar("U")
 
 
 class ReadBracket(NamedTuple):

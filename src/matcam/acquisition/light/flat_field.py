@@ -24,17 +24,6 @@ from matcam.files.capture_frames import CaptureFrame
 from matcam.files.picture_header import read_exif
 from matcam.numerics.normal import robust_std
 
-_MOST = 16
-"""Largest number of flat frames that are used, which bounds the time of reading."""
-_DARK = 100.0
-"""Smallest signal of a flat frame above dark, as a multiple of the read noise, which is then at most 1 % of the signal."""
-_CLIPPED = 1e-3
-"""Share of clipped pixels above which a flat frame is omitted."""
-_SMOOTH = 33
-"""Width of the square moving average that is applied twice for the smooth field, px."""
-_LEAST = 0.1
-"""Response below which a pixel is omitted, because a correction would amplify its noise more than tenfold."""
-
 
 @dataclass(frozen=True)
 class FlatField:
@@ -84,7 +73,8 @@ def measure_flat(
     total: np.ndarray | None = None
     patch: np.ndarray | None = None
     count, remarks = 0, []
-    for frame in capture.of("flat")[:_MOST]:
+    # 16 frames bound the time of reading
+    for frame in capture.of("flat")[:16]:
         path = capture.folder / frame.file
         try:
             codes = reader.read(frame, region)
@@ -121,7 +111,8 @@ def measure_flat(
         stds.append(np.sqrt(own * chance / max(own + chance, 1e-30)))
         spreads.append(np.sqrt(own))
         levels.append(level)
-    response[response < _LEAST] = np.nan
+    # a correction of a smaller response would amplify the noise of a pixel more than tenfold
+    response[response < 0.1] = np.nan
     beside = np.ones(len(levels)) if patch is None else patch / np.array(levels)
     return FlatField(response, np.array(stds), beside, float(np.mean(spreads)), count), remarks
 
@@ -151,7 +142,8 @@ def smooth_field(total: np.ndarray, of: np.ndarray) -> tuple[np.ndarray, float]:
     # the local residual contains dust, and structure that a polynomial does not describe
     local, weight = np.where(of, total / trend, 0.0), of.astype(float)
     for _ in range(2):
-        local, weight = (uniform_filter(one, _SMOOTH, mode="constant") for one in (local, weight))
+        # width of the square moving average that is applied twice for the smooth field, px
+        local, weight = (uniform_filter(one, 33, mode="constant") for one in (local, weight))
     field = np.maximum(trend[of] * local[of] / np.maximum(weight[of], 1e-9), 1e-9)
     row, column = (np.linspace(-1, 1, size) for size in total.shape)
     middle = np.hypot(row[:, None], column)[of] < 0.5
@@ -192,9 +184,10 @@ def _wrong(
     sizes = [read_exif(capture.folder / one.file).size for one in (frame, capture.of("frames")[0])]
     if shape not in (None, codes.shape) or (None not in sizes and sizes[0] != sizes[1]):
         return "the flat frame differs in size from other frames: repeat it with the settings of the sample's frames"
-    if np.mean(codes >= clip) > _CLIPPED:
+    if np.mean(codes >= clip) > 1e-3:
         return f"{np.mean(codes >= clip):.1%} of the flat frame's pixels are clipped: expose it less"
     level = float(np.median(light))
-    if level < _DARK * max(noise, 0.3):
+    # the read noise is then at most 1 % of the signal
+    if level < 100.0 * max(noise, 0.3):
         return f"the flat frame is too dark, only {level:.0f} DN above the dark level: expose it more"
     return ""

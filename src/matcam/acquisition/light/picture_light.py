@@ -9,9 +9,6 @@ import numpy as np
 
 from matcam.files.capture_settings import Stated
 
-_LEAST = 1e-5
-"""Smallest standard deviation of the relative light of an image, no unit."""
-
 
 class PictureLight(NamedTuple):
     """Light of images, and the unit of their values, for one position of each lamp.
@@ -57,7 +54,8 @@ of the lamp, 1/radii.
 
 def stated_light(gain: np.ndarray, std: np.ndarray) -> PictureLight:
     """Build the light of images from relative values with independent errors, at any distance of the lamp."""
-    covariance = np.diag(np.maximum(std, _LEAST) ** 2)
+    # smallest standard deviation of the relative light of an image, no unit
+    covariance = np.diag(np.maximum(std, 1e-5) ** 2)
     return PictureLight(gain / gain.mean(), covariance, np.zeros(len(gain)))
 
 

@@ -23,11 +23,6 @@ from matcam.core.remark import Remark, some_of
 from matcam.files.capture import Capture, Region, Stated
 from matcam.files.capture_frames import CaptureFrame
 
-_UNEVEN = 1.5
-"""Ratio of the light of two halves of the region above which the region extends beyond the reference.
-
-A near lamp causes smaller ratios.
-"""
 _FEWEST = 3
 """Smallest number of degrees of freedom for an estimate of scatter: with fewer, Student's distribution has no finite
 variance.
@@ -197,7 +192,8 @@ def _uneven(capture: Capture, frame: CaptureFrame, light: np.ndarray, region: Re
     levels = [float(part.mean()) for part in parts if part.size]
     low, high = min(levels), max(levels)
     chance = 10 * float(light.std()) / np.sqrt(light.size / 2)
-    if high < _UNEVEN * max(low, 0.0) or high - low < chance:
+    # a near lamp causes ratios of the halves below 1.5
+    if high < 1.5 * max(low, 0.0) or high - low < chance:
         return []
     return [
         Remark(

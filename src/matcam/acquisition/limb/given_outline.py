@@ -12,15 +12,6 @@ from matcam.core.errors import FitError
 from matcam.files.capture import Capture
 from matcam.files.photographs import open_photograph
 
-_STATED_STD = 0.5
-"""Standard deviation of a circle that is specified without one, px: such a circle is usually read from a screen."""
-_FEWEST = 100
-"""Smallest number of pixels of a sphere in a mask."""
-_ROUND = 0.02
-"""Relative difference of the radii by area and by second moments above which a mask is not a disc: 1 % for an ellipse
-whose axes differ by 22 %, 2.3 % for a square.
-"""
-
 
 def given_outline(capture: Capture, sigma: float, shape: tuple[int, int] | None = None) -> Outline | None:
     """Determine the outline of a sphere from a specified circle or, without a circle, from a mask.
@@ -53,7 +44,8 @@ def stated_circle(centre: tuple[float, float], radius: float, std: float, sigma:
         std: standard deviation of radius, column and row each, px; 0: unknown, 0.5 px is used.
         sigma: standard deviation of the lens's blur, px.
     """
-    return _outline(centre[1], centre[0], radius, np.full(3, std or _STATED_STD), sigma)
+    # such a circle is usually read from a screen
+    return _outline(centre[1], centre[0], radius, np.full(3, std or 0.5), sigma)
 
 
 def mask_outline(path: Path, std: float, sigma: float, shape: tuple[int, int] | None = None) -> Outline:
@@ -83,14 +75,16 @@ def mask_outline(path: Path, std: float, sigma: float, shape: tuple[int, int] | 
     border = np.concatenate([bright[0], bright[-1], bright[:, 0], bright[:, -1]])
     sphere = bright if border.mean() < 0.5 else ~bright
     area = int(sphere.sum())
-    if area < _FEWEST or (border != border[0]).any():
+    # smallest number of pixels of a sphere in a mask
+    if area < 100 or (border != border[0]).any():
         raise FitError(
             f"{path}: the mask shows no disc inside the frame: give an image with one value on the sphere and another around it"
         )
     rows, columns = np.nonzero(sphere)
     row, column, radius = float(rows.mean()), float(columns.mean()), float(np.sqrt(area / np.pi))
     by_moments = float(np.sqrt(2 * (rows.var() + columns.var())))  # the variance of a disc along a line is radius^2 / 4
-    if abs(by_moments / radius - 1) > _ROUND:
+    # the radii of an ellipse whose axes differ by 22 % differ by 1 %, those of a square by 2.3 %
+    if abs(by_moments / radius - 1) > 0.02:
         raise FitError(
             f"{path}: the shape in the mask is not a disc: the radius is {radius:.1f} px by area, but {by_moments:.1f} px by "
             "second moments: exclude the stand from the mask"

@@ -30,8 +30,6 @@ from matcam.reconstruction.stated.stated_rig import (
     without_field,
 )
 
-_ROW_STD = 0.05
-"""Default standard deviation of the row that the camera faces, as a share of the height of a frame."""
 _SHIFT = 0.3
 """Standard deviation of the motion of the axis between images, px."""
 _STATED_STD = 0.05
@@ -87,7 +85,8 @@ def captured_cylinder(
     assert size is not None  # frames were merged
     height = size[1]
     strips = _strips(capture, pictures[0].values.shape[0], pictures[0].origin[0])
-    row = capture.stated("centre_row_px") or Stated((height - 1) / 2, _ROW_STD * height)
+    # the row that the camera faces is assumed to be the middle row, within 5 % of the height
+    row = capture.stated("centre_row_px") or Stated((height - 1) / 2, 0.05 * height)
     lamps = np.array([directions[one.name] for one in pictures])
     ball = MirrorBall(row.value, outline.column, outline.radius)
     names = [one.name for one in pictures]

@@ -14,9 +14,6 @@ from matcam.acquisition.radiometry import Radiometry
 from matcam.core.remark import Remark
 from matcam.files.capture import Capture, Region, Stated
 
-_SEEN = float(np.radians(0.5))
-"""Largest assumed standard deviation of the direction of a lamp, rad, because the highlights determine the direction better."""
-
 
 def gains_of(
     capture: Capture,
@@ -37,12 +34,13 @@ def gains_of(
     unknown = constant_light(count, drift)
     reference, region = capture.settings["reference"], capture.reference_position
     if reference is not None and reference["kind"] == "diffuse" and region is not None:
+        # the highlights determine directions that are known to half a degree or worse
         read = partial(
             patch_light,
             _patch(capture, region),
             [radiometry.reference_light[name] for name in names],
             ball,
-            lamp_std=np.full(count, min(capture.direction_std, _SEEN)),
+            lamp_std=np.full(count, min(capture.direction_std, float(np.radians(0.5)))),
             gain_std=drift,
             exposure_std=max(one.std / one.value for one in radiometry.exposures.values()),
             between=radiometry.reference_between,

@@ -26,8 +26,6 @@ from matcam.numerics.normal import robust_std
 
 _MARGIN = 0.12
 """Margin about the outline in the region of a frame that is read, as a share of the radius."""
-_LEAST_NOISE = 1e-4
-"""Smallest relative standard deviation of a pixel over the bright field, from the rounding of a field of 3000 codes."""
 
 
 def about_disc(capture: Capture) -> Region | None:
@@ -98,7 +96,8 @@ def backlit_outline(capture: Capture, sigma: float, region: Region | None, remar
     pairs = bright[step:] & bright[:-step]
     noise = robust_std(difference[pairs]) / np.sqrt(2) if pairs.any() else 0.0
     level = float(np.median(mean[bright]))
-    scatter = max(noise, _LEAST_NOISE * abs(level), 1e-9)
+    # 1e-4 is the rounding error of a field of 3000 codes
+    scatter = max(noise, 1e-4 * abs(level), 1e-9)
     std = scatter * np.sqrt(np.clip(mean / max(level, 1e-12), 0.05, None))
     picture = MergedPicture(
         f"{capture.folder / 'outline'}",
