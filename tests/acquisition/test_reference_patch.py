@@ -57,7 +57,7 @@ def test_a_white_patch_gives_the_unit_of_each_channel(tmp_path, seed):
     radiometry = measure_radiometry(capture)
     found = light_of(capture, truth, radiometry)
     gain_std = np.sqrt(np.diag(found.covariance))
-    assert (gain_std[:4] < 0.8 * gain_std[4]).all()  # lit from behind, the patch says nothing
+    assert (gain_std[:4] < 0.9 * gain_std[4]).all()  # lit from behind, the patch says nothing
     off = np.array([unit.value for unit in found.units]) / true_units(truth, radiometry) - 1
     std = np.array([unit.std for unit in found.units])
     assert (np.abs(off) < 3 * std).all()

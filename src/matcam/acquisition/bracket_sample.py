@@ -29,6 +29,7 @@ class BracketSample(NamedTuple):
         reference_pixels: number of pixels of each channel in the reference region, (channels,).
         median: median code of each frame, (k,), DN.
         tops: `light.pile_up.TopCodes` of each frame, (k, 8).
+        extent: smallest and largest code of each frame, (k, 2), DN.
     """
 
     lamp: str
@@ -40,6 +41,7 @@ class BracketSample(NamedTuple):
     reference_pixels: np.ndarray
     median: np.ndarray
     tops: np.ndarray
+    extent: np.ndarray
 
     @property
     def reference_total(self) -> np.ndarray:
@@ -60,6 +62,7 @@ class BracketSample(NamedTuple):
             reference=self.reference[frames],
             median=self.median[frames],
             tops=self.tops[frames],
+            extent=self.extent[frames],
         )
 
 

@@ -197,18 +197,18 @@ def measure_radiometry(
     samples: list[BracketSample] = []
     missing: dict[tuple[str, ...], list[str]] = {}
     used: dict[str, tuple[CaptureFrame, ...]] = {}
-    largest, smallest = -np.inf, np.inf
     wanted = list(capture.lamps if lamps is None else lamps)
-    reading = BracketReading(capture, reader, region, names, darkness, noise, kept)
+    shape = next((level.shape for level in levels.values()), ())
+    reading = BracketReading(capture, reader, region, names, darkness, noise, shape, kept)
     before = len(remarks)
     say = progress or (lambda step, done, total: None)
     for number, found in enumerate(in_order(reading.read, list(enumerate(wanted)), workers)):
         remarks += found.remarks
-        if found.lacking:
-            missing.setdefault(found.lacking, []).append(wanted[number])
+        lacking = tuple(name for name in names if name not in {frame.exposure for frame in found.used})
+        if lacking:
+            missing.setdefault(lacking, []).append(wanted[number])
         if found.sample is not None:
             used[wanted[number]] = found.used
-            largest, smallest = max(largest, found.largest), min(smallest, found.smallest)
             samples.append(found.sample)
         say("radiometry", number + 1, len(wanted))
     remarks += [
@@ -224,6 +224,8 @@ def measure_radiometry(
             f"{capture.folder}: no frame of any lamp position can be read: {[*remarks[before:], *remarks, 'see frames.csv'][0]}"
         )
     remarks += reader.remarks.values()
+    extent = np.concatenate([sample.extent for sample in samples])
+    smallest, largest = float(extent[:, 0].min()), float(extent[:, 1].max())
     top = largest - min(smallest, *(d.mean for d in darkness.values()))
     samples, said = _without_mislabelled(capture, samples, names, used, top, noise)
     remarks += said
@@ -268,20 +270,20 @@ def measure_radiometry(
     remarks += clip_remarks(clip, names, samples)
     remarks += linearity_remarks(ratios)
     scale = gain.value if math.isfinite(gain.value) else 1.0
+    flat, flat_remarks = measure_flat(reader, capture, region, darkness, clip=clip.threshold, gain=scale, noise=noise)
+    response = np.ones(len(reader.channels)) if flat is None else flat.reference
     shown, between = in_sample_frames(samples), 0.0
     if capture.reference_apart:
         shown, said = in_own_frames(reader, capture, list(used), names, darkness, clip.threshold)
         remarks += said
-        between = _between(capture, shown, value, scale, noise, remarks)
     elif capture.of("reference"):
         text = "the images in reference/ are not read: specify a [reference] with apart = true, or remove them"
         remarks.append(Remark("reference-unread", text))
-    output = lamp_output(capture, shown, value, scale, noise, between)
-    flat, said = measure_flat(reader, capture, region, darkness, clip=clip.threshold, gain=scale, noise=noise)
-    remarks += said
-    seen = reference_light(
-        shown, value, scale, noise, np.ones(len(reader.channels)) if flat is None else flat.reference
-    )
+    seen = reference_light(shown, value, scale, noise, response)
+    if capture.reference_apart:
+        between = _between(capture, shown, seen, value, scale, noise, remarks)
+    output = lamp_output(capture, shown, seen, between)
+    remarks += flat_remarks
     return Radiometry(
         {name: Stated(float(v), float(e)) for name, v, e in zip(names, value, error, strict=True)},
         names[reference],
@@ -425,6 +427,7 @@ def _without_clipped(
 def _between(
     capture: Capture,
     shown: Sequence[SeenReference],
+    light: dict[str, tuple[Stated, ...]],
     exposures: np.ndarray,
     scale: float,
     noise: float,
@@ -438,7 +441,7 @@ def _between(
     stated = capture.settings["reference"]["between_std"]
     if stated is not None:
         return float(stated)
-    found = scatter_between(shown, exposures, scale, noise, lamp_output(capture, shown, exposures, scale, noise))
+    found = scatter_between(shown, exposures, scale, noise, lamp_output(capture, shown, light))
     if math.isfinite(found):
         return found
     if any(one.light.size for one in shown):

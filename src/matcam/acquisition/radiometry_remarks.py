@@ -135,14 +135,18 @@ def clip_remarks(clip: ClipLevel, names: Sequence[str], samples: Sequence[Bracke
     for sample in samples:
         peak = (sample.codes[0] >= clip.threshold).sum() if sample.codes.size else 0
         if peak:
-            pixels = "pixel is" if peak == 1 else "pixels are"
-            exposure = names[int(sample.exposures[0])]
-            remark = Remark(
-                "peak-clipped",
-                f"lamp {sample.lamp}: {peak} {pixels} clipped in the shortest exposure, {exposure}: add a shorter exposure",
-            )
-            peaks.append((sample.lamp, remark))
+            peaks.append(peak_remark(sample.lamp, int(peak), names[int(sample.exposures[0])]))
     return found + gathered(peaks)
+
+
+def peak_remark(lamp: str, count: int, exposure: str) -> tuple[str, Remark]:
+    """Report the number of clipped pixels in the shortest exposure of a lamp position.
+
+    The result contains the name of the lamp position and the remark.
+    """
+    pixels = "pixel is" if count == 1 else "pixels are"
+    text = f"lamp {lamp}: {count} {pixels} clipped in the shortest exposure, {exposure}: add a shorter exposure"
+    return lamp, Remark("peak-clipped", text)
 
 
 def processing_remarks(where: str, correlation: float, std: float) -> list[Remark]:

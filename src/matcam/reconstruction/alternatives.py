@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -21,14 +20,14 @@ from matcam.core.arrays import evenly
 from matcam.core.remark import Remark
 from matcam.inverse.fit.fit_setup import AUTO, CANDIDATES
 from matcam.material.diffuse_shape import TERMS
-from matcam.material.masking import Masking
 from matcam.material.ndf.free_lobe import KNOTS
 from matcam.reconstruction.contradiction import contradiction_remark, specified_sources, with_wider
 from matcam.reconstruction.joint.evidence import ACCURACY, ComparedPixels, Judged
 from matcam.reconstruction.joint.likelihood import unexplained_share
 from matcam.reconstruction.picture_model import lamp_coordinates
-from matcam.reconstruction.sphere_fit import SphereFit, fit_sphere, with_correlated_residuals
+from matcam.reconstruction.sphere_fit import SphereFit, with_correlated_residuals
 from matcam.reconstruction.sphere_scene import SphereScene, joint_problem, part_of, prior_of, with_light
+from matcam.reconstruction.stated.captured_scene import CapturedScene
 
 _SPLINE = 1.0
 """Prior standard deviation of the second differences of ln D of a spline modification, no unit."""
@@ -151,6 +150,7 @@ class _Search:
                 self.pictures,
                 one.scene(self.scene),
                 one.family,
+                diffuse=self.diffuse,
                 spline=_SPLINE if one.spline else 0.0,
                 shaped=one.shaped,
                 lamps=self.lamps,
@@ -272,31 +272,24 @@ class _Search:
 
 
 def chosen_fit(
-    pictures: Sequence[MergedPicture],
-    scene: SphereScene,
-    lamps: np.ndarray,
-    family: str = AUTO,
+    captured: CapturedScene,
+    family: str,
+    fit_pictures: Callable[..., SphereFit],
     *,
-    masking: Masking = "smith",
-    diffuse: bool = True,
-    progress: Callable[[str], None] | None = None,
-    fit_pictures: Callable[..., SphereFit] = fit_sphere,
+    diffuse: bool,
+    say: Callable[[str], None],
 ) -> ChosenFit:
     """Fit explanations of the images, and choose the most probable one.
 
     Args:
-        pictures: merged images, one per lamp position.
-        scene: prior knowledge of the rig.
-        lamps: unit vectors to the lamps with which the search starts, (pictures, 3).
-        family: family of the lobe. Default: "auto", the most probable candidate, spline-modified if this is more probable.
-        masking: masking G of the lobe. Default: "smith".
-        diffuse: True to include a diffuse part. Default: True.
-        progress: function that is called with a line about each step. Default: None.
-        fit_pictures: function that fits one family, for samples other than a sphere. Default: `fit_sphere`.
+        captured: merged images, prior knowledge, and directions to the lamps with which the search starts.
+        family: family of the lobe; "auto" for the most probable candidate, spline-modified if this is more probable.
+        fit_pictures: function that fits one explanation, with the interface of `fit_sphere`.
+        diffuse: True to include a diffuse part.
+        say: function that is called with a line about each step.
     """
-    say = progress or (lambda _: None)
-    fit = partial(fit_pictures, masking=masking, diffuse=diffuse)
-    whole = _Search(pictures, scene, lamps, fit, family == AUTO, diffuse, say)
+    pictures = captured.pictures
+    whole = _Search(pictures, captured.scene, captured.lamps, fit_pictures, family == AUTO, diffuse, say)
     if len(pictures) > _MANY:
         part = whole.part(evenly(len(pictures), _SOME).tolist())
         part.say = lambda line: say(f"{_SOME} of {len(pictures)} images: {line}")

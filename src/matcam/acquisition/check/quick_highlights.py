@@ -14,6 +14,7 @@ from matcam.acquisition.merged_picture import MergedPicture
 from matcam.acquisition.mirror_ball import MirrorBall
 from matcam.acquisition.mosaic_frames import MosaicReader, origin_of
 from matcam.acquisition.radiometry import Radiometry
+from matcam.acquisition.radiometry_remarks import peak_remark
 from matcam.core.errors import FitError
 from matcam.core.remark import Remark, gathered
 from matcam.files.capture import Capture
@@ -96,9 +97,7 @@ def quick_highlights(
     for k, (lamp, (frame, above)) in enumerate(shortest.items()):
         count = above or piled.get(k, 0)
         if count:
-            pixels = "pixel is" if count == 1 else "pixels are"
-            text = f"lamp {lamp}: {count} {pixels} clipped in the shortest exposure, {frame.exposure}: add a shorter exposure"
-            peaks.append((lamp, Remark("peak-clipped", text)))
+            peaks.append(peak_remark(lamp, count, frame.exposure))
     return found, remarks + gathered(peaks)
 
 

@@ -68,26 +68,17 @@ class _Fit(NamedTuple):
     """Distance of each highlight from its expected position, px (n,)."""
 
 
-class _Rig(NamedTuple):
-    """Distances of camera and lamp from the centre of the sample, and the error that their uncertainties cause.
+def _distances(capture: Capture) -> tuple[float, float, float]:
+    """Compute the distances of camera and lamp from the centre of the sample, radii, and the error that they cause.
 
-    Attributes:
-        camera: distance of the camera, radii.
-        lamp: distance of the lamp, radii.
-        growth_std: relative standard deviation of a radius from highlights due to the uncertainties of the distances.
+    The error is the relative standard deviation of a radius from highlights.
     """
 
-    camera: float
-    lamp: float
-    growth_std: float
-
-
-def _rig(capture: Capture) -> _Rig:
     def known(value: Stated | None) -> Stated:
         return GUESSED_NEARNESS if value is None else Stated(1 / value.value, value.std / value.value**2)
 
     (camera, camera_std), (lamp, lamp_std) = known(capture.camera_radii), known(capture.lamp_radii)
-    return _Rig(1 / camera, 1 / lamp, math.hypot(camera_std, lamp_std) / 2)
+    return 1 / camera, 1 / lamp, math.hypot(camera_std, lamp_std) / 2
 
 
 def check_table(capture: Capture, seen: dict[str, Seen], outline: QuickOutline | None) -> TableCheck:
@@ -122,13 +113,13 @@ def check_table(capture: Capture, seen: dict[str, Seen], outline: QuickOutline |
 def _of_sphere(
     capture: Capture, names: list[str], directions: np.ndarray, seen: list[Seen], outline: QuickOutline | None
 ) -> TableCheck:
-    rig = _rig(capture)
+    camera, lamp, growth_std = _distances(capture)
     positions = np.array([[one.column, one.row] for one in seen])
 
     def expected(p: np.ndarray, flip: float = 1.0) -> np.ndarray:
-        ball = MirrorBall(p[4], p[3], abs(p[5]), rig.camera)
+        ball = MirrorBall(p[4], p[3], abs(p[5]), camera)
         turned = Rotation.from_rotvec(p[:3]).apply(directions * [1.0, flip, 1.0])
-        row, column = ball.mirror_position(turned, rig.lamp)
+        row, column = ball.mirror_position(turned, lamp)
         return np.column_stack([column, row])
 
     middle = np.median(positions, axis=0)
@@ -137,7 +128,7 @@ def _of_sphere(
         start, std = np.array([0, 0, 0, *middle, spread]), np.array([0, 0, np.inf, np.inf, np.inf, np.inf])
     else:
         start = np.array([0, 0, 0, outline.column, outline.row, outline.radius])
-        known = np.hypot(outline.std, [0, 0, outline.radius * rig.growth_std])
+        known = np.hypot(outline.std, [0, 0, outline.radius * growth_std])
         std = np.array([np.inf, np.inf, np.inf, *known])
     loose = np.array([0, 0, 0, np.inf, np.inf, np.inf])
     errors = _errors(capture, seen, start[5])
@@ -150,8 +141,8 @@ def _of_sphere(
         )
         return _NOTHING._replace(centre=_sphere(flipped), remarks=(Remark("table-flipped", text),))
     if outline is not None:
-        ball = MirrorBall(outline.row, outline.column, outline.radius, rig.camera)
-        lamps = ball.lamp_seen_at(ball.normals(positions[:, 1], positions[:, 0]), rig.lamp)
+        ball = MirrorBall(outline.row, outline.column, outline.radius, camera)
+        lamps = ball.lamp_seen_at(ball.normals(positions[:, 1], positions[:, 0]), lamp)
         good = np.isfinite(lamps).all(axis=1)
         if good.sum() >= _FEWEST:
             verdict = explain_lamp_table(lamps[good], directions[good])
@@ -176,16 +167,16 @@ def _of_cylinder(
 
     The columns determine only the rotation about the axis of the cylinder.
     """
-    rig = _rig(capture)
+    camera, lamp, growth_std = _distances(capture)
     columns = np.array([[one.column] for one in seen])
 
     def expected(p: np.ndarray, lamps: np.ndarray = directions) -> np.ndarray:
         turned = Rotation.from_rotvec(p[:3]).apply(lamps)
-        positions = [cylinder_line(one, rig.camera, rig.lamp) for one in turned]
+        positions = [cylinder_line(one, camera, lamp) for one in turned]
         return (p[3] + p[5] * np.array(positions))[:, None]
 
     start = np.array([0, 0, 0, outline.column, 0.0, outline.radius])
-    radius_std = math.hypot(outline.std[2], outline.radius * rig.growth_std)
+    radius_std = math.hypot(outline.std[2], outline.radius * growth_std)
     std = np.array([0, np.inf, 0, outline.std[0], 0, radius_std])
     errors = _errors(capture, seen, outline.radius)
     fit = _fitted(expected, start, std, columns, errors)

@@ -25,18 +25,12 @@ class ReadBracket(NamedTuple):
 
     Attributes:
         used: frames that can be used, in the order of the exposures.
-        lacking: exposures without a usable frame.
         sample: selected pixels; None without a usable frame.
-        largest: largest code of the used frames, DN; -infinity without a usable frame.
-        smallest: smallest code of the used frames, DN; infinity without a usable frame.
         remarks: warnings and limitations, with the names of the frames.
     """
 
     used: tuple[CaptureFrame, ...]
-    lacking: tuple[str, ...]
     sample: BracketSample | None
-    largest: float
-    smallest: float
     remarks: tuple[Remark, ...]
 
 
@@ -51,6 +45,7 @@ class BracketReading:
         names: names of the exposures.
         darkness: dark signal of each exposure.
         noise: standard deviation of one pixel's read noise, DN.
+        shape: height and width of the first frames, px.
         kept: cache of results; None: no cache.
     """
 
@@ -60,8 +55,8 @@ class BracketReading:
     names: Sequence[str]
     darkness: dict[str, Darkness]
     noise: float
+    shape: tuple[int, ...]
     kept: KeptWork | None = None
-    _shape: tuple[int, ...] | None = None
 
     def __post_init__(self) -> None:
         about = (
@@ -83,7 +78,7 @@ class BracketReading:
             return self._read(numbered)
         frames = self.capture.of("frames", lamp=numbered[1])
         paths = [self.capture.folder / frame.file for frame in frames]
-        text = f"bracket of {BracketSample._fields} {numbered} {self._shape} {self._about} {frames}\n{identity(paths)}"
+        text = f"bracket of {BracketSample._fields} {numbered} {self.shape} {self._about} {frames}\n{identity(paths)}"
         failed: list[ReadBracket] = []
 
         def made() -> dict[str, np.ndarray]:
@@ -91,32 +86,26 @@ class BracketReading:
             if any(remark.code == "bad-frame" for remark in found.remarks):
                 failed.append(found)  # not stored, because a slow disk or little memory may be temporary
                 return {}
-            return _packed(found, self._shape)
+            return _packed(found)
 
         arrays = self.kept.store(text, made)
         if failed:
             return failed[0]
-        self._shape = self._shape or tuple(arrays["shape"].tolist()) or None
         return _unpacked(arrays, numbered[1], frames)
 
     def _read(self, numbered: tuple[int, str]) -> ReadBracket:
         number, lamp = numbered
         remarks: list[Remark] = []
         bracket = self._bracket(lamp, remarks)
-        lacking = tuple(name for name in self.names if name not in {frame.exposure for frame, _ in bracket})
         if not bracket:
-            return ReadBracket((), lacking, None, -np.inf, np.inf, tuple(remarks))
+            return ReadBracket((), None, tuple(remarks))
         sample = self._sample(lamp, bracket, number)
         if number == 0:
             frame, codes = bracket[0]
             light = codes - np.asarray(self.darkness[frame.exposure].level, np.float32)
             correlation = noise_correlation(light, self.noise)
             remarks += processing_remarks(str(self.capture.folder / frame.file), *correlation)
-        largest, smallest = (
-            max(float(codes.max()) for _, codes in bracket),
-            min(float(codes.min()) for _, codes in bracket),
-        )
-        return ReadBracket(tuple(f for f, _ in bracket), lacking, sample, largest, smallest, tuple(remarks))
+        return ReadBracket(tuple(f for f, _ in bracket), sample, tuple(remarks))
 
     def _bracket(self, lamp: str, remarks: list[Remark]) -> list[tuple[CaptureFrame, np.ndarray]]:
         found: dict[str, tuple[CaptureFrame, np.ndarray]] = {}
@@ -134,10 +123,9 @@ class BracketReading:
             except FileFormatError as error:
                 remarks.append(Remark("bad-frame", str(error)))
                 continue
-            shape = self._shape = self._shape or codes.shape
-            if codes.shape != shape:
+            if codes.shape != self.shape:
                 text = f"{path}: the frame has {codes.shape[1]} x {codes.shape[0]} px, but the first frames have "
-                text += f"{shape[1]} x {shape[0]} px, so it was omitted: give frames of one size"
+                text += f"{self.shape[1]} x {self.shape[0]} px, so it was omitted: give frames of one size"
                 remarks.append(Remark("other-size", text))
                 continue
             if not np.isfinite(codes).all():
@@ -187,18 +175,16 @@ class BracketReading:
                     for f, codes in bracket
                 ]
             ),
+            np.array([(codes.min(), codes.max()) for _, codes in bracket], float),
         )
 
 
-def _packed(found: ReadBracket, shape: tuple[int, ...] | None) -> dict[str, np.ndarray]:
+def _packed(found: ReadBracket) -> dict[str, np.ndarray]:
     sample = {} if found.sample is None else {f"sample_{k}": np.asarray(v) for k, v in found.sample._asdict().items()}
     return {
         "used": np.array([frame.file for frame in found.used], dtype=str),
-        "lacking": np.array(found.lacking, dtype=str),
-        "range": np.array([found.largest, found.smallest]),
         "codes": np.array([remark.code for remark in found.remarks], dtype=str),
         "texts": np.array([remark.text for remark in found.remarks], dtype=str),
-        "shape": np.array(shape or (), dtype=int),
         **sample,
     }
 
@@ -209,12 +195,8 @@ def _unpacked(arrays: Mapping[str, np.ndarray], lamp: str, frames: Sequence[Capt
         parts = {name: arrays[f"sample_{name}"] for name in BracketSample._fields if name != "lamp"}
         sample = BracketSample(lamp=lamp, **parts)
     by_file = {frame.file: frame for frame in frames}
-    largest, smallest = (float(value) for value in arrays["range"])
     return ReadBracket(
         tuple(by_file[name] for name in arrays["used"].tolist()),
-        tuple(arrays["lacking"].tolist()),
         sample,
-        largest,
-        smallest,
         tuple(Remark(*pair) for pair in zip(arrays["codes"].tolist(), arrays["texts"].tolist(), strict=True)),
     )

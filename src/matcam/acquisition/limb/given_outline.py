@@ -29,23 +29,12 @@ def given_outline(capture: Capture, sigma: float, shape: tuple[int, int] | None 
     """
     if capture.circle is not None:
         centre, radius = capture.circle
-        return stated_circle(centre, radius.value, radius.std, sigma)
+        # a circle without a standard deviation is usually read from a screen
+        std = np.full(3, radius.std or 0.5)
+        return _outline(centre[1], centre[0], radius.value, std, sigma)
     if capture.mask is not None:
         return mask_outline(capture.mask, capture.settings["outline"]["mask_std_px"], sigma, shape)
     return None
-
-
-def stated_circle(centre: tuple[float, float], radius: float, std: float, sigma: float) -> Outline:
-    """Convert a specified circle to an outline.
-
-    Args:
-        centre: column and row, px.
-        radius: radius of the limb, px.
-        std: standard deviation of radius, column and row each, px; 0: unknown, 0.5 px is used.
-        sigma: standard deviation of the lens's blur, px.
-    """
-    # such a circle is usually read from a screen
-    return _outline(centre[1], centre[0], radius, np.full(3, std or 0.5), sigma)
 
 
 def mask_outline(path: Path, std: float, sigma: float, shape: tuple[int, int] | None = None) -> Outline:

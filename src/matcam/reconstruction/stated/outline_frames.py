@@ -127,13 +127,8 @@ def mean_outline_frame(
     """
     total: np.ndarray | None = None
     count, clipped = 0, False
-    for frame in capture.of("outline"):
-        try:
-            codes = reader.read(frame, region)
-            light = codes.astype(np.float64) - _dark(reader, capture, frame, region)
-        except MatcamError as error:
-            remarks.append(Remark("bad-frame", str(error)))
-            continue
+    for frame, codes in reader.readable(capture.of("outline"), region, remarks):
+        light = codes.astype(np.float64) - _dark(reader, capture, frame, region)
         if total is not None and total.shape != light.shape:
             remarks.append(
                 Remark(
