@@ -93,20 +93,6 @@ class TriedExplanation(NamedTuple):
     probability: float
 
 
-class ChosenFit(NamedTuple):
-    """Most probable fit of the images.
-
-    Attributes:
-        fit: the fit. Its covariance includes the differences from other probable explanations.
-        tried: explanations that were fitted to these images.
-        remarks: remarks on images, specified values and the lobe.
-    """
-
-    fit: SphereFit
-    tried: tuple[TriedExplanation, ...]
-    remarks: tuple[Remark, ...]
-
-
 @dataclass
 class _Search:
     """Fitted explanations of the same images.
@@ -278,7 +264,7 @@ def chosen_fit(
     *,
     diffuse: bool,
     say: Callable[[str], None],
-) -> ChosenFit:
+) -> tuple[SphereFit, tuple[TriedExplanation, ...], list[Remark]]:
     """Fit explanations of the images, and choose the most probable one.
 
     Args:
@@ -287,6 +273,10 @@ def chosen_fit(
         fit_pictures: function that fits one explanation, with the interface of `fit_sphere`.
         diffuse: True to include a diffuse part.
         say: function that is called with a line about each step.
+
+    Returns:
+        The fit, whose covariance includes the differences from other probable explanations; the explanations that were fitted;
+        and remarks on images, specified values and the lobe.
     """
     pictures = captured.pictures
     whole = _Search(pictures, captured.scene, captured.lamps, fit_pictures, family == AUTO, diffuse, say)
@@ -302,8 +292,7 @@ def chosen_fit(
         tried = tuple(_tried(search, shares))
     found, remarks = _with_odd_pictures(search, best)
     found = _with_others(_with_its_lens_open(found), search.fits, shares)
-    remarks = [*_remarks(found, best, shares, search, whole), *remarks]
-    return ChosenFit(found, tried, tuple(remarks))
+    return found, tried, [*_remarks(found, best, shares, search, whole), *remarks]
 
 
 def _explored(whole: _Search, family: str) -> tuple[_Search, Alternative, dict[Alternative, float]]:

@@ -382,8 +382,8 @@ def reconstructed(
         diffuse: True to include a Lambertian part.
         progress: function that is called with a line about each step.
     """
-    chosen = chosen_fit(captured, family, fit_pictures, diffuse=diffuse, say=progress)
-    fit, units = chosen.fit, chosen.fit.light.units
+    fit, tried, remarks = chosen_fit(captured, family, fit_pictures, diffuse=diffuse, say=progress)
+    units = fit.light.units
     theta, channels = fit.solution.theta_d, fit.layout.channels
     covariance = fit.strengths_covariance(fit.solution.fitted)
     curves = tuple(
@@ -402,7 +402,7 @@ def reconstructed(
         units = (Stated(max(top, 1e-300), np.nan),) * channels
     middle = channels // 2
     judged = min(_JUDGED, float(theta.max()))
-    every = [*captured.remarks, *chosen.remarks]
+    every = [*captured.remarks, *remarks]
     pairs = inseparable(fit)
     every.extend(
         Remark(
@@ -428,7 +428,7 @@ def reconstructed(
         units=units,
         budget=error_budget(fit, curves[middle], middle, judged, units[middle].std),
         not_determined=pairs,
-        tried=chosen.tried,
+        tried=tried,
         remarks=tuple(every),
         captured=captured,
         sample=sample,

@@ -139,7 +139,7 @@ def _of_sphere(
         text = (
             "the highlights move opposite to the specified lamp directions: measure azimuths from +x (right) to +y (up)"
         )
-        return _NOTHING._replace(centre=_sphere(flipped), remarks=(Remark("table-flipped", text),))
+        return _NOTHING._replace(centre=_circle(flipped), remarks=(Remark("table-flipped", text),))
     if outline is not None:
         ball = MirrorBall(outline.row, outline.column, outline.radius, camera)
         lamps = ball.lamp_seen_at(ball.normals(positions[:, 1], positions[:, 0]), lamp)
@@ -152,12 +152,7 @@ def _of_sphere(
     fit = _fitted(expected, start, std, positions, errors)
     if wrong := _whole_remarks(fit, errors):
         return _NOTHING._replace(remarks=wrong)
-    remarks = _turn_remarks(fit, std, "sphere's")
-    if outline is not None:
-        remarks += _radius_remarks(fit, outline, std[5])
-    remarks += _single_remarks(capture, names, fit)
-    turn_std = np.where(std[:3] > 0, np.sqrt(np.diag(fit.covariance)[:3]), math.nan)
-    return TableCheck(_sphere(fit), fit.p[:3], turn_std, tuple(remarks))
+    return _checked(capture, names, fit, std, outline)
 
 
 def _of_cylinder(
@@ -185,11 +180,21 @@ def _of_cylinder(
         if not _whole_remarks(_fitted(partial(expected, lamps=lamps), start, std, columns, errors), errors):
             wrong = (radians,)
         return _NOTHING._replace(remarks=wrong)
-    remarks = _turn_remarks(fit, std, "cylinder's")
-    remarks += _radius_remarks(fit, outline, std[5])
+    return _checked(capture, names, fit, std, outline)
+
+
+def _checked(
+    capture: Capture, names: list[str], fit: _Fit, std: np.ndarray, outline: QuickOutline | None
+) -> TableCheck:
+    """Build the result of a fit whose rotation and radius are meaningful. `std` is the prior of its parameters."""
+    sample = capture.settings["sample"]["kind"]
+    remarks = _turn_remarks(fit, std, f"{sample}'s")
+    if outline is not None:
+        remarks += _radius_remarks(fit, outline, std[5])
     remarks += _single_remarks(capture, names, fit)
-    turn_std = np.array([math.nan, math.sqrt(fit.covariance[1, 1]), math.nan])
-    return TableCheck((float(fit.p[3]), math.nan, float(fit.p[5])), fit.p[:3], turn_std, tuple(remarks))
+    turn_std = np.where(std[:3] > 0, np.sqrt(np.diag(fit.covariance)[:3]), math.nan)
+    column, row, radius = _circle(fit)
+    return TableCheck((column, math.nan if sample == "cylinder" else row, radius), fit.p[:3], turn_std, tuple(remarks))
 
 
 def _errors(capture: Capture, seen: list[Seen], radius: float) -> np.ndarray:
@@ -224,14 +229,14 @@ def _fitted(
         return np.append((away(q) / errors[:, None]).ravel(), (p[known] - start[known]) / std[known])
 
     found = least_squares(residual, start[free], loss="soft_l1", x_scale="jac")
-    off = np.hypot(*away(found.x).T) if positions.shape[1] == 2 else np.abs(away(found.x)[:, 0])
+    off = np.linalg.norm(away(found.x), axis=1)
     scatter = robust_std(away(found.x) / errors[:, None])
     covariance = np.zeros((start.size, start.size))
     covariance[np.ix_(free, free)] = np.linalg.pinv(found.jac.T @ found.jac) * max(1.0, scatter) ** 2
     return _Fit(whole(found.x), covariance, off)
 
 
-def _sphere(fit: _Fit) -> tuple[float, float, float]:
+def _circle(fit: _Fit) -> tuple[float, float, float]:
     return float(fit.p[3]), float(fit.p[4]), float(abs(fit.p[5]))
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -19,19 +18,8 @@ from matcam.core.remark import Remark
 from matcam.files.capture import Capture, Region
 from matcam.files.capture_frames import CaptureFrame
 
-
-class ReadBracket(NamedTuple):
-    """Result of reading the frames of a lamp position.
-
-    Attributes:
-        used: frames that can be used, in the order of the exposures.
-        sample: selected pixels; None without a usable frame.
-        remarks: warnings and limitations, with the names of the frames.
-    """
-
-    used: tuple[CaptureFrame, ...]
-    sample: BracketSample | None
-    remarks: tuple[Remark, ...]
+ReadBracket = tuple[BracketSample | None, tuple[Remark, ...]]
+"""Selected pixels of a lamp position, None without a usable frame, and remarks that name frames."""
 
 
 @dataclass
@@ -83,7 +71,7 @@ class BracketReading:
 
         def made() -> dict[str, np.ndarray]:
             found = self._read(numbered)
-            if any(remark.code == "bad-frame" for remark in found.remarks):
+            if any(remark.code == "bad-frame" for remark in found[1]):
                 failed.append(found)  # not stored, because a slow disk or little memory may be temporary
                 return {}
             return _packed(found)
@@ -91,21 +79,21 @@ class BracketReading:
         arrays = self.kept.store(text, made)
         if failed:
             return failed[0]
-        return _unpacked(arrays, numbered[1], frames)
+        return _unpacked(arrays, frames)
 
     def _read(self, numbered: tuple[int, str]) -> ReadBracket:
         number, lamp = numbered
         remarks: list[Remark] = []
         bracket = self._bracket(lamp, remarks)
         if not bracket:
-            return ReadBracket((), None, tuple(remarks))
+            return None, tuple(remarks)
         sample = self._sample(lamp, bracket, number)
         if number == 0:
             frame, codes = bracket[0]
             light = codes - np.asarray(self.darkness[frame.exposure].level, np.float32)
             correlation = noise_correlation(light, self.noise)
             remarks += processing_remarks(str(self.capture.folder / frame.file), *correlation)
-        return ReadBracket(tuple(f for f, _ in bracket), sample, tuple(remarks))
+        return sample, tuple(remarks)
 
     def _bracket(self, lamp: str, remarks: list[Remark]) -> list[tuple[CaptureFrame, np.ndarray]]:
         found: dict[str, tuple[CaptureFrame, np.ndarray]] = {}
@@ -162,6 +150,7 @@ class BracketReading:
                     reference[i] = means - darkness[frame.exposure].mean
         return BracketSample(
             lamp,
+            tuple(frame for frame, _ in bracket),
             np.array([list(self.names).index(frame.exposure) for frame, _ in bracket]),
             np.stack([codes.ravel()[chosen] for _, codes in bracket]),
             np.stack([one.ravel()[chosen] for one in light]),
@@ -180,23 +169,19 @@ class BracketReading:
 
 
 def _packed(found: ReadBracket) -> dict[str, np.ndarray]:
-    sample = {} if found.sample is None else {f"sample_{k}": np.asarray(v) for k, v in found.sample._asdict().items()}
-    return {
-        "used": np.array([frame.file for frame in found.used], dtype=str),
-        "codes": np.array([remark.code for remark in found.remarks], dtype=str),
-        "texts": np.array([remark.text for remark in found.remarks], dtype=str),
-        **sample,
-    }
+    sample, remarks = found
+    arrays = {} if sample is None else {f"sample_{name}": value for name, value in sample._asdict().items()}
+    if sample is not None:
+        arrays["sample_frames"] = [frame.file for frame in sample.frames]
+    arrays |= {"codes": [remark.code for remark in remarks], "texts": [remark.text for remark in remarks]}
+    return {name: np.asarray(value) for name, value in arrays.items()}
 
 
-def _unpacked(arrays: Mapping[str, np.ndarray], lamp: str, frames: Sequence[CaptureFrame]) -> ReadBracket:
-    sample = None
-    if "sample_lamp" in arrays:
-        parts = {name: arrays[f"sample_{name}"] for name in BracketSample._fields if name != "lamp"}
-        sample = BracketSample(lamp=lamp, **parts)
+def _unpacked(arrays: Mapping[str, np.ndarray], frames: Sequence[CaptureFrame]) -> ReadBracket:
+    remarks = tuple(Remark(*pair) for pair in zip(arrays["codes"].tolist(), arrays["texts"].tolist(), strict=True))
+    if "sample_lamp" not in arrays:
+        return None, remarks
     by_file = {frame.file: frame for frame in frames}
-    return ReadBracket(
-        tuple(by_file[name] for name in arrays["used"].tolist()),
-        sample,
-        tuple(Remark(*pair) for pair in zip(arrays["codes"].tolist(), arrays["texts"].tolist(), strict=True)),
-    )
+    sample = BracketSample(**{name: arrays[f"sample_{name}"] for name in BracketSample._fields})
+    used = tuple(by_file[name] for name in sample.frames)
+    return sample._replace(lamp=str(sample.lamp), frames=used), remarks

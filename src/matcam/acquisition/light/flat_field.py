@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import uniform_filter
 
-from matcam.acquisition.darkness import Darkness, dark_of
+from matcam.acquisition.darkness import Darkness, dark_level
 from matcam.acquisition.mosaic_frames import MosaicReader
 from matcam.core.errors import FileFormatError
 from matcam.core.remark import Remark
@@ -78,7 +78,9 @@ def measure_flat(
         path = capture.folder / frame.file
         try:
             codes = reader.read(frame, region)
-            light = codes - _dark(reader, capture, frame, region, darkness)
+            known = darkness.get(frame.exposure)
+            level = dark_level(reader, capture, frame.exposure, region) if known is None else known.level
+            light = codes - np.asarray(level, np.float32)
             beside = _beside(reader, capture, frame, darkness)
         except (FileFormatError, ValueError) as error:
             text = (
@@ -148,17 +150,6 @@ def smooth_field(total: np.ndarray, of: np.ndarray) -> tuple[np.ndarray, float]:
     row, column = (np.linspace(-1, 1, size) for size in total.shape)
     middle = np.hypot(row[:, None], column)[of] < 0.5
     return field, float(np.mean(field[middle] if middle.any() else field))
-
-
-def _dark(
-    reader: MosaicReader, capture: Capture, frame: CaptureFrame, region: Region | None, darkness: dict[str, Darkness]
-) -> np.ndarray | float:
-    if frame.exposure in darkness:
-        return np.asarray(darkness[frame.exposure].level, np.float32)
-    own = [reader.read(one, region) for one in capture.of("dark", exposure=frame.exposure)]
-    if own:
-        return np.asarray(dark_of(own).level, np.float32)
-    return float(np.mean([one.mean for one in darkness.values()]))
 
 
 def _beside(

@@ -11,7 +11,7 @@ from functools import partial
 import numpy as np
 
 from matcam.acquisition.check.quick_outline import dark_disc
-from matcam.acquisition.darkness import dark_of
+from matcam.acquisition.darkness import dark_level
 from matcam.acquisition.limb.backlight import field_reach
 from matcam.acquisition.limb.clipped_field import field_is_clipped, hidden_by_clipping
 from matcam.acquisition.limb.given_outline import given_outline
@@ -21,7 +21,6 @@ from matcam.acquisition.outline import Outline, find_outline
 from matcam.core.errors import FitError, MatcamError
 from matcam.core.remark import Remark
 from matcam.files.capture import Capture, Region
-from matcam.files.capture_frames import CaptureFrame
 from matcam.numerics.normal import robust_std
 
 _MARGIN = 0.12
@@ -128,7 +127,7 @@ def mean_outline_frame(
     total: np.ndarray | None = None
     count, clipped = 0, False
     for frame, codes in reader.readable(capture.of("outline"), region, remarks):
-        light = codes.astype(np.float64) - _dark(reader, capture, frame, region)
+        light = codes.astype(np.float64) - dark_level(reader, capture, frame.exposure, region)
         if total is not None and total.shape != light.shape:
             remarks.append(
                 Remark(
@@ -144,19 +143,6 @@ def mean_outline_frame(
     if total is None:
         raise FitError(f"{capture.folder / 'outline'}: none of the frames can be used: add at least one readable frame")
     return np.asarray(total / count), clipped
-
-
-def _dark(reader: MosaicReader, capture: Capture, frame: CaptureFrame, region: Region | None) -> np.ndarray | float:
-    """Compute the dark level of a frame, DN, from the dark frames of its exposure.
-
-    If there are no dark frames of this exposure, dark frames of all exposures are used. Without readable dark frames, the
-    level is the specified black level, or 0.
-    """
-    frames = capture.of("dark", exposure=frame.exposure) or capture.of("dark")
-    stack = [codes for _, codes in reader.readable(frames[:8], region)]
-    if not stack:
-        return float(capture.settings["camera"]["black_level_dn"] or 0.0)
-    return np.asarray(dark_of(stack).level, dtype=np.float64)
 
 
 def about_outline(outline: Outline, shape: tuple[int, ...]) -> Region:
