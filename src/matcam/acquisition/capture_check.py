@@ -147,28 +147,23 @@ def coverage_remarks(lamps: dict[str, LampGuess]) -> list[Remark]:
     if np.isnan(angles).any() or not angles.size:
         return []
     theta_d = np.sort(np.degrees(angles) / 2)
-    found = []
+    texts = []
     if theta_d[0] > _FIRST:
-        found.append(
-            Remark(
-                "angles-missed",
-                f"the lamp positions begin at theta_d = {theta_d[0]:.0f} degrees: add a position below {_FIRST:.0f} degrees",
-            )
+        texts.append(
+            f"the lamp positions begin at theta_d = {theta_d[0]:.0f} degrees: add a position below {_FIRST:.0f} degrees"
         )
     if theta_d[-1] < _LAST:
-        text = f"the lamp positions end at theta_d = {theta_d[-1]:.0f} degrees: add a position above {_LAST:.0f} "
-        text += "degrees to measure F there"
-        found.append(Remark("angles-missed", text))
+        texts.append(
+            f"the lamp positions end at theta_d = {theta_d[-1]:.0f} degrees: add a position above {_LAST:.0f} degrees to "
+            "measure F there"
+        )
     gaps = [f"{low:.0f} and {high:.0f}" for low, high in pairwise(theta_d) if high - low > _GAP]
     if gaps:
-        found.append(
-            Remark(
-                "angles-missed",
-                f"no lamp position has theta_d between {', between '.join(gaps)} degrees: add positions, so that steps of "
-                f"theta_d are at most {_GAP:.0f} degrees",
-            )
+        texts.append(
+            f"no lamp position has theta_d between {', between '.join(gaps)} degrees: add positions, so that steps of "
+            f"theta_d are at most {_GAP:.0f} degrees"
         )
-    return found
+    return [Remark("angles-missed", text) for text in texts]
 
 
 def _lamp_remarks(capture: Capture, radiometry: Radiometry | None, sample: tuple[float, float, float]) -> list[Remark]:

@@ -15,6 +15,7 @@ from matcam.acquisition.merged_picture import MergedPicture
 from matcam.acquisition.mirror_ball import MirrorBall, unit
 from matcam.core.errors import ArgumentError, FitError
 from matcam.core.grid import CHANNELS, GRID_SHAPE, brdf_table, merl_grid
+from matcam.core.shading import shading, vector
 
 _CELLS = int(np.prod(GRID_SHAPE))
 _LEAST = np.cos(np.radians(87.0))
@@ -99,18 +100,11 @@ class PinholeTable:
 
     @staticmethod
     def _cells(normals: np.ndarray, light: np.ndarray, view: np.ndarray) -> np.ndarray:
-        total, difference = light + view, light - view
-        half = unit(total)
-        cosine, across = (half * normals).sum(-1), np.cross(normals, half)
-        sine = np.linalg.norm(across, axis=-1)
-        theta_h = np.arctan2(sine, cosine)
-        theta_d = np.arctan2(np.linalg.norm(difference, axis=-1), np.linalg.norm(total, axis=-1))
-        # the half vector is the pole; x points away from the normal, y along normal x half vector (core/grid.py)
-        x = (light * (cosine[:, None] * half - normals)).sum(-1)
-        y = (light * across).sum(-1)
-        phi_d = np.mod(np.arctan2(y, x), np.pi)
+        tangent = unit(np.stack([normals[:, 2], np.zeros(len(normals)), -normals[:, 0]], axis=1))
+        at = shading(*(vector(*each.T) for each in (normals, tangent, light, view)))
+        theta_h = np.arctan(np.hypot(at.slope_along, at.slope_across))
         i, j, k = merl_grid("centre").index(
-            theta_h=np.minimum(theta_h, np.pi / 2), theta_d=np.minimum(theta_d, np.pi / 2), phi_d=phi_d
+            theta_h=theta_h, theta_d=np.minimum(at.theta_d, np.pi / 2), phi_d=np.mod(at.phi_d, np.pi)
         )
         return np.ravel_multi_index((i, j, k), GRID_SHAPE)
 

@@ -201,8 +201,8 @@ def measure_radiometry(
     reading = BracketReading(capture, reader, region, names, darkness, noise, shape, kept)
     before = len(remarks)
     say = progress or (lambda step, done, total: None)
-    for number, (sample, said) in enumerate(in_order(reading.read, list(enumerate(wanted)), workers)):
-        remarks += said
+    for number, (sample, of_lamp) in enumerate(in_order(reading.read, list(enumerate(wanted)), workers)):
+        remarks += of_lamp
         known = set() if sample is None else {frame.exposure for frame in sample.frames}
         lacking = tuple(name for name in names if name not in known)
         if lacking:

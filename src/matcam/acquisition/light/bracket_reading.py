@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -170,7 +171,9 @@ class BracketReading:
 
 def _packed(found: ReadBracket) -> dict[str, np.ndarray]:
     sample, remarks = found
-    arrays = {} if sample is None else {f"sample_{name}": value for name, value in sample._asdict().items()}
+    arrays: dict[str, Any] = (
+        {} if sample is None else {f"sample_{name}": value for name, value in sample._asdict().items()}
+    )
     if sample is not None:
         arrays["sample_frames"] = [frame.file for frame in sample.frames]
     arrays |= {"codes": [remark.code for remark in remarks], "texts": [remark.text for remark in remarks]}
@@ -182,6 +185,6 @@ def _unpacked(arrays: Mapping[str, np.ndarray], frames: Sequence[CaptureFrame]) 
     if "sample_lamp" not in arrays:
         return None, remarks
     by_file = {frame.file: frame for frame in frames}
-    sample = BracketSample(**{name: arrays[f"sample_{name}"] for name in BracketSample._fields})
-    used = tuple(by_file[name] for name in sample.frames)
-    return sample._replace(lamp=str(sample.lamp), frames=used), remarks
+    parts: dict[str, Any] = {name: arrays[f"sample_{name}"] for name in BracketSample._fields}
+    parts |= {"lamp": str(parts["lamp"]), "frames": tuple(by_file[name] for name in parts["frames"].tolist())}
+    return BracketSample(**parts), remarks

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.polynomial import polynomial
 from scipy.ndimage import uniform_filter
 
 from matcam.acquisition.darkness import Darkness, dark_level
@@ -22,7 +23,7 @@ from matcam.core.remark import Remark
 from matcam.files.capture import Capture, Region
 from matcam.files.capture_frames import CaptureFrame
 from matcam.files.picture_header import read_exif
-from matcam.numerics.normal import robust_std
+from matcam.numerics.normal import robust_fit, robust_std
 
 
 @dataclass(frozen=True)
@@ -128,26 +129,19 @@ def smooth_field(total: np.ndarray, of: np.ndarray) -> tuple[np.ndarray, float]:
         total: dark-subtracted flat frame, (height, width), DN.
         of: mask of the pixels of the colour, (height, width).
     """
-    powers = [np.vander(np.linspace(-1, 1, size), 5, increasing=True) for size in total.shape]  # of row and column
-    positions = np.argwhere(of)[:: max(1, int(of.sum()) // 20_000)]
-    pairs = [(i, j) for i in range(5) for j in range(5 - i)]
-    a = np.stack([powers[0][positions[:, 0], i] * powers[1][positions[:, 1], j] for i, j in pairs], axis=-1)
-    b = total[positions[:, 0], positions[:, 1]]
-    usual = np.ones(len(b), bool)
-    for _ in range(3):
-        found = np.linalg.lstsq(a[usual], b[usual], rcond=None)[0]
-        residual = b - a @ found
-        usual = np.abs(residual) <= 5 * robust_std(residual) + 1e-12
-    coefficients = np.zeros((5, 5))
-    coefficients[tuple(np.transpose(pairs))] = found
-    trend = np.maximum(powers[0] @ coefficients @ powers[1].T, 1e-9)
+    row, column = (np.linspace(-1, 1, size) for size in total.shape)
+    some = tuple(np.argwhere(of)[:: max(1, int(of.sum()) // 20_000)].T)
+    low = np.add.outer(range(5), range(5)) < 5  # powers of row and column of a polynomial of degree 4
+    design = polynomial.polyvander2d(row[some[0]], column[some[1]], (4, 4))[:, low.ravel()]
+    coefficients = np.zeros(low.shape)
+    coefficients[low] = robust_fit(design, total[some]).parameters
+    trend = np.maximum(polynomial.polygrid2d(row, column, coefficients), 1e-9)
     # the local residual contains dust, and structure that a polynomial does not describe
     local, weight = np.where(of, total / trend, 0.0), of.astype(float)
     for _ in range(2):
         # width of the square moving average that is applied twice for the smooth field, px
         local, weight = (uniform_filter(one, 33, mode="constant") for one in (local, weight))
     field = np.maximum(trend[of] * local[of] / np.maximum(weight[of], 1e-9), 1e-9)
-    row, column = (np.linspace(-1, 1, size) for size in total.shape)
     middle = np.hypot(row[:, None], column)[of] < 0.5
     return field, float(np.mean(field[middle] if middle.any() else field))
 
