@@ -6,7 +6,7 @@ import imagecodecs
 import numpy as np
 
 from matcam.acquisition.merged_picture import MergedPicture
-from matcam.acquisition.outline import OutlineFit
+from matcam.acquisition.outline import OutlineFit, Sighting
 from tests.oracle import ball_outline as oracle
 
 BAYER = np.array([[0.6, 1.0], [1.0, 0.5]])
@@ -49,4 +49,4 @@ def diligent(real_data):
 
 def by_powers(picture, start, powers):
     """Outline of a lit sphere with another model of the light inside its limb."""
-    return OutlineFit(picture, "lit", powers, np.array(start)).outline()
+    return OutlineFit(picture, "lit", Sighting(), powers, np.array(start)).outline()

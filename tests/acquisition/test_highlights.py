@@ -24,10 +24,10 @@ def lamp(degrees, azimuth, distance):
 
 
 def test_pixels_show_the_normals_of_the_oracle():
-    ball = oracle.Ball(30.0, 31.0, 25.0, 40.0)
+    ball = oracle.Ball(30.0, 31.0, 25.0, 40.0, (90.0, -50.0))
     points, rays = oracle.rays(ball, (62, 62))
     at = (np.arange(62 * oracle.FINE) + 0.5) / oracle.FINE - 0.5
-    mirror = MirrorBall(*ball[:4])
+    mirror = MirrorBall(*ball)
     normals = mirror.normals(*np.meshgrid(at, at, indexing="ij"))
     assert np.array_equal(np.isnan(normals), np.isnan(points))
     assert np.nanmax(np.abs(normals - points)) < 1e-12
@@ -40,7 +40,7 @@ def test_pixels_show_the_normals_of_the_oracle():
 def test_a_lamp_is_seen_where_it_is_mirrored():
     """The law of reflection, at the point that a near lamp and a near camera share."""
     rng = np.random.default_rng(0)
-    mirror = MirrorBall(30.0, 31.0, 25.0, 12.0)
+    mirror = MirrorBall(30.0, 31.0, 25.0, 12.0, (90.0, -50.0))
     lamps = unit(rng.normal(size=(50, 3)) + np.array([0, 0, 2.0]))
     normals = mirror.mirror_normals(lamps, 7.0)
     light, view = unit(7.0 * lamps - normals), mirror.views(normals)
@@ -53,7 +53,7 @@ def test_lamps_are_found_from_highlights(alpha, worst, bayer):
     """Near lamp, near camera; the highlights of the outer lamps are pulled towards the limb."""
     rng = np.random.default_rng(1)
     ball = oracle.Ball(*AT, 40.0)
-    mirror = MirrorBall(*ball[:4])
+    mirror = MirrorBall(*ball)
     off = []
     for degrees, azimuth in ((8, 20), (35, 100), (60, 200), (80, 310)):
         at = lamp(degrees, azimuth, 25.0)
@@ -70,7 +70,7 @@ def test_clipped_pixels_are_at_least_so_bright():
     ball, at = oracle.Ball(*AT), lamp(40, 30, 1e6)
     picture = photograph(oracle.lit(ball, SHAPE, at, diffuse=0.2, alpha=0.05), rng, electrons=1e3)
     clipped = merged(picture.values, picture.std, clip=0.3 * picture.values.max())
-    mirror = MirrorBall(*ball[:4])
+    mirror = MirrorBall(*ball)
     found = find_highlight(clipped, mirror)
     assert [remark.code for remark in found.remarks] == ["clipped"]
     row, column = mirror.mirror_position(unit(at))
@@ -82,7 +82,7 @@ def test_clipped_pixels_are_at_least_so_bright():
 def test_other_bright_spots_are_named():
     rng = np.random.default_rng(3)
     ball = oracle.Ball(*AT)
-    mirror = MirrorBall(*ball[:4])
+    mirror = MirrorBall(*ball)
     lamps = [lamp(40, 30, 1e6), lamp(55, 150, 1e6)]
     radiance = sum(
         share * oracle.lit(ball, SHAPE, at, diffuse=0.1, alpha=0.04)
@@ -105,7 +105,7 @@ def test_diligent_highlights(real_data):
     pictures, lamps = diligent(real_data)
     outline = by_powers(stacked(pictures), (103.7, 103.9, 71.4), (0, 0.5, 1))
     pictures, lamps = pictures[::3], lamps[::3]
-    found, _ = find_highlights(pictures, outline.ball())
+    found, _ = find_highlights(pictures, outline.ball)
     assert all(one is not None for one in found)
     assert all("clipped" in {remark.code for remark in one.remarks} for one in found)
     positions = np.array([(one.row, one.column) for one in found])
@@ -119,10 +119,10 @@ def test_diligent_highlights(real_data):
     ratio = wanted.x[2] / outline.radius
     assert 1.007 < ratio < 1.016
     # with the outline's radius, the distances that the ratio wants, and the table's axes turned
-    larger = outline.ball()._replace(radius=outline.radius * ratio)
+    larger = outline.ball._replace(radius=outline.radius * ratio)
     seen = larger.lamp_seen_at(larger.normals(*positions.T))
     turn = Rotation.align_vectors(lamps, seen)[0]
     distance = 1 / (ratio - 1)
-    near = outline.ball(distance)
+    near = outline.ball._replace(distance=distance)
     turned = turn.apply(near.lamp_seen_at(near.normals(*positions.T), distance))
     assert np.sqrt(np.mean(np.degrees(lamp_angles_apart(turned, lamps)) ** 2)) < 0.4

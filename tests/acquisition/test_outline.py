@@ -5,23 +5,24 @@ import numpy as np
 import pytest
 
 from matcam.acquisition.frame_shifts import find_shifts
-from matcam.acquisition.outline import find_outline, stacked
+from matcam.acquisition.outline import Sighting, find_outline, stacked
 from matcam.core.errors import FitError
 from tests.acquisition.merged import around, by_powers, diligent, merged, photograph
 from tests.oracle import ball_outline as oracle
 
 SHAPE = (152, 156)
-KINDS = ("backlit", "matt", "coated", "mosaic", "near")
+KINDS = ("backlit", "matt", "coated", "mosaic", "near, beside the axis")
 
 
 def one(kind, rng):
     """A picture of a kind, its truth, and how to read it."""
     at = np.array([75, 78, 60]) + rng.uniform(-1.5, 1.5, 3)
-    ball = oracle.Ball(*at, 30.0 if kind == "near" else 1e6)
+    near = kind.startswith("near")
+    ball = oracle.Ball(*at, 30.0 if near else 1e6, (260.0, -150.0) if near else None)
     options = {"light": "lit"}
     if kind in ("backlit", KINDS[-1]):
         radiance = oracle.backlit(ball, SHAPE)
-        options = {"light": "backlit", "backlight_reach": (0.0, 0.0)}
+        options = {"light": "backlit", "sighting": Sighting(ball.distance, ball.axis), "backlight_reach": (0.0, 0.0)}
     else:
         radiance = sum(oracle.lit(ball, SHAPE, lamp, coat=kind == "coated") for lamp in around(3, 45))
     return photograph(radiance, rng, bayer=kind == "mosaic", electrons=1e4), ball, options
@@ -97,8 +98,11 @@ def test_every_frame_has_its_shift():
         pictures.append(photograph(oracle.lit(ball, SHAPE, lamp), rng, electrons=5e3))
     first = find_outline(stacked(pictures))
     outline, found = find_shifts(pictures, first, 0.3)
-    off = np.array([outline.row, outline.column]) + found - (shifts + np.array([75, 78]))
+    positions = np.array([[outline.row + one.row, outline.column + one.column] for one in found])
+    off = positions - (shifts + np.array([75, 78]))
+    std = np.array([np.sqrt(np.diag(one.covariance)) for one in found])
     assert np.sqrt((off**2).mean()) < 0.08
+    assert np.abs(off / std).max() < 3
     assert abs(outline.radius - 60) < 0.1
     assert np.sqrt(np.mean((shifts - shifts.mean(0)) ** 2)) > 0.15  # it was there to be found
 

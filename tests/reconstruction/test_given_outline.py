@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from matcam.acquisition.capture_check import check_capture
+from matcam.acquisition.outline import Sighting
 from matcam.core.errors import FileFormatError
 from matcam.files.capture import read_capture
 from matcam.reconstruction.stated.captured_scene import INCOMPLETE
@@ -12,6 +13,7 @@ from tests.acquisition.drawn import VIEW, changed, surface
 from tests.oracle.capture import Sensor, draw, write_tiff
 from tests.oracle.sphere_picture import backlit
 
+SIGHTING = Sighting(VIEW.camera)
 FRAME = VIEW.shape[::-1]
 
 
@@ -31,7 +33,7 @@ def given(drawn, folder, codes=None, outline=None, mask=None):
     if mask is not None:
         write_tiff(folder / "mask.tif", mask)
     remarks = []
-    return *found_outline(read_capture(folder), VIEW.sigma, FRAME, remarks), remarks
+    return *found_outline(read_capture(folder), SIGHTING, VIEW.sigma, FRAME, remarks), remarks
 
 
 def misses(outline):

@@ -1,15 +1,16 @@
 """Outline of a sphere in an image: centre and radius of the limb, corrected for the blur of the lens, with covariance.
 
 The image shows a sphere that a lamp lights up to the limb, or a dark sphere in front of a bright field. The edges of the
-limb are measured in sectors of azimuth (`limb/limb_edges.py`). The outline is a circle, as for a sphere on the camera's axis.
-Sectors with a stand, dust or a highlight are omitted.
+limb are measured in sectors of azimuth (`limb/limb_edges.py`). The outline is the image of a sphere at a known distance: a
+circle if the sphere is on the camera's axis, and an ellipse otherwise. Sectors with a stand, dust or a highlight are
+omitted.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, get_args
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -37,6 +38,43 @@ _SIMPLER = 30.0
 FEWEST_SECTORS = 8
 
 
+class Sighting(NamedTuple):
+    """Geometry of the camera relative to the sphere.
+
+    Attributes:
+        distance: distance of the camera from the sphere's centre, radii; infinite for an orthographic camera. Default:
+            infinite.
+        axis: (row, column) of the intersection of the optical axis with the frame, px. Default: None, the image of the
+            sphere's centre.
+    """
+
+    distance: float = np.inf
+    axis: tuple[float, float] | None = None
+
+    def radius_at(self, azimuth: np.ndarray, row: float, column: float, radius: float) -> np.ndarray:
+        """Compute the distance of the limb from the image of the centre along an azimuth, px.
+
+        Args:
+            azimuth: azimuth, from +column towards +row, rad.
+            row: row of the image of the sphere's centre, px.
+            column: column of the image of the sphere's centre, px.
+            radius: radius that the limb would have if the sphere's centre were on the optical axis, px.
+        """
+        if self.axis is None or np.isinf(self.distance):
+            return np.full(np.shape(azimuth), radius)
+        focal = radius * np.sqrt(self.distance**2 - 1)
+        centre = np.array([column - self.axis[1], row - self.axis[0], focal])
+        centre /= np.linalg.norm(centre)
+        first = np.array([centre[2], 0.0, -centre[0]]) / np.hypot(centre[0], centre[2])
+        second = np.cross(centre, first)
+        turn = np.linspace(0, 2 * np.pi, 721)[:-1, None]
+        edge = centre * np.sqrt(1 - self.distance**-2) + (np.cos(turn) * first + np.sin(turn) * second) / self.distance
+        x, y = focal * (edge[:, :2] / edge[:, 2:] - centre[:2] / centre[2]).T
+        angle, length = np.arctan2(y, x), np.hypot(x, y)
+        order = np.argsort(angle)
+        return np.interp(azimuth, angle[order], length[order], period=2 * np.pi)
+
+
 @dataclass(frozen=True)
 class Outline:
     """Outline of a sphere in the frame.
@@ -44,10 +82,12 @@ class Outline:
     Attributes:
         row: row of the image of the sphere's centre, px; rows increase downwards, pixel centres are integers.
         column: column of the image of the sphere's centre, px.
-        radius: radius of the limb, px.
+        radius: radius that the limb would have if the sphere's centre were on the optical axis, px.
         covariance: covariance of (row, column, radius), px^2 (3, 3), due to noise, scatter of the edges, and uncertainties
             of the lens and of the light near the limb.
         sigma: standard deviation of the lens's blur, px.
+        sigma_std: standard deviation of `sigma`, px.
+        sighting: geometry of the camera relative to the sphere.
         sectors: measured edges, one for each sector.
         used: mask of the edges that are used for the outline.
         scatter: rms distance of the used edges from the outline, px.
@@ -61,6 +101,8 @@ class Outline:
     radius: float
     covariance: np.ndarray
     sigma: float
+    sigma_std: float
+    sighting: Sighting
     sectors: LimbSectors
     used: np.ndarray
     scatter: float
@@ -73,9 +115,18 @@ class Outline:
         """Standard deviations of row, column and radius, px (3,)."""
         return np.sqrt(np.diag(self.covariance))
 
-    def ball(self, distance: float = np.inf) -> MirrorBall:
-        """Build the sphere of the outline from the distance of the camera, radii."""
-        return MirrorBall(self.row, self.column, self.radius, distance)
+    @property
+    def ball(self) -> MirrorBall:
+        return MirrorBall(self.row, self.column, self.radius, self.sighting.distance, self.sighting.axis)
+
+    def curve(self, azimuth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Compute rows and columns of the outline, px, for an overlay.
+
+        Args:
+            azimuth: from +column towards +row, rad.
+        """
+        length = self.sighting.radius_at(azimuth, self.row, self.column, self.radius)
+        return self.row + length * np.sin(azimuth), self.column + length * np.cos(azimuth)
 
 
 def stacked(pictures: Sequence[MergedPicture]) -> MergedPicture:
@@ -119,6 +170,7 @@ def find_outline(
     picture: MergedPicture,
     *,
     light: LimbLight = "lit",
+    sighting: Sighting | None = None,
     backlight_reach: tuple[float, float] | None = None,
 ) -> Outline:
     """Find the outline of the sphere in an image.
@@ -126,6 +178,7 @@ def find_outline(
     Args:
         picture: image of one lamp or of all lamps (`stacked`), or a frame with light from behind.
         light: "lit" for a sphere brighter than its background, "backlit" for a dark sphere in front of a bright field.
+        sighting: geometry of the camera. Default: infinitely distant.
         backlight_reach: angle by which the bright field extends beyond the limb, and the standard deviation of this angle,
             rad. The sphere mirrors the field. Default: unknown; the error includes the reflection of a field of 3 degrees.
 
@@ -142,11 +195,12 @@ def find_outline(
     """
     if light not in get_args(LimbLight):
         raise ArgumentError(f"light must be one of {', '.join(map(repr, get_args(LimbLight)))}, got {light!r}")
+    sighting = sighting or Sighting()
     begin = np.array(_searched(picture, light))
     found = []
     for kind in (light, "coated") if light == "lit" else (light,):
         try:
-            found.append(OutlineFit(picture, kind, EXPONENTS[kind], begin).outline(backlight_reach))
+            found.append(OutlineFit(picture, kind, sighting, EXPONENTS[kind], begin).outline(backlight_reach))
         except FitError as error:
             failed = error
     if not found:
@@ -201,14 +255,6 @@ def _refuse_cut(picture: MergedPicture, circle: FoundCircle) -> None:
         )
 
 
-def limb_slopes(azimuth: np.ndarray) -> np.ndarray:
-    """Compute the derivatives of the limb's position with respect to row, column and radius, (n, 3).
-
-    The limb's position is measured outwards, along each of n azimuths.
-    """
-    return np.stack([np.sin(azimuth), np.cos(azimuth), np.ones_like(azimuth)], axis=1)
-
-
 class OutlineFit:
     """Iterative fit of an outline.
 
@@ -217,6 +263,7 @@ class OutlineFit:
     Args:
         picture: image with the limb.
         light: a key of `EXPONENTS`.
+        sighting: geometry of the camera.
         exponents: exponents of the distance inside the limb.
         start: initial row, column and radius, px (3,).
     """
@@ -225,10 +272,11 @@ class OutlineFit:
         self,
         picture: MergedPicture,
         light: str,
+        sighting: Sighting,
         exponents: Sequence[float],
         start: np.ndarray,
     ):
-        self.picture, self.light = picture, light
+        self.picture, self.light, self.sighting = picture, light, sighting
         self.exponents, self.position = tuple(exponents), start
         self.good = np.isfinite(picture.values) & (picture.std > 0) & ~picture.clipped
         self.rows, self.columns = np.indices(picture.values.shape) + np.array(picture.origin)[:, None, None]
@@ -244,7 +292,7 @@ class OutlineFit:
         near = self.good & (np.abs(row) < reach) & (np.abs(column) < reach)
         row, column = row[near], column[near]
         azimuth = np.arctan2(row, column)
-        inside = position[2] - np.hypot(row, column)
+        inside = self.sighting.radius_at(azimuth, *position) - np.hypot(row, column)
         chosen = (inside > -self.outside - wider) & (inside < self.inside + wider)
         values, std, channel = (a[near][chosen] for a in (self.picture.values, self.picture.std, self.picture.channel))
         return BandPixels(inside[chosen], azimuth[chosen], values, std, channel, float(position[2]))
@@ -260,6 +308,19 @@ class OutlineFit:
             # sectors with 6 times the typical chi squared show dust or a stand
             return sharp & (edges.misfit < 6.0 * np.median(edges.misfit[sharp])) if sharp.any() else sharp
 
+    def slopes(self, position: np.ndarray, azimuth: np.ndarray) -> np.ndarray:
+        """Compute the derivatives of the limb's position with respect to row, column and radius, (n, 3).
+
+        The limb's position is measured outwards, along each of n azimuths.
+        """
+        matrix = np.stack([np.sin(azimuth), np.cos(azimuth), np.ones_like(azimuth)], axis=1)
+        if self.sighting.axis is not None:
+            at = self.sighting.radius_at(azimuth, *position)
+            for k in range(3):
+                moved = position + np.eye(3)[k]
+                matrix[:, k] = (matrix[:, k] if k < 2 else 0) + self.sighting.radius_at(azimuth, *moved) - at
+        return matrix
+
     def settle(
         self, position: np.ndarray, sigma: float, exponents: Sequence[float], turns: int = 6, wider: float = 0.0
     ) -> tuple[np.ndarray, LimbSectors, np.ndarray, np.ndarray, float]:
@@ -271,13 +332,15 @@ class OutlineFit:
         """
         for _ in range(turns):
             edges = self.edges(position, sigma, exponents, wider)
-            step, used, covariance, scatter = self.solve(edges, wider)
+            step, used, covariance, scatter = self.solve(position, edges, wider)
             position = position + step
             if np.abs(step).max() < 2e-3:
                 break
         return position, edges, used, covariance, scatter
 
-    def solve(self, edges: LimbSectors, wider: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
+    def solve(
+        self, position: np.ndarray, edges: LimbSectors, wider: float
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
         """Compute one least-squares step from the curve to the edges.
 
         A FitError is raised if the edges are too few, or do not determine the curve.
@@ -293,7 +356,7 @@ class OutlineFit:
                 f"{self.picture.name}: only {used.sum()} of {self.count} sectors of the limb have a usable edge, but at least "
                 f"{FEWEST_SECTORS} are required; light the limb, or photograph the outline in front of a bright field"
             )
-        matrix = limb_slopes(edges.azimuth)
+        matrix = self.slopes(position, edges.azimuth)
         std = np.nan_to_num(edges.std * np.sqrt(np.maximum(edges.misfit, 1.0)), nan=1.0)
         extra = 0.0
         for _ in range(12):
@@ -372,6 +435,8 @@ class OutlineFit:
             radius=float(position[2]),
             covariance=covariance,
             sigma=sigma,
+            sigma_std=sigma_std,
+            sighting=self.sighting,
             sectors=edges,
             used=used,
             scatter=scatter,

@@ -15,6 +15,7 @@ from matcam.acquisition.limb.clipped_field import field_is_clipped, hidden_by_cl
 from matcam.acquisition.limb.given_outline import given_outline
 from matcam.acquisition.limb.straight_outline import straight_outline
 from matcam.acquisition.mosaic_frames import MosaicReader, origin_of
+from matcam.acquisition.outline import Sighting
 from matcam.core.errors import FitError, MatcamError
 from matcam.core.remark import Remark
 from matcam.files.capture import Capture
@@ -134,7 +135,7 @@ def _measured(
 
 def _given(capture: Capture, sigma: float) -> tuple[QuickOutline | None, list[Remark]]:
     try:
-        outline = given_outline(capture, sigma)
+        outline = given_outline(capture, Sighting(), sigma)
     except MatcamError as error:
         return None, [Remark("outline-left-out", str(error))]
     if outline is None:

@@ -13,7 +13,7 @@ from matcam.acquisition.light.kept_work import KeptWork
 from matcam.acquisition.merged_picture import MergedPicture
 from matcam.acquisition.merging import merge
 from matcam.acquisition.mosaic_frames import frame_size
-from matcam.acquisition.outline import Outline, find_outline, stacked
+from matcam.acquisition.outline import Outline, Sighting, find_outline, stacked
 from matcam.acquisition.radiometry import Progress, Radiometry
 from matcam.core.errors import ArgumentError, FitError
 from matcam.core.remark import Remark
@@ -130,24 +130,24 @@ def captured_scene(
             Stated(float(rig.values[at]), float(std[at])) if rig.knows[at] else stated
             for at, stated in ((1, camera_nearness), (2, lamp_nearness))
         )
-    outline, region = found_outline(capture, lens_sigma(camera), frame, remarks)
+    sighting = Sighting(1 / camera_nearness.value if camera_nearness.value > 0 else np.inf)
+    outline, region = found_outline(capture, sighting, lens_sigma(camera), frame, remarks)
     pictures, radiometry = merge(capture, region, progress, workers=workers, kept=kept)
     remarks.extend(radiometry.remarks)
     centres: np.ndarray | None = None
     if outline is None:
         try:
-            outline = find_outline(stacked(pictures))
+            outline = find_outline(stacked(pictures), sighting=sighting)
         except FitError as error:
             tried = [one.text for one in remarks if one.code == "outline-left-out"]
             advice = "add frames of the sphere in front of a bright field to outline/, or set outline.mask or outline.centre_px"
             raise FitError(f"{'; '.join([*tried, str(error)])}; {advice}") from error
         outline, shifts = find_shifts(pictures, outline, _SHIFT)
-        centres = (np.array([outline.row, outline.column]) + shifts)[:, ::-1]
+        centres = np.array([[outline.column + s.column, outline.row + s.row] for s in shifts])
     remarks.extend(outline.remarks)
-    ball = outline.ball(1 / camera_nearness.value if camera_nearness.value > 0 else np.inf)
-    highlights, said = find_highlights(pictures, ball, blur=float(np.hypot(outline.sigma, 0.29)))
+    highlights, said = find_highlights(pictures, outline.ball, blur=float(np.hypot(outline.sigma, 0.29)))
     remarks.extend(said)
-    ball, centres, highlights = undistorted_sphere(camera.field, ball, centres, highlights)
+    ball, centres, highlights = undistorted_sphere(camera.field, outline.ball, centres, highlights)
     far = 1 / lamp_nearness.value if lamp_nearness.value > 0 else np.inf
     seen = [k for k, one in enumerate(highlights) if one is not None]
     left_out = tuple(one.name for k, one in enumerate(pictures) if k not in seen)

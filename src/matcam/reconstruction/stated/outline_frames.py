@@ -17,7 +17,7 @@ from matcam.acquisition.limb.clipped_field import field_is_clipped, hidden_by_cl
 from matcam.acquisition.limb.given_outline import given_outline
 from matcam.acquisition.merged_picture import MergedPicture
 from matcam.acquisition.mosaic_frames import MosaicReader, origin_of
-from matcam.acquisition.outline import Outline, find_outline
+from matcam.acquisition.outline import Outline, Sighting, find_outline
 from matcam.core.errors import FitError, MatcamError
 from matcam.core.remark import Remark
 from matcam.files.capture import Capture, Region
@@ -40,7 +40,7 @@ def about_disc(capture: Capture) -> Region | None:
 
 
 def found_outline(
-    capture: Capture, sigma: float, frame: tuple[int, int] | None, remarks: list[Remark]
+    capture: Capture, sighting: Sighting, sigma: float, frame: tuple[int, int] | None, remarks: list[Remark]
 ) -> tuple[Outline | None, Region | None]:
     """Determine the outline of a capture, and the region of the frames about it.
 
@@ -49,6 +49,7 @@ def found_outline(
 
     Args:
         capture: the capture, as read by `read_capture`.
+        sighting: geometry of the camera.
         sigma: standard deviation of the blur of the lens, px.
         frame: width and height of the frames, px; None: unknown.
         remarks: list to which remarks for the user are added.
@@ -57,9 +58,9 @@ def found_outline(
     def by_frames() -> Outline | None:
         if not capture.of("outline"):
             return None
-        return backlit_outline(capture, sigma, capture.region or about_disc(capture), remarks)
+        return backlit_outline(capture, sighting, sigma, capture.region or about_disc(capture), remarks)
 
-    for source in (partial(given_outline, capture, sigma, frame), by_frames):
+    for source in (partial(given_outline, capture, sighting, sigma, frame), by_frames):
         try:
             outline = source()
         except MatcamError as error:
@@ -70,13 +71,16 @@ def found_outline(
     return None, capture.region
 
 
-def backlit_outline(capture: Capture, sigma: float, region: Region | None, remarks: list[Remark]) -> Outline:
+def backlit_outline(
+    capture: Capture, sighting: Sighting, sigma: float, region: Region | None, remarks: list[Remark]
+) -> Outline:
     """Measure the outline of the sphere in the mean of the outline frames.
 
     These frames show the sphere in front of a bright field.
 
     Args:
         capture: the capture, as read by `read_capture`.
+        sighting: geometry of the camera.
         sigma: standard deviation of the blur of the lens, px. It is used if the field is clipped, because clipping shifts
             the edge of the field.
         region: region of the frames that is read; None: the whole frame.
@@ -107,7 +111,7 @@ def backlit_outline(capture: Capture, sigma: float, region: Region | None, remar
         reader.channels,
         origin_of(region),
     )
-    outline = find_outline(picture, light="backlit", backlight_reach=field_reach(capture))
+    outline = find_outline(picture, light="backlit", sighting=sighting, backlight_reach=field_reach(capture))
     if not clipped:
         return outline
     hidden, remark = hidden_by_clipping(capture.folder / "outline", sigma)
