@@ -1,5 +1,7 @@
 """Highlights and the lamps behind them, against rendered spheres, ray geometry, and real photographs."""
 
+import re
+
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
@@ -70,7 +72,6 @@ def test_clipped_pixels_are_at_least_so_bright():
     clipped = merged(picture.values, picture.std, clip=0.3 * picture.values.max())
     mirror = MirrorBall(*ball)
     found = find_highlight(clipped, mirror)
-    assert found.clipped > 20
     assert [remark.code for remark in found.remarks] == ["clipped"]
     row, column = mirror.mirror_position(unit(at))
     assert np.hypot(found.row - row, found.column - column) < 0.1
@@ -89,10 +90,9 @@ def test_other_bright_spots_are_named():
     )
     found = find_highlight(photograph(radiance, rng, electrons=1e3), mirror)
     assert [remark.code for remark in found.remarks] == ["several-highlights"]
-    for position, at, near in ((found, lamps[0], 0.1), (found.others[0], lamps[1], 1.0)):
-        row, column = mirror.mirror_position(unit(at))
-        at = (position.row, position.column) if position is found else position[:2]
-        assert np.hypot(at[0] - row, at[1] - column) < near
+    other = re.search(r"row (\d+), column (\d+)", found.remarks[0].text).groups()
+    for position, at, near in (((found.row, found.column), lamps[0], 0.1), (map(int, other), lamps[1], 1.0)):
+        assert np.hypot(*np.subtract([*position], mirror.mirror_position(unit(at)))) < near
     matt = photograph(oracle.lit(ball, SHAPE, lamps[0]), rng, name="matt.png")
     dark = merged(rng.normal(0, 3, SHAPE), np.full(SHAPE, 3.0), name="dark.png")
     found, remarks = find_highlights([matt, dark], mirror)
@@ -107,7 +107,7 @@ def test_diligent_highlights(real_data):
     pictures, lamps = pictures[::3], lamps[::3]
     found, _ = find_highlights(pictures, outline.ball)
     assert all(one is not None for one in found)
-    assert all(1 <= one.clipped <= 12 for one in found)
+    assert all("clipped" in {remark.code for remark in one.remarks} for one in found)
     positions = np.array([(one.row, one.column) for one in found])
 
     def off(p):

@@ -12,7 +12,7 @@ from matcam.core.errors import FitError
 from matcam.files.capture_settings import Stated
 from matcam.inverse.fit.fit_parameters import LobeKind
 from matcam.material.diffuse_shape import TERMS
-from matcam.reconstruction.cylinder.cylinder_fit import cylinder_pixels
+from matcam.reconstruction.cylinder.cylinder_pixels import cylinder_pixels
 from matcam.reconstruction.cylinder.strips import Strip, strip_profiles
 from matcam.reconstruction.joint.joint_problem import JointLayout
 from matcam.reconstruction.picture_model import lamp_frame

@@ -14,7 +14,6 @@ from matcam.reconstruction import picture_rule
 from matcam.reconstruction.joint.field_change import FieldChange
 from matcam.reconstruction.observed_pixels import chosen_pixels
 from matcam.reconstruction.picture_model import PictureModel, lamp_frame
-from matcam.reconstruction.picture_rule import HighlightPosition
 from tests.oracle.sphere_picture import Surface, View, direction, lamp_angle, mirror_angle, picture
 
 VIEW = View(radius=120.0, column=140.0, row=140.0, shape=(281, 281))
@@ -40,9 +39,9 @@ def seen(alpha, theta_d, azimuth, view=VIEW, field=None):
     merged = MergedPicture("L", truth, np.ones_like(truth), nothing > 0, nothing, ("grey",))
     normal = mirror_angle(lamp_angle(np.radians(theta_d), VIEW), VIEW)
     out = np.sin(normal) * np.sqrt(1 - NEAR[0] ** 2) / (1 - NEAR[0] * np.cos(normal))
-    highlight = out * np.cos(azimuth), out * np.sin(azimuth)
-    position = HighlightPosition(VIEW.column, VIEW.row, VIEW.radius, lamp, highlight)
-    return lamp, chosen_pixels(merged, position, scale=alpha / 3, plateau=0.0, seed=0, field=field)
+    highlight = VIEW.column + VIEW.radius * out * np.cos(azimuth), VIEW.row - VIEW.radius * out * np.sin(azimuth)
+    ball = MirrorBall(VIEW.row, VIEW.column, VIEW.radius, VIEW.camera)
+    return lamp, chosen_pixels(merged, ball, lamp, highlight, scale=alpha / 3, plateau=0.0, seed=0, field=field)
 
 
 @pytest.mark.parametrize(

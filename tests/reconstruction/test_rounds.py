@@ -8,38 +8,29 @@ from matcam import Camera, GaussianOptics
 from matcam.files.capture_settings import Stated
 from matcam.reconstruction.contradiction import with_wider
 from matcam.reconstruction.joint.joint_problem import JointLayout
-from matcam.reconstruction.joint.rounds import Rounds
+from matcam.reconstruction.joint.rounds import is_stuck, round_line
 from matcam.reconstruction.picture_model import lamp_frame
 from matcam.reconstruction.sphere_scene import SphereScene, prior_of
 
 
 def test_progress_states_round_pictures_and_the_time_left():
-    said = []
-    rounds = Rounds(4, said.append, 12)
-    rounds.begin()
-    rounds.end(0.21)
-    rounds.begin()
-    assert said[0] == "round 1 of at most 4, 12 images"
+    assert round_line([], 4, 12, 0.0) == "round 1 of at most 4, 12 images"
     limit = r"at most \d+ s left for this explanation; others may follow"
-    assert re.fullmatch(rf"round 2 of at most 4, 12 images, 21\.0% unexplained so far, {limit}", said[1])
+    assert re.fullmatch(
+        rf"round 2 of at most 4, 12 images, 21\.0% unexplained so far, {limit}", round_line([0.21], 4, 12, 3.0)
+    )
 
 
 def test_rounds_end_where_much_is_unexplained_and_more_from_round_to_round():
-    def stuck(*shares):
-        rounds = Rounds(4, lambda _: None, 3)
-        for share in shares:
-            rounds.end(share)
-        return rounds.stuck
-
-    assert stuck(0.206, 0.291)
-    assert stuck(0.2, 0.1, 0.15)
-    assert stuck(1.0, 1.0)
-    assert not stuck(1.0, 0.7)
-    assert not stuck(1.0)
-    assert not stuck(0.206)
-    assert not stuck(0.2, 0.15)
-    assert not stuck(0.2, 0.201)
-    assert not stuck(0.02, 0.04)  # windows that are laid anew hold other pixels
+    assert is_stuck([0.206, 0.291])
+    assert is_stuck([0.2, 0.1, 0.15])
+    assert is_stuck([1.0, 1.0])
+    assert not is_stuck([1.0, 0.7])
+    assert not is_stuck([1.0])
+    assert not is_stuck([0.206])
+    assert not is_stuck([0.2, 0.15])
+    assert not is_stuck([0.2, 0.201])
+    assert not is_stuck([0.02, 0.04])  # windows that are laid anew hold other pixels
 
 
 LAYOUT = JointLayout(1, 1, 2)

@@ -11,16 +11,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import uniform_filter
 
+from matcam.files.capture_frames import CaptureFrame
+
 MOST = 30_000
 """Largest number of pixels per lamp position, which bounds the memory for all positions."""
-_FAR = 4
-"""Distance, px, at which the noise of sharpened or demosaiced frames is nearly uncorrelated: a Gaussian blur of 1 px leaves
-a correlation of 2 %.
-"""
-_SURROUNDINGS = 9
-"""Side, px, of the square whose mean determines whether its central pixel is dark. A small square, which contains the
-other pixel of a pair, would favour pairs with noise of opposite signs.
-"""
 
 
 class BracketSample(NamedTuple):
@@ -28,6 +22,7 @@ class BracketSample(NamedTuple):
 
     Attributes:
         lamp: name of the lamp position.
+        frames: the frames, in the order of `exposures`.
         exposures: indices of the exposures of this lamp position among all exposures, the shortest first, (k,).
         codes: codes of the selected pixels as read, float32 (k, n), DN.
         light: `codes` less the dark level, float32 (k, n), DN.
@@ -37,9 +32,11 @@ class BracketSample(NamedTuple):
         reference_pixels: number of pixels of each channel in the reference region, (channels,).
         median: median code of each frame, (k,), DN.
         tops: `light.pile_up.TopCodes` of each frame, (k, 8).
+        extent: smallest and largest code of each frame, (k, 2), DN.
     """
 
     lamp: str
+    frames: tuple[CaptureFrame, ...]
     exposures: np.ndarray
     codes: np.ndarray
     light: np.ndarray
@@ -48,26 +45,23 @@ class BracketSample(NamedTuple):
     reference_pixels: np.ndarray
     median: np.ndarray
     tops: np.ndarray
+    extent: np.ndarray
 
     @property
     def reference_total(self) -> np.ndarray:
         """Sum of the light of the reference region in each exposure, (k,), DN; NaN where `reference` is NaN."""
         return np.asarray(self.reference @ self.reference_pixels.astype(float))
 
-    def part(self, frames: np.ndarray) -> BracketSample:
+    def part(self, chosen: np.ndarray) -> BracketSample:
         """Select frames of the lamp position.
 
         Args:
-            frames: indices of the frames in the new order, or a mask, (k,).
+            chosen: indices of the frames in the new order, or a mask, (k,).
         """
+        chosen = np.arange(len(self.frames))[chosen]
+        arrays = ("exposures", "codes", "light", "around", "reference", "median", "tops", "extent")
         return self._replace(
-            exposures=self.exposures[frames],
-            codes=self.codes[frames],
-            light=self.light[frames],
-            around=self.around[frames],
-            reference=self.reference[frames],
-            median=self.median[frames],
-            tops=self.tops[frames],
+            frames=tuple(self.frames[k] for k in chosen), **{name: getattr(self, name)[chosen] for name in arrays}
         )
 
 
@@ -99,15 +93,18 @@ def noise_correlation(light: np.ndarray, noise: float) -> tuple[float, float]:
         light: dark-subtracted frame, (height, width), DN.
         noise: read noise, DN.
     """
-    around = uniform_filter(light, _SURROUNDINGS)
+    # a square of 9 px: a small one, which contains the other pixel of a pair, would favour noise of opposite signs
+    around = uniform_filter(light, 9)
     dark = (np.abs(around) < 1.5 * max(noise, 0.3)) & (np.abs(light) < 6 * max(noise, 0.3))
     products, squares, count = 0.0, 0.0, 0
     for axis in (0, 1):
-        product, square, pairs = _lagged(light, dark, axis, 1)
+        product, square, pairs = lagged(light, dark, axis, 1)
         if pairs < 100:
             continue
         # faint light is smooth and correlated over several pixels, unlike noise after sharpening or demosaicing
-        smooth, _, others = _lagged(light, dark, axis, _FAR)
+        # at 4 px the noise of sharpened or demosaiced frames is nearly uncorrelated: a Gaussian blur of 1 px
+        # leaves 2 %
+        smooth, _, others = lagged(light, dark, axis, 4)
         smooth = min(max(smooth, 0.0), 0.9 * square) if others >= 100 else 0.0
         products, squares, count = (
             products + pairs * (product - smooth),
@@ -117,7 +114,7 @@ def noise_correlation(light: np.ndarray, noise: float) -> tuple[float, float]:
     return (products / squares, 1 / count**0.5) if squares > 0 else (0.0, float("inf"))
 
 
-def _lagged(light: np.ndarray, dark: np.ndarray, axis: int, lag: int) -> tuple[float, float, int]:
+def lagged(light: np.ndarray, dark: np.ndarray, axis: int, lag: int) -> tuple[float, float, int]:
     """Compute covariance and variance, DN^2, of pairs of dark pixels, and the number of pairs.
 
     The pixels of a pair are `lag` px apart along the axis. With fewer than 100 pairs, covariance and variance are 0.

@@ -32,10 +32,6 @@ from matcam.core.remark import Remark
 from matcam.files.capture import Capture
 from matcam.files.capture_frames import LampGuess
 
-_WHOLE = 4
-"""Number of lamp positions whose exposures are compared pixel by pixel: few, because the frames are read again."""
-_CHANCE = 0.01
-"""Probability that a steady lamp is reported as drifting, if the specified scatter and the errors of its readings are right."""
 _FIRST, _LAST, _GAP = 10.0, 70.0, 12.0
 """Limits of theta_d, degrees: a capture should begin below the first, end above the second, and have no gap larger than
 the third.
@@ -99,7 +95,9 @@ def check_capture(capture: Capture, progress: Progress | None = None) -> Capture
         found.append(Remark("bad-profile", str(error)))
     if radiometry is not None:
         names = list(radiometry.used)
-        for lamp in [names[i] for i in evenly(len(names), _WHOLE)]:
+        # the exposures of four lamp positions are compared pixel by pixel: few, because the frames are read
+        # again
+        for lamp in [names[i] for i in evenly(len(names), 4)]:
             misfit = bracket_misfit(capture, lamp, radiometry, merge_position(capture, lamp, radiometry))
             remark = misfit_remark(lamp, misfit)
             if remark is not None:
@@ -149,28 +147,23 @@ def coverage_remarks(lamps: dict[str, LampGuess]) -> list[Remark]:
     if np.isnan(angles).any() or not angles.size:
         return []
     theta_d = np.sort(np.degrees(angles) / 2)
-    found = []
+    texts = []
     if theta_d[0] > _FIRST:
-        found.append(
-            Remark(
-                "angles-missed",
-                f"the lamp positions begin at theta_d = {theta_d[0]:.0f} degrees: add a position below {_FIRST:.0f} degrees",
-            )
+        texts.append(
+            f"the lamp positions begin at theta_d = {theta_d[0]:.0f} degrees: add a position below {_FIRST:.0f} degrees"
         )
     if theta_d[-1] < _LAST:
-        text = f"the lamp positions end at theta_d = {theta_d[-1]:.0f} degrees: add a position above {_LAST:.0f} "
-        text += "degrees to measure F there"
-        found.append(Remark("angles-missed", text))
+        texts.append(
+            f"the lamp positions end at theta_d = {theta_d[-1]:.0f} degrees: add a position above {_LAST:.0f} degrees to "
+            "measure F there"
+        )
     gaps = [f"{low:.0f} and {high:.0f}" for low, high in pairwise(theta_d) if high - low > _GAP]
     if gaps:
-        found.append(
-            Remark(
-                "angles-missed",
-                f"no lamp position has theta_d between {', between '.join(gaps)} degrees: add positions, so that steps of "
-                f"theta_d are at most {_GAP:.0f} degrees",
-            )
+        texts.append(
+            f"no lamp position has theta_d between {', between '.join(gaps)} degrees: add positions, so that steps of "
+            f"theta_d are at most {_GAP:.0f} degrees"
         )
-    return found
+    return [Remark("angles-missed", text) for text in texts]
 
 
 def _lamp_remarks(capture: Capture, radiometry: Radiometry | None, sample: tuple[float, float, float]) -> list[Remark]:
@@ -203,7 +196,8 @@ def _lamp_remarks(capture: Capture, radiometry: Radiometry | None, sample: tuple
     # 1e-5 keeps the weights of readings without noise finite
     weights = 1 / (unknown + max(stated, 1e-5) ** 2)
     chi2 = float(weights @ (light - np.average(light, weights=weights)) ** 2)
-    if scatter <= 2 * stated + 0.002 or chdtrc(light.size - 1, chi2) > _CHANCE:
+    # one false report of a steady lamp in a hundred captures
+    if scatter <= 2 * stated + 0.002 or chdtrc(light.size - 1, chi2) > 0.01:
         return []
     worst = max(values, key=lambda lamp: abs(values[lamp] - 1))
     return [

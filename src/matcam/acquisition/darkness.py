@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from matcam.acquisition.bracket_sample import lagged
 from matcam.acquisition.mosaic_frames import MosaicReader
 from matcam.acquisition.radiometry_remarks import processing_remarks
 from matcam.core.errors import FitError
@@ -90,6 +91,17 @@ def dark_of(stack: Sequence[np.ndarray]) -> Darkness:
     share = pattern / (pattern + variance / n) if pattern else 0.0
     hot = np.abs(mean - level) > _HOT * max(np.sqrt(pattern + variance / n), 0.5)
     return Darkness(level + share * (mean - level) if share else level, hot, float(np.sqrt(variance)), n)
+
+
+def dark_level(reader: MosaicReader, capture: Capture, exposure: str, region: Region | None) -> np.ndarray | float:
+    """Compute the dark level of frames that do not show the sample, DN, from the dark frames of their exposure.
+
+    If there are no dark frames of this exposure, dark frames of all exposures are used. Without readable dark frames, the
+    level is the specified black level, or 0.
+    """
+    frames = capture.of("dark", exposure=exposure) or capture.of("dark")
+    stack = [codes for _, codes in reader.readable(frames[:8], region)]
+    return dark_of(stack).level if stack else float(capture.settings["camera"]["black_level_dn"] or 0.0)
 
 
 def measure_darkness(
@@ -184,12 +196,10 @@ def pair_correlation(pairs: Sequence[np.ndarray], step: int = 1) -> tuple[float,
     """
     products, squares, count = 0.0, 0.0, 0
     for one in pairs:
-        spread = 8 * max(robust_std(one), 0.5)
-        noise = np.where(np.abs(one) <= spread, one, 0.0).astype(np.float64)
-        for first, second in ((noise[:, step:], noise[:, :-step]), (noise[step:], noise[:-step])):
-            products += float((first * second).sum())
-            squares += float((first**2).sum() + (second**2).sum()) / 2
-            count += first.size
+        noise = np.abs(one) <= 8 * max(robust_std(one), 0.5)
+        for axis in (0, 1):
+            product, square, number = lagged(one, noise, axis, step)
+            products, squares, count = products + number * product, squares + number * square, count + number
     return (products / squares, 1 / count**0.5) if squares > 0 else (0.0, float("inf"))
 
 

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from matcam.acquisition.bracket_sample import BracketSample
+from matcam.acquisition.light.mislabelled_frames import light_ratios
 from matcam.files.capture_settings import Stated
 from matcam.numerics.normal import robust_std
 
@@ -78,35 +79,25 @@ class ExposureRatios(NamedTuple):
         return np.sqrt(variance)
 
 
-def first_guess(
-    samples: Sequence[BracketSample], count: int, top: float, noise: float, nominal: np.ndarray
-) -> np.ndarray:
-    """Estimate the relative exposures from ratios of the light in neighbouring exposures.
+def first_guess(samples: Sequence[BracketSample], nominal: np.ndarray, top: float, noise: float) -> np.ndarray:
+    """Estimate the relative exposures from the median ratios of the light in neighbouring exposures.
 
     The nominal ratio is used if two neighbouring exposures have no common well-exposed pixels. A ratio that is unknown or
     not above 1 is replaced by 2.
 
     Args:
         samples: samples of all lamp positions.
-        count: number of exposures.
+        nominal: nominal times of the exposures, s (count,); NaN: unknown.
         top: largest code above dark, DN.
         noise: read noise, DN.
-        nominal: nominal times of the exposures, s (count,); NaN: unknown.
     """
-    guess = np.ones(count)
-    for k in range(1, count):
-        ratios = []
-        for sample in samples:
-            positions = {int(e): i for i, e in enumerate(sample.exposures)}
-            if k - 1 in positions and k in positions:
-                low, high = sample.light[positions[k - 1]], sample.light[positions[k]]
-                around = sample.around[positions[k]]
-                good = (around > 40 * noise) & (around < 0.7 * top) & (high < 0.8 * top)
-                ratios += [(float(high[good].sum()), float(low[good].sum()))]
-        over, under = (float(sum(column)) for column in zip(*ratios, strict=True)) if ratios else (0.0, 0.0)
-        step = over / under if under > 0 and over > 200 * noise else nominal[k] / nominal[k - 1]
-        guess[k] = guess[k - 1] * (step if np.isfinite(step) and step > 1 else 2.0)
-    return guess
+    *measured, stated = np.diagonal(light_ratios(samples, nominal, top, noise), 1, axis1=1, axis2=2)
+    steps = []
+    for ratios, other in zip(np.transpose(measured), stated, strict=True):
+        known = ratios[np.isfinite(ratios)]
+        step = float(np.median(known)) if known.size else other
+        steps.append(step if step > 0 else np.log(2.0))
+    return np.exp(np.cumsum([0.0, *steps]))
 
 
 def measure_clip_level(samples: Sequence[BracketSample], guess: np.ndarray, largest: float) -> ClipLevel:

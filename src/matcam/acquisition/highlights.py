@@ -20,14 +20,8 @@ from matcam.acquisition.mirror_ball import MirrorBall, unit
 from matcam.core.errors import FitError
 from matcam.core.remark import Remark, gathered
 
-_LEVEL = 0.3  # share of the height of the highlight above which a pixel is part of the highlight
-_WORTH = 0.05  # share of the light of the highlight above which another bright spot is reported
-_FAINTEST = 0.3  # smallest height of a highlight, relative to the median of the sphere
 _BROADEST = 0.12  # largest area of a highlight, as a share of the disc
-_LOST = 0.3  # largest clipped share of the disc
-_RIM = 0.995  # share of the radius within which pixels are used, because those at the limb are mixed with background
 _PIXELS = 3000  # largest number of pixels in a fit, which bounds its time
-_SHAPE = 0.05  # relative error of the model, because a highlight may differ from the fitted lobe
 
 
 @dataclass(frozen=True)
@@ -35,26 +29,17 @@ class Highlight:
     """Position of the mirror image of a lamp.
 
     Attributes:
-        name: name of the image.
         row: row of the mirror point in the frame, px.
         column: column of the mirror point in the frame, px.
         covariance: covariance of row and column, px^2 (2, 2).
         normal: normal of the sphere at the mirror point, unit vector (3,).
-        width: width of the lobe across the plane of incidence, without the lens's blur, as a rotation of the normal, rad.
-        clipped: number of clipped pixels in the highlight.
-        others: (row, column, light) of each other bright spot. Row and column are in px, and the light is relative to that
-            of this highlight.
         remarks: warnings and limitations.
     """
 
-    name: str
     row: float
     column: float
     covariance: np.ndarray
     normal: np.ndarray
-    width: float
-    clipped: int
-    others: tuple[tuple[float, float, float], ...] = ()
     remarks: tuple[Remark, ...] = ()
 
 
@@ -75,7 +60,8 @@ def find_highlight(picture: MergedPicture, ball: MirrorBall, *, blur: float = 0.
     """
     shape = picture.values.shape
     rows, columns = np.indices(shape) + np.array(picture.origin)[:, None, None]
-    on = np.hypot(rows - ball.row, columns - ball.column) < _RIM * ball.radius
+    # pixels at the limb are mixed with the background
+    on = np.hypot(rows - ball.row, columns - ball.column) < 0.995 * ball.radius
     main = np.bincount(picture.channel[on].ravel(), minlength=1).argmax() if on.any() else 0
     one = on & np.isfinite(picture.values) & (picture.channel == main)
     if one.sum() < 30:
@@ -84,7 +70,8 @@ def find_highlight(picture: MergedPicture, ball: MirrorBall, *, blur: float = 0.
             "centre and the radius of the outline"
         )
     lost = float(np.mean(picture.clipped[on]))
-    if lost > _LOST:
+    # largest clipped share of the disc
+    if lost > 0.3:
         raise FitError(f"{picture.name}: {lost:.0%} of the sphere is clipped; add a shorter exposure")
     spots, background = _spots(picture, one, on)
     if not spots:
@@ -99,9 +86,12 @@ def find_highlight(picture: MergedPicture, ball: MirrorBall, *, blur: float = 0.
             f"{_BROADEST:.0%}; specify the lamp's direction in frames.csv"
         )
     remarks = []
-    others = tuple((s[0] + picture.origin[0], s[1] + picture.origin[1], s[2] / first[2]) for s in spots[1:])
+    others = spots[1:]
     if others:
-        at = "; ".join(f"row {r:.0f}, column {c:.0f} ({share:.0%})" for r, c, share in others[:3])
+        at = "; ".join(
+            f"row {r + picture.origin[0]:.0f}, column {c + picture.origin[1]:.0f} ({light / first[2]:.0%})"
+            for r, c, light, _ in others[:3]
+        )
         remarks.append(
             Remark(
                 "several-highlights",
@@ -110,7 +100,7 @@ def find_highlight(picture: MergedPicture, ball: MirrorBall, *, blur: float = 0.
         )
     near = (rows - picture.origin[0] - first[0]) ** 2 + (columns - picture.origin[1] - first[1]) ** 2
     near = near < max(5.0, 3.0 * np.sqrt(first[3] / np.pi) + 2) ** 2
-    for r, c, _, size in spots[1:]:
+    for r, c, _, size in others:
         near &= (rows - picture.origin[0] - r) ** 2 + (columns - picture.origin[1] - c) ** 2 > 2 * size / np.pi + 4
     near &= on & np.isfinite(picture.values)
     clipped = int(np.count_nonzero(picture.clipped & near))
@@ -118,14 +108,10 @@ def find_highlight(picture: MergedPicture, ball: MirrorBall, *, blur: float = 0.
     if len(chosen) > _PIXELS:
         chosen = np.random.default_rng(0).choice(chosen, _PIXELS, replace=False)
     start = first[0] + picture.origin[0], first[1] + picture.origin[1]
-    fit = _LobeFit(
-        picture, ball, blur, rows.ravel()[chosen], columns.ravel()[chosen], chosen, start, first[3], background
-    )
     try:
-        position, covariance, width = fit.solved()
+        position, covariance = _lobe_position(picture, ball, blur, chosen, np.array(start), first[3], background)
     except FitError as error:
-        spot = np.sqrt(first[3] / np.pi)
-        position, covariance, width = np.array(start), np.eye(2) * (0.5 + spot / 2) ** 2, float(spot / ball.radius)
+        position, covariance = np.array(start), np.eye(2) * (0.5 + np.sqrt(first[3] / np.pi) / 2) ** 2
         remarks.append(Remark("highlight-by-centroid", str(error)))
     if clipped:
         pixels = "pixel of the highlight is" if clipped == 1 else "pixels of the highlight are"
@@ -133,7 +119,7 @@ def find_highlight(picture: MergedPicture, ball: MirrorBall, *, blur: float = 0.
         remarks.append(Remark("clipped", text))
     normal = ball.normals(*position)
     row, column = map(float, position)
-    return Highlight(picture.name, row, column, covariance, normal, width, clipped, others, tuple(remarks))
+    return Highlight(row, column, covariance, normal, tuple(remarks))
 
 
 def _spots(
@@ -150,103 +136,104 @@ def _spots(
         light = ndimage.maximum_filter(light, 3)
     light = np.where(on, light, -np.inf)
     peak = float(light.max())
-    if peak - background < max(10 * noise, _FAINTEST * abs(background)):
+    # smallest height of a highlight, relative to the median of the sphere
+    if peak - background < max(10 * noise, 0.3 * abs(background)):
         return [], background
-    labels, count = ndimage.label(light > background + _LEVEL * (peak - background), np.ones((3, 3)))
+    # share of the height of the highlight above which a pixel is part of the highlight
+    labels, count = ndimage.label(light > background + 0.3 * (peak - background), np.ones((3, 3)))
     index = np.arange(1, count + 1)
     above = np.where(labels > 0, light - background, 0.0)
     total = np.atleast_1d(ndimage.sum(above, labels, index))
     size = np.atleast_1d(ndimage.sum(labels > 0, labels, index)).astype(int)
     positions = np.array(ndimage.center_of_mass(above, labels, index)).reshape(-1, 2)
-    order = [k for k in np.argsort(total)[::-1] if total[k] > _WORTH * total.max()]
+    # weaker spots are not reported
+    order = [k for k in np.argsort(total)[::-1] if total[k] > 0.05 * total.max()]
     return [(float(positions[k, 0]), float(positions[k, 1]), float(total[k]), int(size[k])) for k in order], background
 
 
-class _LobeFit:
-    def __init__(
-        self,
-        picture: MergedPicture,
-        ball: MirrorBall,
-        blur: float,
-        rows: np.ndarray,
-        columns: np.ndarray,
-        chosen: np.ndarray,
-        start: tuple[float, float],
-        size: int,
-        background: float,
-    ):
-        self.name, self.ball, self.blur, self.start = picture.name, ball, blur, np.array(start)
-        self.values, self.std = picture.values.ravel()[chosen], picture.std.ravel()[chosen]
-        self.clipped = picture.clipped.ravel()[chosen]
-        self.channels, self.channel = np.unique(picture.channel.ravel()[chosen], return_inverse=True)
-        self.normals = ball.normals(rows, columns)
-        self.cosine = np.maximum((ball.views(self.normals) * self.normals).sum(-1), 1e-3)
-        self.error = np.hypot(self.std, _SHAPE * np.maximum(self.values, background))
-        self.size, self.background = size, max(abs(background), float(np.median(self.std)))
+def _lobe_position(
+    picture: MergedPicture,
+    ball: MirrorBall,
+    blur: float,
+    chosen: np.ndarray,
+    start: np.ndarray,
+    size: int,
+    background: float,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Fit row and column of the mirror point, px (2,), and their covariance, px^2 (2, 2).
 
-    def model(self, p: np.ndarray) -> np.ndarray:
+    A FitError is raised if the fitted position is beside the sphere or far from the bright spot.
+
+    Args:
+        picture: image of one lamp.
+        ball: the sphere in this frame.
+        blur: standard deviation of lens and pixel together, px.
+        chosen: indices of the fitted pixels in the flattened image.
+        start: row and column of the centroid of the bright spot, px (2,).
+        size: number of pixels of the bright spot.
+        background: light of the sphere beside the highlight, in the unit of the image.
+    """
+    values, std, clipped = (array.ravel()[chosen] for array in (picture.values, picture.std, picture.clipped))
+    channels, channel = np.unique(picture.channel.ravel()[chosen], return_inverse=True)
+    rows, columns = np.unravel_index(chosen, picture.values.shape)
+    normals = ball.normals(rows + picture.origin[0], columns + picture.origin[1])
+    cosines = np.maximum((ball.views(normals) * normals).sum(-1), 1e-3)
+    # a highlight may differ from the fitted lobe by 5 %
+    error = np.hypot(std, 0.05 * np.maximum(values, background))
+    background = max(abs(background), float(np.median(std)))
+
+    def model(p: np.ndarray) -> np.ndarray:
         """Evaluate the light of each pixel, in the unit of the image.
 
         `p` contains the shift (row, column) from the start position, px, the logarithms of the two widths in rad, and the
         logarithm of the exponent. For each channel, the logarithm of the height and the relative background follow.
         """
-        centre = self.ball.normals(*(self.start + p[:2]))
+        centre = ball.normals(*(start + p[:2]))
         if not np.isfinite(centre).all():
-            return np.full(len(self.values), 1e9)
-        view = self.ball.views(centre)
+            return np.full(len(values), 1e9)
+        view = ball.views(centre)
         cosine = max(float(view @ centre), 1e-3)
         across = np.cross(view, centre)
         across = unit(across) if np.linalg.norm(across) > 1e-9 else np.array([0.0, 1.0, 0.0])
         outwards = np.cross(across, centre)
-        lens = self.blur / self.ball.radius
+        lens = blur / ball.radius
         lobe = np.exp(p[2:4])
         radial, tangential, exponent = np.hypot(lobe[0], lens / cosine), np.hypot(lobe[1], lens), np.exp(p[4])
-        off = self.normals - centre
+        off = normals - centre
         turn = ((off @ outwards) / radial) ** 2 + ((off @ across) / tangential) ** 2
         # the width of the lens is not foreshortened
         share = (lobe[0] / radial) ** 2
-        shape = (1 + turn / exponent) ** -exponent * (cosine / self.cosine) ** share
-        height, level = p[5::2][self.channel], p[6::2][self.channel]
-        return np.exp(height) * shape + level * self.background
+        shape = (1 + turn / exponent) ** -exponent * (cosine / cosines) ** share
+        return np.exp(p[5::2][channel]) * shape + p[6::2][channel] * background
 
-    def residual(self, p: np.ndarray) -> np.ndarray:
-        """Compute (value - model) / error of each pixel, followed by the residual of the prior of the exponent.
+    def residual(p: np.ndarray) -> np.ndarray:
+        off = (values - model(p)) / error
+        # a clipped pixel is at least as bright as its value; weak prior: the exponent of the lobe is about 2
+        return np.append(np.where(clipped, np.maximum(off, 0.0), off), p[4] - np.log(2.0))
 
-        The residual of a clipped pixel is 0 if the model exceeds the value of the pixel.
-        """
-        residual = (self.values - self.model(p)) / self.error
-        # weak prior: the exponent of the lobe is about 2
-        return np.append(np.where(self.clipped, np.maximum(residual, 0.0), residual), (p[4] - np.log(2.0)) / 1.0)
-
-    def solved(self) -> tuple[np.ndarray, np.ndarray, float]:
-        """Fit row and column of the mirror point, px (2,), their covariance, px^2 (2, 2), and the width of the lobe, rad.
-
-        A FitError is raised if the fitted position is beside the sphere or far from the bright spot.
-        """
-        width = max(np.sqrt(self.size / np.pi), self.blur) / self.ball.radius
-        first = [0.0, 0.0, np.log(width), np.log(width), np.log(2.0)]
-        for k in range(len(self.channels)):
-            bright = self.values[self.channel == k].max() - self.background
-            first += [np.log(max(bright, 1e-3 * self.background)), 1.0]
-        room = 1.5 + np.sqrt(self.size / np.pi)  # the mirror point lies within the bright spot
-        low, high = np.full(len(first), -np.inf), np.full(len(first), np.inf)
-        low[:5], high[:5] = [-room, -room, -12, -12, -0.5], [room, room, -0.3, -0.3, 3.0]
-        found = least_squares(
-            self.residual,
-            np.clip(first, low + 1e-9, high - 1e-9),
-            bounds=(low, high),
-            loss="soft_l1",
-            x_scale="jac",
-            max_nfev=60,
+    width = max(np.sqrt(size / np.pi), blur) / ball.radius
+    first = [0.0, 0.0, np.log(width), np.log(width), np.log(2.0)]
+    for k in range(len(channels)):
+        bright = values[channel == k].max() - background
+        first += [np.log(max(bright, 1e-3 * background)), 1.0]
+    room = 1.5 + np.sqrt(size / np.pi)  # the mirror point lies within the bright spot
+    low, high = np.full(len(first), -np.inf), np.full(len(first), np.inf)
+    low[:5], high[:5] = [-room, -room, -12, -12, -0.5], [room, room, -0.3, -0.3, 3.0]
+    found = least_squares(
+        residual,
+        np.clip(first, low + 1e-9, high - 1e-9),
+        bounds=(low, high),
+        loss="soft_l1",
+        x_scale="jac",
+        max_nfev=60,
+    )
+    position = start + found.x[:2]
+    if not np.isfinite(ball.normals(*position)).all() or np.abs(found.x[:2]).max() > 0.99 * room:
+        raise FitError(
+            f"{picture.name}: no lobe on the sphere fits the bright spot, so the spot's centroid is used: check the outline"
         )
-        position = self.start + found.x[:2]
-        if not np.isfinite(self.ball.normals(*position)).all() or np.abs(found.x[:2]).max() > 0.99 * room:
-            raise FitError(
-                f"{self.name}: no lobe on the sphere fits the bright spot, so the spot's centroid is used: check the outline"
-            )
-        spread = np.linalg.pinv(found.jac.T @ found.jac)[:2, :2]
-        freedom = max(len(self.values) - len(first), 1)
-        return position, spread * max(1.0, 2 * found.cost / freedom), float(np.exp(found.x[3]))
+    spread = np.linalg.pinv(found.jac.T @ found.jac)[:2, :2]
+    return position, spread * max(1.0, 2 * found.cost / max(len(values) - len(first), 1))
 
 
 def lamp_from_highlight(

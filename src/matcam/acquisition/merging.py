@@ -10,7 +10,8 @@ pixel in an exposure is predicted from shorter exposures, because selection by t
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -27,15 +28,6 @@ from matcam.files.capture import Capture, Region
 
 _SAFE = 0.93
 """Largest predicted share of the clip level of a usable pixel."""
-_DIM = 10.0
-"""Signal in the longest exposure, relative to the read noise, below which neighbours determine the variance of a pixel.
-
-Weights from the noisy pixel itself would bias its flux.
-"""
-_AGREE = 4.0
-"""Largest difference of a pixel from the neighbours that determine its variance, in standard deviations."""
-_BRIGHT = 30.0
-"""Signal, as a multiple of the read noise, above which a pixel tests the agreement of its exposures."""
 
 _KEPT = ("values", "std", "clipped", "channel")
 """Arrays of a merged image that are stored."""
@@ -51,7 +43,8 @@ def merge(
 ) -> tuple[list[MergedPicture], Radiometry]:
     """Calibrate a capture radiometrically, and merge the exposures of every lamp position.
 
-    Each worker has the frames of one lamp position in memory.
+    Each worker has the frames of one lamp position in memory. If the capture has a table of lamp intensities, the images are
+    divided by them.
 
     Args:
         capture: the capture.
@@ -65,8 +58,9 @@ def merge(
         The merged images in the order of the lamps, and the radiometry.
 
     Raises:
-        FitError: no lamp position has a frame that can be read, every frame is dark or clipped, or the frames are processed
-            (sharpened, tone curve) and accept_processed is not set.
+        FitError: no lamp position has a frame that can be read, every frame is dark or clipped, the frames are processed
+            (sharpened, tone curve) and accept_processed is not set, or the number of intensities of a lamp is neither 1 nor
+            the number of colours.
     """
     radiometry = measure_radiometry(capture, region, progress, workers=workers, kept=kept)
     if not capture.settings["camera"]["accept_processed"]:
@@ -82,25 +76,6 @@ def merge(
                 f"{capture.folder}: {proof}: give raw frames, specify camera.tone, correct or delete the times, or accept the "
                 "frames with camera.accept_processed = true"
             )
-    pictures = []
-    for number, picture in enumerate(merged_pictures(capture, radiometry, workers, kept)):
-        pictures.append(picture)
-        if progress:
-            progress("merging", number + 1, len(radiometry.used))
-    return pictures, radiometry
-
-
-def merged_pictures(
-    capture: Capture, radiometry: Radiometry, workers: int = 1, kept: KeptWork | None = None
-) -> Iterator[MergedPicture]:
-    """Yield the merged image of each lamp position, one at a time.
-
-    Args:
-        capture: the capture.
-        radiometry: radiometric calibration from `measure_radiometry`.
-        workers: number of lamp positions that are merged at a time. Default: 1.
-        kept: cache of merged images, from which an interrupted computation resumes. Default: None, no cache.
-    """
     reader = MosaicReader(capture)
     about = "" if kept is None else _fingerprint(capture, radiometry)
 
@@ -117,7 +92,30 @@ def merged_pictures(
         parts = {name: found[name] for name in _KEPT}
         return MergedPicture(lamp, **parts, channels=radiometry.channels, origin=origin_of(radiometry.region))
 
-    yield from in_order(one, list(radiometry.used), workers)
+    pictures = []
+    for picture in in_order(one, list(radiometry.used), workers):
+        pictures.append(picture)
+        if progress:
+            progress("merging", len(pictures), len(radiometry.used))
+    return _under_one_light(pictures, capture), radiometry
+
+
+def _under_one_light(pictures: Sequence[MergedPicture], capture: Capture) -> list[MergedPicture]:
+    if capture.settings["lamp"]["intensity"] != "table":
+        return list(pictures)
+    stated = {one.name: np.array(capture.lamps[one.name].intensity) for one in pictures}
+    mean = float(np.mean([light.mean() for light in stated.values()]))
+    found = []
+    for one in pictures:
+        light = stated[one.name] / mean
+        if len(light) not in (1, len(one.channels)):
+            raise FitError(
+                f"{capture.folder}: the number of intensities of lamp {one.name} is {len(light)}, but it must be 1 or the "
+                f"number of colours of the images, {len(one.channels)}"
+            )
+        share = np.broadcast_to(light, len(one.channels))[one.channel]
+        found.append(replace(one, values=one.values / share, std=one.std / share))
+    return found
 
 
 def _fingerprint(capture: Capture, radiometry: Radiometry) -> str:
@@ -195,7 +193,8 @@ def bracket_misfit(capture: Capture, lamp: str, radiometry: Radiometry, picture:
         dark = radiometry.darkness[frame.exposure]
         code = reader.read(frame, radiometry.region)
         mean = relative * steep
-        good = (mean > _BRIGHT * noise) & (mean < _SAFE * (radiometry.clip.level - dark.mean)) & ~picture.clipped
+        # only pixels of 30 times the read noise test the agreement of the exposures
+        good = (mean > 30.0 * noise) & (mean < _SAFE * (radiometry.clip.level - dark.mean)) & ~picture.clipped
         good &= (code < radiometry.clip.threshold) & np.isfinite(picture.values)
         residual = (code - dark.level)[good] - mean[good]
         # the mean contains this frame, which reduces the variance of the residual by that of the mean
@@ -255,8 +254,10 @@ def _weighted(
     around = same_colour_neighbours(flux, step)
     np.maximum(under, np.float32(relative.min()), out=under)
     variance = (np.float32(gain) * np.maximum(around, 0) + np.float32(len(light) * noise**2) / under) / under
-    agrees = (flux - around) ** 2 < _AGREE**2 * variance
-    agrees |= around * np.float32(relative[-1]) < _DIM * noise
+    # largest difference of a pixel from the neighbours that determine its variance, in standard deviations
+    agrees = (flux - around) ** 2 < 4.0**2 * variance
+    # weights from a dim noisy pixel itself would bias its flux
+    agrees |= around * np.float32(relative[-1]) < 10.0 * noise
     flux = np.maximum(np.where(agrees, around, flux), 0)
     top[:], under[:] = 0, 0
     for one, d, e in zip(use, light, relative.astype(np.float32), strict=True):

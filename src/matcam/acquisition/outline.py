@@ -30,12 +30,7 @@ EXPONENTS: dict[str, tuple[float, ...]] = {"lit": (0, 0.5, 1), "coated": (0, 0.5
 "coated" includes the transmittance of a clear coat, as on glossy plastic; a lit sphere is fitted with both models."""
 
 _SIGMAS = (0.05, 0.2, 0.5, 0.9, 1.6, 2.5)  # initial values of the standard deviation of an unmeasured blur, px
-_PIXELS_IN_SECTOR = 80  # typical number of pixels in a sector
 _CONTRAST = 8.0  # smallest ratio of the step of light to its noise
-_LARGEST_STD = 0.3  # largest standard deviation of the edge of a sector, px
-_MISFIT = 6.0  # ratio to the typical chi squared above which a sector shows dust or a stand
-_OUTLIER = 4.0  # number of standard deviations from the outline above which an edge is omitted
-_RAGGED = 0.4  # largest rms distance of the edges of a limb from the outline, px
 _TEMPER = 15.0
 """Difference in chi squared for a likelihood ratio of e between two models of the light. It is 2 for exact models."""
 _SIMPLER = 30.0
@@ -288,7 +283,8 @@ class OutlineFit:
         self.inside = float(np.clip(0.1 * start[2], 6, 16))
         self.outside = 5.0
         area = 2 * np.pi * float(start[2]) * (self.inside + self.outside)
-        self.count = int(np.clip(area / _PIXELS_IN_SECTOR, 24, 72))
+        # about 80 pixels in a sector
+        self.count = int(np.clip(area / 80, 24, 72))
 
     def band(self, position: np.ndarray, wider: float = 0.0) -> BandPixels:
         row, column = self.rows - position[0], self.columns - position[1]
@@ -307,8 +303,10 @@ class OutlineFit:
 
     def usable(self, edges: LimbSectors) -> np.ndarray:
         with np.errstate(invalid="ignore"):
-            sharp = (edges.contrast > _CONTRAST) & (edges.std < _LARGEST_STD)
-            return sharp & (edges.misfit < _MISFIT * np.median(edges.misfit[sharp])) if sharp.any() else sharp
+            # largest standard deviation of the edge of a sector, px
+            sharp = (edges.contrast > _CONTRAST) & (edges.std < 0.3)
+            # sectors with 6 times the typical chi squared show dust or a stand
+            return sharp & (edges.misfit < 6.0 * np.median(edges.misfit[sharp])) if sharp.any() else sharp
 
     def slopes(self, position: np.ndarray, azimuth: np.ndarray) -> np.ndarray:
         """Compute the derivatives of the limb's position with respect to row, column and radius, (n, 3).
@@ -370,7 +368,8 @@ class OutlineFit:
             # additional scatter that makes chi squared equal to its degrees of freedom; robust, from the median
             middle = robust_std(left[used])
             extra = float(np.sqrt(max(middle**2 - np.median(std[used]) ** 2, 0.0)))
-            keep = used & (np.abs(left) < _OUTLIER * np.hypot(std, max(extra, 0.01)))
+            # number of standard deviations from the outline above which an edge is omitted
+            keep = used & (np.abs(left) < 4.0 * np.hypot(std, max(extra, 0.01)))
             if keep.sum() == used.sum() or keep.sum() < FEWEST_SECTORS:
                 break
             used = keep
@@ -415,7 +414,8 @@ class OutlineFit:
                 )
         seen = int(np.sum(edges.contrast > _CONTRAST))
         lost = seen - int(used.sum())
-        if lost > 0.5 * seen or scatter > _RAGGED:
+        # largest rms distance of the edges of a limb from the outline, px
+        if lost > 0.5 * seen or scatter > 0.4:
             raise FitError(
                 f"{self.picture.name}: {seen} edges are visible near the limb, and {seen - lost} of them follow one outline "
                 f"with an rms distance of {scatter:.2f} px: the background, or its mirror image in the sphere, probably hides "

@@ -15,9 +15,11 @@ from matcam.acquisition.merged_picture import MergedPicture
 from matcam.acquisition.mirror_ball import MirrorBall, unit
 from matcam.core.errors import ArgumentError, FitError
 from matcam.core.grid import CHANNELS, GRID_SHAPE, brdf_table, merl_grid
+from matcam.core.shading import shading, vector
 
 _CELLS = int(np.prod(GRID_SHAPE))
-_STEEPEST = np.radians(87.0)
+_LEAST = np.cos(np.radians(87.0))
+"""Smallest cosine of the angles of light and view of a pixel that is used, no unit."""
 
 
 class PinholeTable:
@@ -25,8 +27,6 @@ class PinholeTable:
 
     Args:
         channels: colours of the images: ("R", "G", "B"), or a single colour, which is used for all three.
-        isotropic: True to use each pixel at the mirrored azimuth, too. Default: True.
-        steepest: largest angle of light or view to the normal of a pixel that is used, rad. Default: 87 degrees.
 
     Raises:
         ArgumentError: the number of channels is neither 1 nor 3.
@@ -40,12 +40,10 @@ class PinholeTable:
         True
     """
 
-    def __init__(
-        self, channels: tuple[str, ...] = CHANNELS, *, isotropic: bool = True, steepest: float = float(_STEEPEST)
-    ):
+    def __init__(self, channels: tuple[str, ...] = CHANNELS):
         if len(channels) not in (1, 3):
             raise ArgumentError(f"channels must be one or three colours, got {len(channels)}: {', '.join(channels)}")
-        self.channels, self.isotropic, self.least = tuple(channels), isotropic, float(np.cos(steepest))
+        self.channels = tuple(channels)
         self._sum, self._number = (np.zeros((len(channels), _CELLS)) for _ in range(2))
         self.pixels = 0
         self.clipped = 0
@@ -88,7 +86,7 @@ class PinholeTable:
         light, view = way / far[..., None], ball.views(normals)
         cos_i, cos_o = (light * normals).sum(-1), (view * normals).sum(-1)
         with np.errstate(invalid="ignore"):
-            seen = np.isfinite(normals[..., 0]) & (cos_i > self.least) & (cos_o > self.least)
+            seen = np.isfinite(normals[..., 0]) & (np.minimum(cos_i, cos_o) > _LEAST)
         self.clipped += int(np.count_nonzero(seen & clipped))
         seen &= np.isfinite(values) & ~clipped
         light_of = np.broadcast_to(np.asarray(irradiance, float), len(self.channels))[channel[seen]]
@@ -102,18 +100,11 @@ class PinholeTable:
 
     @staticmethod
     def _cells(normals: np.ndarray, light: np.ndarray, view: np.ndarray) -> np.ndarray:
-        total, difference = light + view, light - view
-        half = unit(total)
-        cosine, across = (half * normals).sum(-1), np.cross(normals, half)
-        sine = np.linalg.norm(across, axis=-1)
-        theta_h = np.arctan2(sine, cosine)
-        theta_d = np.arctan2(np.linalg.norm(difference, axis=-1), np.linalg.norm(total, axis=-1))
-        # the half vector is the pole; x points away from the normal, y along normal x half vector (core/grid.py)
-        x = (light * (cosine[:, None] * half - normals)).sum(-1)
-        y = (light * across).sum(-1)
-        phi_d = np.mod(np.arctan2(y, x), np.pi)
+        tangent = unit(np.stack([normals[:, 2], np.zeros(len(normals)), -normals[:, 0]], axis=1))
+        at = shading(*(vector(*each.T) for each in (normals, tangent, light, view)))
+        theta_h = np.arctan(np.hypot(at.slope_along, at.slope_across))
         i, j, k = merl_grid("centre").index(
-            theta_h=np.minimum(theta_h, np.pi / 2), theta_d=np.minimum(theta_d, np.pi / 2), phi_d=phi_d
+            theta_h=theta_h, theta_d=np.minimum(at.theta_d, np.pi / 2), phi_d=np.mod(at.phi_d, np.pi)
         )
         return np.ravel_multi_index((i, j, k), GRID_SHAPE)
 
@@ -129,8 +120,8 @@ class PinholeTable:
                 "to the lamp"
             )
         total, number = (a.reshape(-1, *GRID_SHAPE) for a in (self._sum, self._number))
-        if self.isotropic:  # phi_d and pi - phi_d mirror each other
-            total, number = total + total[..., ::-1], number + number[..., ::-1]
+        # phi_d and pi - phi_d are equivalent
+        total, number = total + total[..., ::-1], number + number[..., ::-1]
         with np.errstate(invalid="ignore", divide="ignore"):
             mean = np.moveaxis(np.where(number > 0, total / number, np.nan), 0, -1)
         if len(self.channels) == 1:

@@ -53,9 +53,6 @@ from matcam.numerics.frame_noise import code_step
 Progress = Callable[[str, int, int], None]
 """Function that receives the name of a step, the number of finished parts, and the total number of parts."""
 
-_ROUNDING = 1 / 12
-"""Variance of the rounding error of a code, relative to the squared step of the codes: that of a uniform distribution."""
-
 
 @dataclass(frozen=True)
 class Radiometry:
@@ -199,20 +196,19 @@ def measure_radiometry(
     remarks += coarse_remarks(step, noise)
     samples: list[BracketSample] = []
     missing: dict[tuple[str, ...], list[str]] = {}
-    used: dict[str, tuple[CaptureFrame, ...]] = {}
-    largest, smallest = -np.inf, np.inf
     wanted = list(capture.lamps if lamps is None else lamps)
-    reading = BracketReading(capture, reader, region, names, darkness, noise, kept)
+    shape = next((level.shape for level in levels.values()), ())
+    reading = BracketReading(capture, reader, region, names, darkness, noise, shape, kept)
     before = len(remarks)
     say = progress or (lambda step, done, total: None)
-    for number, found in enumerate(in_order(reading.read, list(enumerate(wanted)), workers)):
-        remarks += found.remarks
-        if found.lacking:
-            missing.setdefault(found.lacking, []).append(wanted[number])
-        if found.sample is not None:
-            used[wanted[number]] = found.used
-            largest, smallest = max(largest, found.largest), min(smallest, found.smallest)
-            samples.append(found.sample)
+    for number, (sample, of_lamp) in enumerate(in_order(reading.read, list(enumerate(wanted)), workers)):
+        remarks += of_lamp
+        known = set() if sample is None else {frame.exposure for frame in sample.frames}
+        lacking = tuple(name for name in names if name not in known)
+        if lacking:
+            missing.setdefault(lacking, []).append(wanted[number])
+        if sample is not None:
+            samples.append(sample)
         say("radiometry", number + 1, len(wanted))
     remarks += [
         Remark(
@@ -227,15 +223,13 @@ def measure_radiometry(
             f"{capture.folder}: no frame of any lamp position can be read: {[*remarks[before:], *remarks, 'see frames.csv'][0]}"
         )
     remarks += reader.remarks.values()
+    extent = np.concatenate([sample.extent for sample in samples])
+    smallest, largest = float(extent[:, 0].min()), float(extent[:, 1].max())
     top = largest - min(smallest, *(d.mean for d in darkness.values()))
-    samples, said = _without_mislabelled(capture, samples, names, used, top, noise)
+    samples, said = _without_mislabelled(capture, samples, names, top, noise)
     remarks += said
     order = _order(samples, len(names))
-    names = [names[k] for k in order]
-    back = np.argsort(order)
-    samples = [
-        sample._replace(exposures=back[sample.exposures]).part(np.argsort(back[sample.exposures])) for sample in samples
-    ]
+    names, samples = [names[k] for k in order], _renumbered(samples, order)
     nominal = np.array([capture.time(name) for name in names])
     if top < 10 * max(noise, 0.3) or not any(sample.codes.size for sample in samples):
         raise FitError(
@@ -245,24 +239,24 @@ def measure_radiometry(
         raise FitError(
             f"{capture.folder}: every frame is clipped: at least half of its pixels have {largest:.0f} DN; expose less"
         )
-    guess = first_guess(samples, len(names), top, noise, nominal)
+    guess = first_guess(samples, nominal, top, noise)
     clip, said = _clip_level(samples, names, guess, largest, reader.saturation, noise)
     remarks += said
-    samples, said = _without_clipped(samples, names, used, clip, noise)
+    samples, said = _without_clipped(samples, names, clip, noise)
     remarks += said
     if not samples:
         raise FitError(f"{capture.folder}: every frame is clipped: its pixels have {clip.level:.0f} DN; expose less")
     seen_in = np.unique(np.concatenate([sample.exposures for sample in samples]))  # exposures that still have a frame
     names, nominal, guess = [names[k] for k in seen_in], nominal[seen_in], guess[seen_in] / guess[seen_in[0]]
-    samples = [sample._replace(exposures=np.searchsorted(seen_in, sample.exposures)) for sample in samples]
+    samples = _renumbered(samples, seen_in)
     gain = Stated(1.0)
     ratios = ExposureRatios(guess, np.zeros((len(names), len(names))), np.nan, np.zeros((0, 3)), False)
     for _ in range(2):  # weights require the gain, and the gain requires ratios
         ratios = fit_ratios(samples, ratios.value, clip, noise, gain.value)
         measured = fit_gain(samples, ratios.value, clip, noise)
-        known = math.isfinite(measured.value) and measured.value > 0
-        gain = measured if known else gain
-    if not known:
+        found = math.isfinite(measured.value) and measured.value > 0
+        gain = measured if found else gain
+    if not found:
         gain = _gain_without_brackets(capture, samples, clip, noise, remarks)
     reference = len(names) // 2
     value = ratios.value / ratios.value[reference]
@@ -271,20 +265,22 @@ def measure_radiometry(
     remarks += clip_remarks(clip, names, samples)
     remarks += linearity_remarks(ratios)
     scale = gain.value if math.isfinite(gain.value) else 1.0
+    flat, flat_remarks = measure_flat(reader, capture, region, darkness, clip=clip.threshold, gain=scale, noise=noise)
+    response = np.ones(len(reader.channels)) if flat is None else flat.reference
     shown, between = in_sample_frames(samples), 0.0
     if capture.reference_apart:
-        shown, said = in_own_frames(reader, capture, list(used), names, darkness, clip.threshold)
+        shown, said = in_own_frames(
+            reader, capture, [sample.lamp for sample in samples], names, darkness, clip.threshold
+        )
         remarks += said
-        between = _between(capture, shown, value, scale, noise, remarks)
     elif capture.of("reference"):
         text = "the images in reference/ are not read: specify a [reference] with apart = true, or remove them"
         remarks.append(Remark("reference-unread", text))
-    output = lamp_output(capture, shown, value, scale, noise, between)
-    flat, said = measure_flat(reader, capture, region, darkness, clip=clip.threshold, gain=scale, noise=noise)
-    remarks += said
-    seen = reference_light(
-        shown, value, scale, noise, np.ones(len(reader.channels)) if flat is None else flat.reference
-    )
+    seen = reference_light(shown, value, scale, noise, response)
+    if capture.reference_apart:
+        between = _between(capture, shown, seen, value, scale, noise, remarks)
+    output = lamp_output(capture, shown, seen, between)
+    remarks += flat_remarks
     return Radiometry(
         {name: Stated(float(v), float(e)) for name, v, e in zip(names, value, error, strict=True)},
         names[reference],
@@ -298,7 +294,7 @@ def measure_radiometry(
         tone_exponent(ratios, nominal),
         ratios.misfit,
         darkness,
-        {lamp: tuple(sorted(frames, key=lambda f: names.index(f.exposure))) for lamp, frames in used.items()},
+        {sample.lamp: sample.frames for sample in samples},
         reader.channels,
         region,
         tuple(remarks),
@@ -342,36 +338,27 @@ def _clip_level(
     return found.clip, remarks
 
 
-def _without(
-    samples: Sequence[BracketSample],
-    names: Sequence[str],
-    used: dict[str, tuple[CaptureFrame, ...]],
-    out: Sequence[np.ndarray],
-) -> list[BracketSample]:
-    """Remove frames from the samples and from `used`.
+def _renumbered(samples: Sequence[BracketSample], order: np.ndarray) -> list[BracketSample]:
+    """Replace the indices of the exposures by their positions in `order`, and sort the frames accordingly."""
+    new = np.zeros(order.max() + 1, int)
+    new[order] = np.arange(len(order))
+    changed = [sample._replace(exposures=new[sample.exposures]) for sample in samples]
+    return [sample.part(np.argsort(sample.exposures)) for sample in changed]
 
-    `out` contains the mask of the removed frames of each sample.
-    """
-    kept = []
-    for sample, mask in zip(samples, out, strict=True):
-        gone = [names[k] for k in sample.exposures[mask]]
-        used[sample.lamp] = tuple(frame for frame in used[sample.lamp] if frame.exposure not in gone)
-        if mask.all():
-            del used[sample.lamp]
-        else:
-            kept.append(sample.part(~mask))
-    return kept
+
+def _without(samples: Sequence[BracketSample], out: Sequence[np.ndarray]) -> list[BracketSample]:
+    """Remove frames from the samples. `out` contains the mask of the removed frames of each sample."""
+    return [sample.part(~mask) for sample, mask in zip(samples, out, strict=True) if not mask.all()]
 
 
 def _without_mislabelled(
     capture: Capture,
     samples: Sequence[BracketSample],
     names: Sequence[str],
-    used: dict[str, tuple[CaptureFrame, ...]],
     top: float,
     noise: float,
 ) -> tuple[list[BracketSample], list[Remark]]:
-    """Remove frames whose light contradicts their exposure from the samples and from `used`, and report them.
+    """Remove frames whose light contradicts their exposure from the samples, and report them.
 
     A FitError is raised if no frame remains.
     """
@@ -381,12 +368,12 @@ def _without_mislabelled(
         out.append(np.isin(np.arange(len(sample.exposures)), [frame for frame, _, _ in wrong]))
         for frame, factor, like in wrong:
             name = names[sample.exposures[frame]]
-            file = next(one.file for one in used[sample.lamp] if one.exposure == name)
+            file = sample.frames[frame].file
             text = f"{capture.folder / file}: the frame has {factor:.2g} times the light of exposure {name}, according to the "
             text += f"other lamp positions and time_s{'' if like is None else f', and thus that of exposure {names[like]}'}, "
             text += "so it was omitted: correct its exposure and time_s in frames.csv, or repeat it"
             said.append((file, Remark("frame-mislabelled", text)))
-    remarks, kept = gathered(said), _without(samples, names, used, out)
+    remarks, kept = gathered(said), _without(samples, out)
     if not kept:
         raise FitError(f"{capture.folder}: no exposure agrees with its time_s: {remarks[0]}")
     return kept, remarks
@@ -395,11 +382,10 @@ def _without_mislabelled(
 def _without_clipped(
     samples: Sequence[BracketSample],
     names: Sequence[str],
-    used: dict[str, tuple[CaptureFrame, ...]],
     clip: ClipLevel,
     noise: float,
 ) -> tuple[list[BracketSample], list[Remark]]:
-    """Remove frames that are clipped everywhere from the samples and from `used`, and report them.
+    """Remove frames that are clipped everywhere from the samples, and report them.
 
     A frame with a single bright code is treated as clipped at any clip level. The exception is a render of a uniform
     sample, because each frame of such a sample has a single code.
@@ -414,7 +400,7 @@ def _without_clipped(
         out.append((low >= clip.threshold) | ((low == high) & (sample.tops[:, height] > 10 * noise) & ~even))
         for k in np.flatnonzero(out[-1]):
             full.setdefault((names[sample.exposures[k]], float(high[k])), []).append(sample.lamp)
-    kept = _without(samples, names, used, out)
+    kept = _without(samples, out)
     return kept, [
         Remark(
             "frame-clipped",
@@ -428,6 +414,7 @@ def _without_clipped(
 def _between(
     capture: Capture,
     shown: Sequence[SeenReference],
+    light: dict[str, tuple[Stated, ...]],
     exposures: np.ndarray,
     scale: float,
     noise: float,
@@ -441,7 +428,7 @@ def _between(
     stated = capture.settings["reference"]["between_std"]
     if stated is not None:
         return float(stated)
-    found = scatter_between(shown, exposures, scale, noise, lamp_output(capture, shown, exposures, scale, noise))
+    found = scatter_between(shown, exposures, scale, noise, lamp_output(capture, shown, light))
     if math.isfinite(found):
         return found
     if any(one.light.size for one in shown):
@@ -488,7 +475,8 @@ def _order(samples: Sequence[BracketSample], count: int) -> np.ndarray:
 def _read_noise(darkness: dict[str, Darkness], step: float) -> float:
     """Compute the read noise of one frame including rounding to multiples of `step`, DN; 2 steps if it is unknown."""
     known = [d.read_noise for d in {id(d): d for d in darkness.values()}.values() if math.isfinite(d.read_noise)]
-    return float(max(np.median(known), math.sqrt(_ROUNDING) * step)) if known else 2.0 * step
+    # the variance of a rounding error is 1/12 of the squared step
+    return float(max(np.median(known), math.sqrt(1 / 12) * step)) if known else 2.0 * step
 
 
 def _noise_error(darkness: dict[str, Darkness]) -> float:

@@ -14,22 +14,8 @@ from matcam.core.results.summary import with_std
 from matcam.files.capture_settings import Stated
 from matcam.numerics.frame_noise import not_linear
 
-_WRONG_TIME = 0.02
-"""Relative error of a nominal exposure time above which there is a remark."""
-_EXPOSURES_OF_A_POWER = 3
-"""Smallest number of exposures that distinguish a power law of the nominal times from a single wrong time."""
-_DIAL = 0.1
-"""Assumed standard deviation of ln(true over nominal exposure time): shutters have errors of 1 to 7 %, and nominal
-values are rounded (1/30 for 1/32).
-"""
 _PROVEN, _POWER = 5.0, 0.1
 """Number of standard deviations from 1 above which an exponent proves a tone curve, and smallest such difference."""
-_NONLINEAR = 0.01
-"""Relative departure from linearity above which there is a remark: good sensors stay below 1 %."""
-_RESOLVED = 0.5
-"""Standard deviation of noise, in steps of the codes, above which rounding hardly biases a mean: by exp(-2 pi^2 0.5^2) / pi
-= 0.2 % of a step.
-"""
 _CORRELATED, _SHARPENED = 0.06, -0.015
 """Correlation of neighbouring pixels' noise above which a frame was smoothed (noise of whole rows is correlated, too),
 and below which it was sharpened (few other causes make it negative).
@@ -44,7 +30,8 @@ def tone_exponent(ratios: ExposureRatios, nominal: np.ndarray) -> Stated:
     the nominal ratios. The result is NaN for fewer than three exposures, because a single wrong time then has the same
     effect as a power. It is also NaN if the exposures are not linked, or if a nominal time is unknown.
     """
-    if len(nominal) < _EXPOSURES_OF_A_POWER or not ratios.linked or not np.isfinite(nominal).all():
+    # smallest number of exposures that distinguish a power law of the nominal times from a single wrong time
+    if len(nominal) < 3 or not ratios.linked or not np.isfinite(nominal).all():
         return Stated(math.nan, math.inf)
     x, y = (np.log(values) - np.log(values).mean() for values in (nominal, ratios.value))
     square = float(x @ x)
@@ -52,7 +39,8 @@ def tone_exponent(ratios: ExposureRatios, nominal: np.ndarray) -> Stated:
         return Stated(math.nan, math.inf)
     value = float(x @ y) / square
     scatter = math.sqrt(float(((y - value * x) ** 2).sum()) / (len(x) - 2))
-    return Stated(value, max(scatter, _DIAL) / math.sqrt(square))
+    # shutters have errors of 1 to 7 %, and nominal times are rounded (1/30 for 1/32): 10 % in all
+    return Stated(value, max(scatter, 0.1) / math.sqrt(square))
 
 
 def tone_curve_proof(exponent: Stated) -> str | None:
@@ -76,7 +64,8 @@ def coarse_remarks(step: float, noise: float) -> list[Remark]:
         step: difference of neighbouring codes, DN.
         noise: read noise including rounding, DN.
     """
-    if step == 1 or noise > _RESOLVED * step:
+    # with noise of half a step, rounding biases a mean by only exp(-2 pi^2 0.5^2) / pi = 0.2 % of a step
+    if step == 1 or noise > 0.5 * step:
         return []
     text = f"the codes occur only in steps of {step:g} DN, larger than the noise of dark frames: the signal has fewer bits "
     text += "than the file, and faint light is rounded; give frames with the full number of bits of the camera"
@@ -115,7 +104,8 @@ def exposure_remarks(names: Sequence[str], ratios: ExposureRatios, nominal: np.n
     said = nominal / nominal[0]
     wrong = ratios.value / said - 1
     for name, error, std in zip(names, wrong, ratios.std(), strict=True):
-        if np.isfinite(std) and abs(error) > max(_WRONG_TIME, 4 * std):
+        # relative error of a nominal exposure time above which there is a remark
+        if np.isfinite(std) and abs(error) > max(0.02, 4 * std):
             measured = with_std(1 + error, max(std, 1e-9))
             found.append(
                 Remark(
@@ -145,14 +135,18 @@ def clip_remarks(clip: ClipLevel, names: Sequence[str], samples: Sequence[Bracke
     for sample in samples:
         peak = (sample.codes[0] >= clip.threshold).sum() if sample.codes.size else 0
         if peak:
-            pixels = "pixel is" if peak == 1 else "pixels are"
-            exposure = names[int(sample.exposures[0])]
-            remark = Remark(
-                "peak-clipped",
-                f"lamp {sample.lamp}: {peak} {pixels} clipped in the shortest exposure, {exposure}: add a shorter exposure",
-            )
-            peaks.append((sample.lamp, remark))
+            peaks.append(peak_remark(sample.lamp, int(peak), names[int(sample.exposures[0])]))
     return found + gathered(peaks)
+
+
+def peak_remark(lamp: str, count: int, exposure: str) -> tuple[str, Remark]:
+    """Report the number of clipped pixels in the shortest exposure of a lamp position.
+
+    The result contains the name of the lamp position and the remark.
+    """
+    pixels = "pixel is" if count == 1 else "pixels are"
+    text = f"lamp {lamp}: {count} {pixels} clipped in the shortest exposure, {exposure}: add a shorter exposure"
+    return lamp, Remark("peak-clipped", text)
 
 
 def processing_remarks(where: str, correlation: float, std: float) -> list[Remark]:
@@ -180,7 +174,8 @@ def linearity_remarks(ratios: ExposureRatios) -> list[Remark]:
     curve = curve[curve[:, 0] > 0.02] if len(curve) else curve
     if not len(curve):
         return []
-    bad = not_linear(curve[:, 1], curve[:, 2], _NONLINEAR)
+    # good sensors stay below 1 %
+    bad = not_linear(curve[:, 1], curve[:, 2], 0.01)
     if not bad.any():
         return []
     worst = curve[bad][np.abs(curve[bad][:, 1]).argmax()]

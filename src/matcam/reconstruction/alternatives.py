@@ -10,48 +10,32 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
 from matcam.acquisition.check.unmeasured_lens import BY_SHAPE
-from matcam.acquisition.light.picture_light import PictureLight
 from matcam.acquisition.merged_picture import MergedPicture
 from matcam.core.arrays import evenly
 from matcam.core.remark import Remark
 from matcam.inverse.fit.fit_setup import AUTO, CANDIDATES
 from matcam.material.diffuse_shape import TERMS
-from matcam.material.masking import Masking
 from matcam.material.ndf.free_lobe import KNOTS
 from matcam.reconstruction.contradiction import contradiction_remark, specified_sources, with_wider
 from matcam.reconstruction.joint.evidence import ACCURACY, ComparedPixels, Judged
 from matcam.reconstruction.joint.likelihood import unexplained_share
 from matcam.reconstruction.picture_model import lamp_coordinates
-from matcam.reconstruction.sphere_fit import SphereFit, fit_sphere, with_correlated_residuals
+from matcam.reconstruction.sphere_fit import SphereFit, with_correlated_residuals
 from matcam.reconstruction.sphere_scene import SphereScene, joint_problem, part_of, prior_of, with_light
+from matcam.reconstruction.stated.captured_scene import CapturedScene
 
 _SPLINE = 1.0
 """Prior standard deviation of the second differences of ln D of a spline modification, no unit."""
-_WRONG = 0.01
-"""Prior probability that a source of specified values is wrong."""
-_NEGLIGIBLE = 1e-3
-"""Probability below which an explanation is neglected."""
-_DOUBTFUL = 0.05
-"""Probability above which a source that may be wrong is reported."""
-_TRIES = 3
-"""Largest number of changes that are fitted in one step of the search."""
-_FEWEST = 3
-"""Smallest number of images that may remain if others are left out."""
-_ODD = 4.0
-"""Ratio of chi squared of an image to the median above which the image is reported. Scatter of the lamps at most doubles it."""
 _MANY, _SOME = 32, 16
 """Number of images above which the explanation is chosen with an even selection of images, and the size of the selection.
 
 All images are fitted at the end.
 """
-_GUESSED = 0.25
-"""Relative standard deviation above which the width of the lens is treated as a guess."""
 
 
 class Alternative(NamedTuple):
@@ -80,7 +64,8 @@ class Alternative(NamedTuple):
     @property
     def log_prior(self) -> float:
         """Logarithm of the prior probability, without that of the lobe, which is the same for all."""
-        return float(len(self.wider) * np.log(_WRONG))
+        # a source is wrong with a prior probability of 1 %
+        return float(len(self.wider) * np.log(0.01))
 
     def widened(self, source: str, factor: float) -> Alternative:
         factors = dict(self.wider)
@@ -106,20 +91,6 @@ class TriedExplanation(NamedTuple):
     name: str
     unexplained: float
     probability: float
-
-
-class ChosenFit(NamedTuple):
-    """Most probable fit of the images.
-
-    Attributes:
-        fit: the fit. Its covariance includes the differences from other probable explanations.
-        tried: explanations that were fitted to these images.
-        remarks: remarks on images, specified values and the lobe.
-    """
-
-    fit: SphereFit
-    tried: tuple[TriedExplanation, ...]
-    remarks: tuple[Remark, ...]
 
 
 @dataclass
@@ -165,6 +136,7 @@ class _Search:
                 self.pictures,
                 one.scene(self.scene),
                 one.family,
+                diffuse=self.diffuse,
                 spline=_SPLINE if one.spline else 0.0,
                 shaped=one.shaped,
                 lamps=self.lamps,
@@ -205,7 +177,8 @@ class _Search:
         judged = self._judged(compared, one)
         now = self._log_evidence(one, judged)
         changes = self._changes(one, compared, judged, sources=sources)
-        for gain, change in sorted(changes, key=lambda pair: -pair[0])[:_TRIES]:
+        # largest number of changes that are fitted in one step of the search
+        for gain, change in sorted(changes, key=lambda pair: -pair[0])[:3]:
             if gain <= 0 and np.isfinite(now):
                 break
             self.fitted(change, start=fit)
@@ -285,31 +258,28 @@ class _Search:
 
 
 def chosen_fit(
-    pictures: Sequence[MergedPicture],
-    scene: SphereScene,
-    lamps: np.ndarray,
-    family: str = AUTO,
+    captured: CapturedScene,
+    family: str,
+    fit_pictures: Callable[..., SphereFit],
     *,
-    masking: Masking = "smith",
-    diffuse: bool = True,
-    progress: Callable[[str], None] | None = None,
-    fit_pictures: Callable[..., SphereFit] = fit_sphere,
-) -> ChosenFit:
+    diffuse: bool,
+    say: Callable[[str], None],
+) -> tuple[SphereFit, tuple[TriedExplanation, ...], list[Remark]]:
     """Fit explanations of the images, and choose the most probable one.
 
     Args:
-        pictures: merged images, one per lamp position.
-        scene: prior knowledge of the rig.
-        lamps: unit vectors to the lamps with which the search starts, (pictures, 3).
-        family: family of the lobe. Default: "auto", the most probable candidate, spline-modified if this is more probable.
-        masking: masking G of the lobe. Default: "smith".
-        diffuse: True to include a diffuse part. Default: True.
-        progress: function that is called with a line about each step. Default: None.
-        fit_pictures: function that fits one family, for samples other than a sphere. Default: `fit_sphere`.
+        captured: merged images, prior knowledge, and directions to the lamps with which the search starts.
+        family: family of the lobe; "auto" for the most probable candidate, spline-modified if this is more probable.
+        fit_pictures: function that fits one explanation, with the interface of `fit_sphere`.
+        diffuse: True to include a diffuse part.
+        say: function that is called with a line about each step.
+
+    Returns:
+        The fit, whose covariance includes the differences from other probable explanations; the explanations that were fitted;
+        and remarks on images, specified values and the lobe.
     """
-    say = progress or (lambda _: None)
-    fit = partial(fit_pictures, masking=masking, diffuse=diffuse)
-    whole = _Search(pictures, scene, lamps, fit, family == AUTO, diffuse, say)
+    pictures = captured.pictures
+    whole = _Search(pictures, captured.scene, captured.lamps, fit_pictures, family == AUTO, diffuse, say)
     if len(pictures) > _MANY:
         part = whole.part(evenly(len(pictures), _SOME).tolist())
         part.say = lambda line: say(f"{_SOME} of {len(pictures)} images: {line}")
@@ -322,8 +292,7 @@ def chosen_fit(
         tried = tuple(_tried(search, shares))
     found, remarks = _with_odd_pictures(search, best)
     found = _with_others(_with_its_lens_open(found), search.fits, shares)
-    remarks = [*_remarks(found, best, shares, search, whole), *remarks]
-    return ChosenFit(found, tried, tuple(remarks))
+    return found, tried, [*_remarks(found, best, shares, search, whole), *remarks]
 
 
 def _explored(whole: _Search, family: str) -> tuple[_Search, Alternative, dict[Alternative, float]]:
@@ -349,7 +318,8 @@ def _explored(whole: _Search, family: str) -> tuple[_Search, Alternative, dict[A
 def _without_unexplained(search: _Search, best: Alternative) -> _Search:
     fit = search.fits[best]
     keep = [k for k in range(len(search.pictures)) if k not in fit.unexplained_pictures]
-    if len(keep) == len(search.pictures) or len(keep) < _FEWEST:
+    # smallest number of images that may remain if others are left out
+    if len(keep) == len(search.pictures) or len(keep) < 3:
         return search
     part = search.part(keep)
     part.fitted(best, start=fit)
@@ -368,7 +338,8 @@ def _remarks(
     if lost:
         text = f"{', '.join(lost)}: the joint fit does not explain these images, which were left "
         remarks.append(Remark("picture-left-out", text + "out: check their frames and lamp directions"))
-    probable = [one for one, share in sorted(shares.items(), key=lambda pair: -pair[1]) if share > _DOUBTFUL]
+    # probability above which a source that may be wrong is reported
+    probable = [one for one, share in sorted(shares.items(), key=lambda pair: -pair[1]) if share > 0.05]
     for source in dict.fromkeys(source for one in probable for source, _ in one.wider):
         by = [one for one in probable if source in dict(one.wider)]
         probability = sum(share for one, share in shares.items() if source in dict(one.wider))
@@ -391,12 +362,13 @@ def _with_odd_pictures(search: _Search, best: Alternative) -> tuple[SphereFit, l
     """Refit with a wider prior of the gain for images that deviate strongly, which remarks report."""
     fit = search.fits[best]
     solution = fit.solution
-    odd = np.flatnonzero(solution.chi2 > _ODD * max(float(np.median(solution.chi2)), 1.0)).tolist()
+    # scatter of the lamps at most doubles chi squared
+    odd = np.flatnonzero(solution.chi2 > 4.0 * max(float(np.median(solution.chi2)), 1.0)).tolist()
     if not odd:
         return fit, []
     shares = {k: unexplained_share(solution.problem, solution.p, [k]) for k in odd}
     wider = np.array([shares.get(k, 0.0) for k in range(len(search.pictures))])
-    scene = with_light(search.scene, partial(PictureLight.with_error, std=wider))
+    scene = with_light(search.scene, lambda light: light.with_error(wider))
     fit = replace(search, scene=scene).fitted(best, start=fit, rounds=1)
     chi2, remarks = fit.solution.chi2, []
     for k, share in shares.items():
@@ -420,7 +392,8 @@ def _with_others(
     more = np.zeros_like(solution.covariance)
     for one, share in shares.items():
         other = fits[one]
-        if share < _NEGLIGIBLE or other.names != fit.names:
+        # probability below which an explanation is neglected
+        if share < 1e-3 or other.names != fit.names:
             continue
         shared = layout.shared_of(other.solution.p, other.layout) - solution.p[: layout.shared]
         if other.kind.family != fit.kind.family:
@@ -442,7 +415,8 @@ def _with_its_lens_open(fit: SphereFit) -> SphereFit:
     With a wrong lobe, the fit otherwise underestimates the standard deviation of the lens.
     """
     solution, scene = fit.solution, fit.scene
-    if scene.lens_std < _GUESSED or solution.unexplained < BY_SHAPE:
+    # the width of a lens that is known to 25 % or worse is a guess
+    if scene.lens_std < 0.25 or solution.unexplained < BY_SHAPE:
         return fit
     lens = fit.layout.of("lens")
 

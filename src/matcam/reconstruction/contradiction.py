@@ -8,12 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import numpy as np
 
-from matcam.acquisition.light.picture_light import PictureLight
 from matcam.core.remark import Remark
 from matcam.reconstruction.sphere_fit import SphereFit
 from matcam.reconstruction.sphere_scene import SphereScene, prior_of, with_light
@@ -22,10 +20,6 @@ _FAR = 10.0
 """Number of standard deviations beyond which a distance is printed as a lower limit."""
 _LEAST_FACTOR, _LARGEST_FACTOR, _FACTORS = 2.0, 1e3, 10
 """Range and number of the factors by which the standard deviation of a source may be too small."""
-_LENGTH = 0.1
-"""Largest relative standard deviation of a length. A length specified as exact may be 2 % wrong."""
-_CERTAIN = 0.95
-"""Probability above which a wrong source is reported without its probability."""
 _LENGTHS = {
     "camera distance": "camera_nearness",
     "lamp distance": "lamp_nearness",
@@ -56,7 +50,9 @@ def specified_sources(fit: SphereFit) -> Iterator[tuple[str, np.ndarray]]:
         largest = _LARGEST_FACTOR
         if source in _LENGTHS:
             known = getattr(fit.scene, _LENGTHS[source])
-            largest = max(largest, _LENGTH * known.value / max(known.std, 1e-30))
+            # the standard deviation of a length may be up to 10 %; a length specified as exact may be 2 %
+            # wrong
+            largest = max(largest, 0.1 * known.value / max(known.std, 1e-30))
         yield source, np.geomspace(_LEAST_FACTOR, largest, _FACTORS)
 
 
@@ -73,7 +69,8 @@ def contradiction_remark(source: str, fit: SphereFit, scene: SphereScene, probab
     rows, values, sources = prior_of(layout, scene, fit.solution.problem.frames, 0.0, 0, fit.nearness)
     own = _rows_of(source, sources)
     pull = float(np.sqrt(np.mean((rows @ p - values)[own] ** 2)))
-    text = f"probability {probability:.0%}: " if probability < _CERTAIN else ""
+    # probability above which a wrong source is reported without its probability
+    text = f"probability {probability:.0%}: " if probability < 0.95 else ""
     text += _CONTRADICTED[source]
     if source == "sample radius" and scene.sample_radius is not None:
         stated = scene.sample_radius.value
@@ -124,7 +121,7 @@ def with_wider(scene: SphereScene, source: str, factor: float) -> SphereScene:
         assert field is not None
         change = {"camera": scene.camera.with_field(field.wider(factor))}
     elif source == "gain":
-        return with_light(scene, partial(PictureLight.wider, factor=factor))
+        return with_light(scene, lambda light: light.wider(factor))
     else:  # lens, lamp or shift
         change = {f"{source}_std": np.asarray(getattr(scene, f"{source}_std")) * factor}
     return replace(scene, **change)

@@ -28,11 +28,6 @@ model.
 """
 REFERENCE = "reference"
 """Source of the uncertainty of the unit of image values: reflectance, position and noise of a white patch."""
-_EXACT = 1e6  # factor of the information of a source that makes it exact
-_APART = 0.95
-"""Correlation above which the images do not distinguish two parameters."""
-_WEAK = 3.0
-"""Ratio of standard deviations without and with specified values above which a parameter is not determined."""
 _KEPT = 0.01
 """Share of the prior information on a parameter that is kept in the test of determination. Without this share, the
 other parameters would be fully correlated with the freed parameter.
@@ -168,7 +163,8 @@ def error_budget(
         budget["total"]["level"] = float(np.hypot(total["level"], unit_std))
     everything = np.zeros_like(solution.covariance)
     for source in dict.fromkeys(solution.problem.prior_sources):
-        change = _EXACT * solution.problem.information_of(source)
+        # a factor of 1e6 of the information makes a source exact
+        change = 1e6 * solution.problem.information_of(source)
         everything += change
         without = stds(solution.covariance_with(change))
         budget[source] = {name: float(np.sqrt(max(total[name] ** 2 - without[name] ** 2, 0.0))) for name in total}
@@ -216,16 +212,19 @@ def inseparable(fit: SphereFit) -> tuple[Inseparable, ...]:
         position = names.index(name)
         after = shared(solution.covariance_without((1 - _KEPT) * information))
         grown = after[position, position] / max(before[position], 1e-300)
-        if not np.isfinite(grown) or grown < _WEAK**2:
+        # ratio of standard deviations without and with specified values above which a parameter is not
+        # determined
+        if not np.isfinite(grown) or grown < 3.0**2:
             continue
         std = np.sqrt(np.maximum(np.diag(after), 1e-300))
         correlation = after[position] / (std[position] * std)
         # a correlation with an undetermined parameter is not counted
         said = {one for pair in found for one in pair.names}
+        # correlation above which the images do not distinguish two parameters
         apart = [
             Inseparable((name, names[other]), float(np.clip(value, -1, 1)))
             for other, value in enumerate(correlation.tolist())
-            if other != position and abs(value) > _APART and before[other] > 0 and names[other] not in said
+            if other != position and abs(value) > 0.95 and before[other] > 0 and names[other] not in said
         ]
         # a nearly free parameter is correlated with all others
         found += sorted(apart, key=lambda one: -abs(one.correlation))[:1]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
@@ -17,11 +16,12 @@ from matcam.files.capture import Capture, read_capture
 from matcam.inverse.fit.fit_setup import AUTO
 from matcam.material.masking import MASKINGS, Masking
 from matcam.reconstruction.cylinder.captured_cylinder import captured_cylinder
-from matcam.reconstruction.cylinder.cylinder_fit import fit_cylinder
+from matcam.reconstruction.cylinder.cylinder_pixels import cylinder_pixels
+from matcam.reconstruction.cylinder.strips import strip_profiles
 from matcam.reconstruction.flat.flat_reconstruction import FlatReconstruction, reconstruct_flat
 from matcam.reconstruction.reconstruction import Reconstruction, reconstructed
 from matcam.reconstruction.rig.rig_document import EarlierRig, read_rig
-from matcam.reconstruction.sphere_fit import SphereFit, fit_sphere
+from matcam.reconstruction.sphere_fit import fit_sphere
 from matcam.reconstruction.stated.captured_scene import captured_scene
 
 
@@ -103,26 +103,20 @@ def reconstruct(
     def fitting(line: str) -> None:
         say(f"fitting ({line})", next(steps), 0)
 
-    fit_pictures: Callable[..., SphereFit] = fit_sphere
+    fit = partial(fit_sphere, masking=masking)
     if kind == "cylinder":
-        cylinder = captured_cylinder(capture, progress, workers=workers, kept=kept)
+        found, strips = captured_cylinder(capture, progress, workers=workers, kept=kept)
         # strips of different orientations distinguish two roughnesses
-        turned = len({round(float(np.degrees(strip.turn)) % 180, 3) for strip in cylinder.strips}) > 1
+        turned = len({round(float(np.degrees(strip.turn)) % 180, 3) for strip in strips}) > 1
         stretched = ndf == AUTO and turned
-        found, family = cylinder.scene, "ggx" if stretched else ndf
-        fit_pictures = partial(fit_cylinder, strips=cylinder.strips, stretched=stretched)
+        family = "ggx" if stretched else ndf
+        profiles = {one.name: strip_profiles(one, strips) for one in found.pictures}
+        observe = partial(cylinder_pixels, strips=strips, profiles=profiles)
+        fit = partial(fit, observe=observe, stretched=stretched)
     else:
         earlier = read_rig(rig_from) if isinstance(rig_from, str | Path) else rig_from
         found, family = captured_scene(capture, progress, earlier, workers=workers, kept=kept), ndf
-    result = reconstructed(
-        found,
-        family,
-        sample=kind,
-        masking=masking,
-        diffuse=diffuse,
-        progress=fitting,
-        fit_pictures=fit_pictures,
-    )
+    result = reconstructed(found, family, fit, sample=kind, diffuse=diffuse, progress=fitting)
     if kept is not None:
         kept.clear()
     return result

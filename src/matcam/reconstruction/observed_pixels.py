@@ -13,17 +13,16 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from matcam.acquisition.merged_picture import MergedPicture
+from matcam.acquisition.mirror_ball import MirrorBall
 from matcam.camera.lens_field import LensField
-from matcam.reconstruction.picture_rule import WINDOW, HighlightPosition, window_about
+from matcam.reconstruction.picture_rule import WINDOW, window_about
 
 SCATTERED = 768
 """Number of pixels of an image outside its window."""
-_STRATA = 24
 LIMB = 3.0
 """Distance from the outline within which the integration rule of a single pixel or column does not resolve the outline, px."""
 OUTSIDE = 1.5
 """Distance beyond the outline up to which a window is read, px. The background is not modelled."""
-_BESIDE = 9.0  # px from the highlight within which the limb is read, too
 _SIMILAR_LEVELS = 15
 """Number of pixels of similar level. The median of their ratios of variance and level is used. Noise of 1 % to 30 % of the
 level changes this median by at most 10 %. Unlike a mean, it follows the steps of the ratio between merged exposures.
@@ -85,7 +84,9 @@ class ObservedPixels(NamedTuple):
 
 def chosen_pixels(
     picture: MergedPicture,
-    position: HighlightPosition,
+    ball: MirrorBall,
+    lamp: np.ndarray,
+    highlight: tuple[float, float],
     *,
     scale: float,
     plateau: float,
@@ -97,7 +98,9 @@ def chosen_pixels(
 
     Args:
         picture: values of the image and their noise.
-        position: positions of sphere and highlight.
+        ball: the sphere, without the distortion of the lens.
+        lamp: unit vector to the lamp, x right, y up, z to the camera, (3,).
+        highlight: column and row of the highlight, px, without the distortion of the lens.
         scale: angle over which the lobe changes near its peak, rad.
         plateau: half the angular radius of the lamp, rad.
         seed: seed of the random selection of the scattered pixels.
@@ -106,7 +109,8 @@ def chosen_pixels(
         field: distortion and blur of the lens over the field. Default: None, uniform.
     """
     window = window_about(
-        position,
+        ball,
+        highlight,
         scale=scale,
         plateau=plateau,
         keep=None if keep is None else keep.window,
@@ -121,7 +125,7 @@ def chosen_pixels(
         return keep._replace(window=window, column=far[0], row=far[1])
     first, second = np.meshgrid(window.pixel_u, window.pixel_v)
     near_column, near_row = (second, first) if window.turned else (first, second)
-    far = _scattered(picture, position, (near_column, near_row), seed, field)
+    far = _scattered(picture, ball, lamp, (near_column, near_row), seed, field)
     column, row = positions = np.concatenate([[near_column.ravel(), near_row.ravel()], far], axis=1)
     at_row, at_column = row.astype(int) - picture.origin[0], column.astype(int) - picture.origin[1]
     height, width = picture.values.shape
@@ -130,11 +134,11 @@ def chosen_pixels(
     values, std = picture.values[at], picture.std[at]
     if field is not None:
         column, row = field.true_position(column, row)
-    away = np.hypot(column - position.column, row - position.row)
-    used = inside & np.isfinite(values) & (std > 0) & (away < position.radius + OUTSIDE)
+    away = np.hypot(column - ball.column, row - ball.row)
+    used = inside & np.isfinite(values) & (std > 0) & (away < ball.radius + OUTSIDE)
     # the limb, with dirt and supports, is read only near the highlight
-    peak_column, peak_row = position.at
-    used &= (away < position.radius - LIMB) | (np.hypot(column - peak_column, row - peak_row) < _BESIDE)
+    # px from the highlight within which the limb is read, too
+    used &= (away < ball.radius - LIMB) | (np.hypot(column - highlight[0], row - highlight[1]) < 9.0)
     return ObservedPixels(
         window=window,
         column=column[near_row.size :],
@@ -150,7 +154,8 @@ def chosen_pixels(
 
 def _scattered(
     picture: MergedPicture,
-    position: HighlightPosition,
+    ball: MirrorBall,
+    lamp: np.ndarray,
     near: tuple[np.ndarray, np.ndarray],
     seed: int,
     field: LensField | None,
@@ -164,20 +169,20 @@ def _scattered(
     row, column = np.mgrid[0:height, 0:width]
     row, column = row.ravel() + picture.origin[0], column.ravel() + picture.origin[1]
     true_column, true_row = (column, row) if field is None else field.true_position(column, row)
-    p_x, p_y = (true_column - position.column) / position.radius, (position.row - true_row) / position.radius
+    p_x, p_y = (true_column - ball.column) / ball.radius, (ball.row - true_row) / ball.radius
     depth2 = 1 - p_x**2 - p_y**2
     out = (np.abs(column - near[0].mean()) > WINDOW // 2) | (np.abs(row - near[1].mean()) > WINDOW // 2)
-    keep = (np.hypot(p_x, p_y) < 1 - LIMB / position.radius) & out
+    keep = (np.hypot(p_x, p_y) < 1 - LIMB / ball.radius) & out
     depth = np.sqrt(np.where(keep, depth2, 1.0))
-    keep &= p_x * position.lamp[0] + p_y * position.lamp[1] + depth * position.lamp[2] > LIT
+    keep &= p_x * lamp[0] + p_y * lamp[1] + depth * lamp[2] > LIT
     index = np.flatnonzero(keep)
     random = np.random.default_rng(seed)
-    half = position.lamp + np.array([0.0, 0.0, 1.0])
+    half = lamp + np.array([0.0, 0.0, 1.0])
     half /= max(np.linalg.norm(half), 1e-12)
     normal = np.stack([p_x[index], p_y[index], depth[index]])
     chord = np.linalg.norm(normal - half[:, None], axis=0)
     order = np.argsort(np.log(chord + 1e-9) + 1e-9 * random.random(index.size))
-    edges = np.geomspace(max(chord.min(initial=1.0), 1e-4), max(chord.max(initial=1.0), 2e-4), _STRATA + 1)
+    edges = np.geomspace(max(chord.min(initial=1.0), 1e-4), max(chord.max(initial=1.0), 2e-4), 25)
     stratum = np.searchsorted(edges, chord[order])
     chosen: list[np.ndarray] = []
     left, strata = SCATTERED, np.unique(stratum)

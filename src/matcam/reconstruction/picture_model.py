@@ -33,8 +33,6 @@ OWN = ("column", "row", "lamp_a", "lamp_b")
 """Parameters of one image: centre of the outline, px, and the rotation of the lamp from its base direction along two
 tangents, rad.
 """
-_LEAST_COSINE = 0.1
-"""Cosine of the largest angle between a direction to a lamp and its base direction at which coordinates are accurate."""
 
 
 class LampFrame(NamedTuple):
@@ -110,7 +108,9 @@ def turned_lamp(frame: LampFrame, a: Any, b: Any) -> Any:
 def lamp_coordinates(frame: LampFrame, direction: np.ndarray) -> np.ndarray:
     """Compute the rotation (a, b), rad, from the base direction to the unit vector `direction`, (2,)."""
     tangents = np.array([frame.first, frame.second])
-    return tangents @ direction / max(float(direction @ frame.base), _LEAST_COSINE)
+    # cosine of the largest angle between a direction to a lamp and its base direction at which coordinates are
+    # accurate
+    return tangents @ direction / max(float(direction @ frame.base), 0.1)
 
 
 def over_source(
@@ -166,7 +166,7 @@ class PictureModel(eqx.Module):
 
         The derivatives have an additional last axis over the parameters, (size,). They are None if `slopes` is False.
         """
-        return _compiled("_window_slopes" if slopes else "_window_value")(self, *self._split(p, slopes), frame, window)
+        return _compiled("_of_window")(self, *self._split(p, slopes), frame, window, slopes=slopes)
 
     def pixels(
         self, p: np.ndarray, frame: LampFrame, column: np.ndarray, row: np.ndarray, *, slopes: bool
@@ -175,8 +175,7 @@ class PictureModel(eqx.Module):
 
         The derivatives are None if `slopes` is False.
         """
-        name = "_pixels_slopes" if slopes else "_pixels_value"
-        return _compiled(name)(self, *self._split(p, slopes), frame, (column, row))
+        return _compiled("_of_pixels")(self, *self._split(p, slopes), frame, (column, row), slopes=slopes)
 
     def _split(self, p: np.ndarray, slopes: bool) -> tuple[ShownLight, np.ndarray]:
         """Separate the parameters that change the radiance from those that change the kernel."""
@@ -186,21 +185,10 @@ class PictureModel(eqx.Module):
         light = ShownLight(p[:n], pose, p[shape:own], *_lambda_table(self.kind, p[:n].tobytes(), slopes))
         return light, np.concatenate([p[n : n + 2], p[own : own + 2]])
 
-    def _window_value(
-        self, light: ShownLight, kernel: jax.Array, frame: LampFrame, window: Window
-    ) -> tuple[Recorded, None]:
-        sum_u, sum_v, theta_d = self._projection(kernel, window, frame)
-        emitted = self._emitted(light, frame, window) * kernel[1] ** 2 * _area(window)
-        lobe, lambert = sum(
-            weight * jnp.einsum("bv,kva->kba", of_v.value, jnp.einsum("avu,kvu->kva", of_u.value, emitted))
-            for weight, of_u, of_v in zip(self.blur.weights, sum_u, sum_v, strict=True)
-        )
-        return Recorded(lobe, lambert, theta_d(light, kernel)), None
-
-    def _window_slopes(
-        self, light: ShownLight, kernel: jax.Array, frame: LampFrame, window: Window
-    ) -> tuple[Recorded, Recorded]:
-        """Compute the record of a window and its derivatives by explicit formulas.
+    def _of_window(
+        self, light: ShownLight, kernel: jax.Array, frame: LampFrame, window: Window, *, slopes: bool
+    ) -> tuple[Recorded, Recorded | None]:
+        """Compute the record of a window and, by explicit formulas, its derivatives.
 
         The formulas require only the three arrays of `KernelSlopes`.
         """
@@ -208,9 +196,15 @@ class PictureModel(eqx.Module):
         radius, turned, (lateral, height) = kernel[1], window.turned > 0, _seen_disc(window)
         area = radius**2 * _area(window)
         emitted = self._emitted(light, frame, window) * area
+        if not slopes:
+            lobe, lambert = sum(
+                weight * jnp.einsum("bv,kva->kba", of_v.value, jnp.einsum("avu,kvu->kva", of_u.value, emitted))
+                for weight, of_u, of_v in zip(self.blur.weights, sum_u, sum_v, strict=True)
+            )
+            return Recorded(lobe, lambert, theta_d(light, kernel)), None
         by_each = _by_each(lambda x: self._emitted(x, frame, window), light)
         by_light = jnp.concatenate(by_each, axis=-1) * area
-        value, slopes = jnp.zeros(()), jnp.zeros(())
+        value, derivative = jnp.zeros(()), jnp.zeros(())
         for weight, of_u, of_v in zip(self.blur.weights, sum_u, sum_v, strict=True):
             rows = jnp.einsum("avu,kvu->kva", of_u.value, emitted)
             moved = jnp.einsum("avu,kvu->kva", of_u.by_offset, emitted)
@@ -230,13 +224,13 @@ class PictureModel(eqx.Module):
             by_u, by_v = (window.stretch[0, at] * offset_u + window.stretch[1, at] * offset_v for at in (0, 1))
             by_kernel = jnp.stack([by_lens, by_radius, jnp.where(turned, by_v, by_u), jnp.where(turned, by_u, by_v)])
             value += weight * one
-            slopes += weight * jnp.concatenate([over_v(of_v.value, lit), by_kernel])
+            derivative += weight * jnp.concatenate([over_v(of_v.value, lit), by_kernel])
         ends = np.cumsum([part.shape[-1] for part in by_each])
-        pair = jnp.moveaxis(slopes, 0, -1)
+        pair = jnp.moveaxis(derivative, 0, -1)
         angle = *_by_each(lambda x: theta_d(x, kernel), light), jax.jacfwd(theta_d, argnums=1)(light, kernel)
         lobe, lambert = (self._in_order(*jnp.split(part, ends, axis=-1)) for part in pair)
-        derivative = Recorded(lobe, lambert, self._in_order(*angle))
-        return Recorded(value[0], value[1], theta_d(light, kernel)), derivative
+        by_parameters = Recorded(lobe, lambert, self._in_order(*angle))
+        return Recorded(value[0], value[1], theta_d(light, kernel)), by_parameters
 
     def _emitted(self, light: ShownLight, frame: LampFrame, window: Window) -> jax.Array:
         """Compute the radiance of lobe and diffuse part at the nodes, times the weights of the nodes, (2, v, u)."""
@@ -284,16 +278,17 @@ class PictureModel(eqx.Module):
         _, by_lens = jax.jvp(of_std, (jnp.log(std),), (jnp.ones(()),))
         return KernelSlopes(value, by_offset, by_lens)
 
-    def _pixels_value(self, *parts: Any) -> tuple[Recorded, None]:
-        return self._of_pixels(*parts), None
-
-    def _pixels_slopes(self, light: ShownLight, kernel: jax.Array, *rest: Any) -> tuple[Recorded, Recorded]:
-        by_light = _by_each(lambda x: self._of_pixels(x, kernel, *rest), light)
-        by_kernel = jax.jacfwd(lambda x: self._of_pixels(light, x, *rest))(kernel)
-        slopes = (self._in_order(*each) for each in zip(*by_light, by_kernel, strict=True))
-        return self._of_pixels(light, kernel, *rest), Recorded(*slopes)
-
     def _of_pixels(
+        self, light: ShownLight, kernel: jax.Array, *rest: Any, slopes: bool
+    ) -> tuple[Recorded, Recorded | None]:
+        recorded = self._at_pixels(light, kernel, *rest)
+        if not slopes:
+            return recorded, None
+        by_light = _by_each(lambda x: self._at_pixels(x, kernel, *rest), light)
+        by_kernel = jax.jacfwd(lambda x: self._at_pixels(light, x, *rest))(kernel)
+        return recorded, Recorded(*(self._in_order(*each) for each in zip(*by_light, by_kernel, strict=True)))
+
+    def _at_pixels(
         self, light: ShownLight, kernel: jax.Array, frame: LampFrame, at: tuple[jax.Array, jax.Array]
     ) -> Recorded:
         lens, radius, column, row = kernel
@@ -386,7 +381,7 @@ def _table_of(kind: LobeKind, q: jax.Array, slopes: bool) -> tuple[jax.Array | N
 @cache
 def _compiled(method: str) -> Callable[..., tuple[Recorded, Recorded | None]]:
     """Compile a method of `PictureModel` once for all scenes with arrays of the same shapes."""
-    return jit_plainly(getattr(PictureModel, method), runs="many")
+    return jit_plainly(getattr(PictureModel, method), runs="many", static=("slopes",))
 
 
 def widened(blur: Blur, lens: jax.Array) -> Blur:

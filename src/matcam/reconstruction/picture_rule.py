@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from matcam.acquisition.mirror_ball import MirrorBall
 from matcam.camera.lens_field import LensField
 from matcam.numerics.approximation import nodes_in_panels
 
@@ -26,8 +27,6 @@ _LIMB_STEP = 0.04  # spacing of nodes near the outline, rad
 _LIMB = 0.35  # distance from the outline within which this spacing is used, rad
 MARGIN = 4.5
 """Margin of the nodes about the pixels of a window, px."""
-_DISC_POINTS = 36
-_NO_DISC = 0.1  # share of the width of the lobe below which a source disc is treated as a point
 
 
 class Window(NamedTuple):
@@ -63,32 +62,9 @@ class Window(NamedTuple):
     widened: float = 1.0
 
 
-class HighlightPosition(NamedTuple):
-    """Position of a highlight and its sphere in the frame, without the distortion of the lens.
-
-    Attributes:
-        column: column of the centre of the outline, px.
-        row: row of the centre of the outline, px.
-        radius: radius of the outline, px.
-        lamp: unit vector to the lamp, x right, y up, z to the camera, (3,).
-        highlight: position of the highlight relative to the centre, to the right and upwards, in radii of the outline.
-    """
-
-    column: float
-    row: float
-    radius: float
-    lamp: np.ndarray
-    highlight: tuple[float, float]
-
-    @property
-    def at(self) -> tuple[float, float]:
-        """Column and row of the highlight, px."""
-        p_x, p_y = self.highlight
-        return float(self.column + self.radius * p_x), float(self.row - self.radius * p_y)
-
-
 def window_about(
-    position: HighlightPosition,
+    ball: MirrorBall,
+    highlight: tuple[float, float],
     *,
     scale: float,
     plateau: float = 0.0,
@@ -98,7 +74,8 @@ def window_about(
     """Build the window about a highlight.
 
     Args:
-        position: positions of sphere and highlight.
+        ball: the sphere, without the distortion of the lens.
+        highlight: column and row of the highlight, px, without the distortion of the lens.
         scale: angle over which the lobe changes near its peak, rad.
         plateau: angle over which a source disc spreads the peak, half the angular radius of the lamp, rad. Default: 0.
         keep: earlier window, whose pixels are kept if the highlight has moved by at most one pixel. Default: None.
@@ -107,13 +84,14 @@ def window_about(
     Returns:
         Window with nodes and pixels, and with the affine map of the lens if there is a field.
     """
-    radius, (p_x, p_y) = position.radius, position.highlight
+    column, row = highlight
+    radius = ball.radius
+    p_x, p_y = (column - ball.column) / radius, (ball.row - row) / radius
     turned = abs(p_y) > abs(p_x)
     along, across = (p_y, p_x) if turned else (p_x, p_y)
-    column, row = position.at
     if field is not None:
-        tilt = _tilt(field, position.at, turned)
-        column, row = map(float, field.seen_at(*position.at))
+        tilt = _tilt(field, highlight, turned)
+        column, row = map(float, field.seen_at(*highlight))
         cos, sin = np.cos(tilt), np.sin(tilt)
         along, across = along * cos + across * sin, across * cos - along * sin
     column, row = np.round(column), np.round(row)
@@ -139,7 +117,7 @@ def window_about(
     )
     weight = (np.cos(v) ** 2 * weight_v)[:, None] * (np.cos(u) * weight_u)[None, :]
     window = Window(u, v, weight, pixel_u, pixel_v, float(turned))
-    return window if field is None else through_lens(window, field, position.at)
+    return window if field is None else through_lens(window, field, highlight)
 
 
 def through_lens(window: Window, field: LensField, highlight: tuple[float, float]) -> Window:
@@ -240,6 +218,7 @@ def lamp_positions(lamp_radius: float, width: float) -> tuple[np.ndarray, np.nda
         Positions as rotations of the direction to the lamp, rad, (points, 2); weights of the positions, whose sum is 1,
         (points,); and the angle over which the disc spreads the peak of a lobe, rad.
     """
-    radius = lamp_radius if lamp_radius / 2 > _NO_DISC * width else 0.0
-    positions, weights = lamp_disc(_DISC_POINTS if radius else 1)
+    # a disc of less than a tenth of the width of the lobe is a point
+    radius = lamp_radius if lamp_radius / 2 > 0.1 * width else 0.0
+    positions, weights = lamp_disc(36 if radius else 1)
     return positions * radius, weights, radius / 2

@@ -14,8 +14,6 @@ from matcam.core.errors import ArgumentError
 from matcam.core.remark import Remark
 from matcam.core.results.summary import Quantity, Summarised, Summary, with_std
 from matcam.files.capture_settings import Stated
-from matcam.inverse.fit.fit_setup import AUTO
-from matcam.material.masking import Masking
 from matcam.numerics.budget import UncertaintyBudget
 from matcam.reconstruction.alternatives import TriedExplanation, chosen_fit
 from matcam.reconstruction.cylinder.anisotropic_table import anisotropic_table
@@ -38,7 +36,7 @@ from matcam.reconstruction.pinhole_reading import pinhole_reading
 from matcam.reconstruction.reflectance_curve import ReflectanceCurve, reflectance_curve
 from matcam.reconstruction.rig.earlier_rig import rig_covariance
 from matcam.reconstruction.rig.rig_document import FORMAT, SCENE_NAMES, VERSION
-from matcam.reconstruction.sphere_fit import SphereFit, fit_sphere
+from matcam.reconstruction.sphere_fit import SphereFit
 from matcam.reconstruction.stated.captured_scene import INCOMPLETE, CapturedScene
 
 _JUDGED = np.radians(75.0)
@@ -366,37 +364,26 @@ class Reconstruction(Summarised):
 
 def reconstructed(
     captured: CapturedScene,
-    family: str = AUTO,
+    family: str,
+    fit_pictures: Callable[..., SphereFit],
     *,
-    sample: str = "sphere",
-    masking: Masking = "smith",
-    diffuse: bool = True,
-    progress: Callable[[str], None] | None = None,
-    fit_pictures: Callable[..., SphereFit] = fit_sphere,
+    sample: str,
+    diffuse: bool,
+    progress: Callable[[str], None],
 ) -> Reconstruction:
     """Reconstruct a material from the data of a capture.
 
     Args:
         captured: merged images with approximate geometry, and prior knowledge of camera, outline, lamps and distances.
-        family: family of the lobe. Default: "auto".
+        family: family of the lobe, or "auto".
+        fit_pictures: function that fits one explanation, with the interface of `fit_sphere`.
         sample: kind of the sample, "sphere" or "cylinder". For a sphere, the result includes the pinhole table of the fitted
-            images. Default: "sphere".
-        masking: model of the masking of the lobe. Default: "smith".
-        diffuse: True to include a Lambertian part. Default: True.
-        progress: function that is called with a line about each step. Default: None.
-        fit_pictures: function that fits one family, for samples other than a sphere. Default: `fit_sphere`.
+            images.
+        diffuse: True to include a Lambertian part.
+        progress: function that is called with a line about each step.
     """
-    chosen = chosen_fit(
-        captured.pictures,
-        captured.scene,
-        captured.lamps,
-        family,
-        masking=masking,
-        diffuse=diffuse,
-        progress=progress,
-        fit_pictures=fit_pictures,
-    )
-    fit, units = chosen.fit, chosen.fit.light.units
+    fit, tried, remarks = chosen_fit(captured, family, fit_pictures, diffuse=diffuse, say=progress)
+    units = fit.light.units
     theta, channels = fit.solution.theta_d, fit.layout.channels
     covariance = fit.strengths_covariance(fit.solution.fitted)
     curves = tuple(
@@ -415,7 +402,7 @@ def reconstructed(
         units = (Stated(max(top, 1e-300), np.nan),) * channels
     middle = channels // 2
     judged = min(_JUDGED, float(theta.max()))
-    every = [*captured.remarks, *chosen.remarks]
+    every = [*captured.remarks, *remarks]
     pairs = inseparable(fit)
     every.extend(
         Remark(
@@ -441,7 +428,7 @@ def reconstructed(
         units=units,
         budget=error_budget(fit, curves[middle], middle, judged, units[middle].std),
         not_determined=pairs,
-        tried=chosen.tried,
+        tried=tried,
         remarks=tuple(every),
         captured=captured,
         sample=sample,

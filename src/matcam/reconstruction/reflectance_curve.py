@@ -19,11 +19,7 @@ from matcam.files.capture_settings import Stated
 from matcam.inverse.fit.fit_parameters import fresnel_start, readable_value, reflectance_at
 from matcam.numerics.linalg import scaled_inverse
 
-_WORST = 2.5
-"""Mean squared residual, relative to the variance, up to which a curve of n and k explains the strengths."""
-_ANYTHING = 3.0  # standard deviation of ln of an unknown scale
 Whitener = Callable[[np.ndarray], np.ndarray]
-_LOG_BOUNDS = ((-5.0, 4.0), (-9.0, 4.0))
 
 
 @dataclass(frozen=True)
@@ -95,9 +91,11 @@ def reflectance_curve(
     def white(rows: np.ndarray) -> np.ndarray:
         return np.asarray(solve_triangular(root, rows, lower=True))
 
-    scale = Stated(float(np.abs(strengths).max(initial=1e-12)), _ANYTHING) if unit is None else unit
+    # standard deviation of ln of an unknown scale
+    scale = Stated(float(np.abs(strengths).max(initial=1e-12)), 3.0) if unit is None else unit
     curves = [one for one in (_conductor(theta, strengths, white, scale), _smooth(theta, strengths, white)) if one]
-    explained = [one for one in curves if one.model == "conductor" and one.misfit < _WORST]
+    # a curve of n and k explains the strengths up to a misfit of 2.5
+    explained = [one for one in curves if one.model == "conductor" and one.misfit < 2.5]
     return explained[0] if explained else min(curves, key=lambda one: one.misfit)
 
 
@@ -114,7 +112,7 @@ def _conductor(theta: np.ndarray, strengths: np.ndarray, white: Whitener, unit: 
         last = np.array([[0, 0, 1 / prior]])
         return np.concatenate([-white(_curve("conductor", c, theta)[1]), last])
 
-    low, high = ([*(b[side] for b in _LOG_BOUNDS), (-90.0, 90.0)[side]] for side in (0, 1))
+    low, high = ([*(b[side] for b in ((-5.0, 4.0), (-9.0, 4.0))), (-90.0, 90.0)[side]] for side in (0, 1))
     found = least_squares(
         rows,
         np.clip([*start, about], np.add(low, 1e-9), np.subtract(high, 1e-9)),

@@ -7,6 +7,7 @@ fitted highlights.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -26,17 +27,16 @@ from matcam.reconstruction.joint.field_change import FieldChange, changed_field
 from matcam.reconstruction.joint.joint_fit import JointSolution, solve, summed_up
 from matcam.reconstruction.joint.joint_problem import JointLayout, JointProblem, PixelModel
 from matcam.reconstruction.joint.likelihood import Likelihood, likelihood_at, unexplained_share
-from matcam.reconstruction.joint.rounds import Rounds
+from matcam.reconstruction.joint.rounds import is_stuck, round_line
 from matcam.reconstruction.observed_pixels import ObservedPixels, chosen_pixels
 from matcam.reconstruction.picture_model import LampFrame, PictureModel, lamp_frame, turned_lamp
-from matcam.reconstruction.picture_rule import HighlightPosition, lamp_positions
+from matcam.reconstruction.picture_rule import lamp_positions
 from matcam.reconstruction.sphere_scene import SphereScene, joint_problem, mirror_ball, part_of
 from matcam.rigs import Rig
 from matcam.sample.curved import Sphere
 
 _WIDTHS = np.geomspace(3e-4, 0.5, 14)
 _POWERS = {"epd": (0.5, 0.8, 1.2), "sgd": (0.3, 0.8)}
-_ROUNDS = 4
 _ROUGHLY, _NEARLY, _ENOUGH = 3.0, 1.0, 0.1  # decreases of the cost below which the iteration ends
 _SYSTEMATIC = 0.01
 """Unexplained share above which residuals are correlated between neighbouring pixels, so that a change of the cost by
@@ -44,9 +44,6 @@ _SYSTEMATIC = 0.01
 """
 _HOPELESS = 20.0
 """Mean squared residual of an image, absolute and relative to other images, above which the image is unexplained."""
-_FEW = 6  # number of images in the search for the lobe
-_BETWEEN = np.array([0.75, 1.33])
-"""Relative widths of the second search."""
 
 
 Observe = Callable[..., tuple[PixelModel, list[ObservedPixels], list[FieldChange]]]
@@ -142,16 +139,15 @@ class SphereFit:
 def fit_sphere(
     pictures: Sequence[MergedPicture],
     scene: SphereScene,
-    family: str = "ggx",
+    family: str,
     *,
-    masking: Masking = "smith",
-    diffuse: bool = True,
+    masking: Masking,
+    diffuse: bool,
+    lamps: np.ndarray,
+    progress: Callable[[str], None],
     spline: float = 0.0,
-    lamps: np.ndarray | None = None,
     start: SphereFit | None = None,
-    widths: np.ndarray = _WIDTHS,
-    rounds: int = _ROUNDS,
-    progress: Callable[[str], None] | None = None,
+    rounds: int = 4,
     observe: Observe | None = None,
     stretched: bool = False,
     rivals: Sequence[str] = (),
@@ -162,16 +158,14 @@ def fit_sphere(
     Args:
         pictures: merged images, one per lamp position.
         scene: prior knowledge of the scene.
-        family: family of the lobe. Default: "ggx".
-        masking: model of the masking of the lobe. Default: "smith".
-        diffuse: True to include a Lambertian part. Default: True.
+        family: family of the lobe.
+        masking: model of the masking of the lobe.
+        diffuse: True to include a Lambertian part.
+        lamps: unit vectors to the lamps with which the search starts, (pictures, 3).
+        progress: function that is called with a line about each round.
         spline: prior standard deviation of the departure of ln D from its family (no unit). Default: 0, no departure.
-        lamps: unit vectors to the lamps with which the search starts, (pictures, 3). Default: None, those of the scene.
-        start: earlier fit of all or some of these images, with any lobe, from which this fit starts. Default: None.
-        widths: lattice of widths (first parameter of the lobe) for a search without `start`. Default: 14 widths from 3e-4 to
-            0.5.
+        start: earlier fit of all or some of these images, with any lobe, from which this fit starts. Default: None, a search.
         rounds: largest number of rounds of refinement. Default: 4.
-        progress: function that is called with a line about each round. Default: None.
         observe: function that chooses pixels and model for a sample other than a sphere. Default: None, a sphere.
         stretched: True for a lobe with two roughnesses, "ggx" only. Default: False.
         shaped: True if the diffuse part of a sphere may depart from Lambert's law. Default: False.
@@ -188,19 +182,19 @@ def fit_sphere(
     observe = observe or sphere_pixels
     kind = LobeKind(family, masking, KNOTS if spline else 0, stretched=stretched)
     channels = pictures[0].channels
-    say = progress or (lambda _: None)
-    known = scene if lamps is None else replace(scene, lamps=np.asarray(lamps, dtype=float))
+    known = replace(scene, lamps=lamps)
     if start is None:
-        cost, lobe = _searched(pictures, known, kind, widths, observe)
+        cost, lobe = _searched(pictures, known, kind, _WIDTHS, observe)
         if rivals:  # families are compared at their best widths
-            between = _searched(pictures, known, kind, np.exp(lobe[0]) * _BETWEEN, observe)
+            # relative widths of the second search
+            between = _searched(pictures, known, kind, np.exp(lobe[0]) * np.array([0.75, 1.33]), observe)
             cost, lobe = min((cost, lobe), between, key=lambda one: one[0])
         for rival in rivals:
             other = LobeKind(rival, masking, kind.spline_size)
-            least, found_lobe = _searched(pictures, known, other, widths, observe)
+            least, found_lobe = _searched(pictures, known, other, _WIDTHS, observe)
             if least < cost:
                 cost, lobe, kind = least, found_lobe, other
-        say(f"start: {kind.family} of width {np.exp(lobe[0]):.4g}")
+        progress(f"start: {kind.family} of width {np.exp(lobe[0]):.4g}")
     layout = JointLayout(kind.size, len(channels), len(pictures), TERMS if shaped else 0)
     p = np.zeros(layout.size)
     _write_scene(p, layout, scene)
@@ -219,10 +213,10 @@ def fit_sphere(
         known = replace(scene, lamps=directions)
     slope: np.ndarray | None = None
     likelihood, solution = Likelihood(0.02), None
-    tally = Rounds(rounds, say, len(pictures))
+    shares, started = list[float](), time.monotonic()
     best: SphereFit | None = None
     for turn in range(rounds):
-        tally.begin()
+        progress(round_line(shares, rounds, len(pictures), time.monotonic() - started))
         last = None if solution is None else solution.problem.pixels
         frames = [lamp_frame(one) for one in known.lamps]
         chosen = observe(pictures, scene, frames, layout, kind, p, keep=last)
@@ -254,9 +248,9 @@ def fit_sphere(
         found = SphereFit(scene, kind, solution, channels, tuple(one.name for one in pictures))
         lamps_now = _lamps_again(found, pictures) if again else found.lamps
         known, slope = replace(scene, lamps=lamps_now), _slopes(found)
-        tally.end(likelihood.share)
-        if tally.stuck and best is not None:
-            return replace(best, stuck=tuple(tally.shares))
+        shares.append(share)
+        if is_stuck(shares) and best is not None:
+            return replace(best, stuck=tuple(shares))
         best = found if best is None or likelihood.share < best.solution.unexplained else best
         std = np.sqrt(np.maximum(np.diag(solution.covariance), 1e-30))
         if (
@@ -303,7 +297,8 @@ def _searched(
     Returns:
         Cost and coordinates of the lobe.
     """
-    few = evenly(len(pictures), _FEW)
+    # number of images in the search for the lobe
+    few = evenly(len(pictures), 6)
     some = [pictures[k] for k in few]
     part = part_of(scene, few.tolist())
     layout = JointLayout(kind.size, len(pictures[0].channels), len(some))
@@ -399,14 +394,15 @@ def sphere_pixels(
     for k, picture in enumerate(pictures):
         ball, far = mirror_ball(layout, p, k)
         row, column = ball.mirror_position(frames[k].base, far)
-        highlight = float((column - ball.column) / ball.radius), float((ball.row - row) / ball.radius)
-        position = HighlightPosition(ball.column, ball.row, ball.radius, frames[k].base, highlight)
+        at = float(column), float(row)
         last = None if keep is None else keep[k]
         pixels.append(
-            chosen_pixels(picture, position, scale=width / 3, plateau=plateau, seed=k, keep=last, field=field)
+            chosen_pixels(
+                picture, ball, frames[k].base, at, scale=width / 3, plateau=plateau, seed=k, keep=last, field=field
+            )
         )
         if scene.field is not None:
-            changes.append(FieldChange(scene.field, position.at, pixels[-1].seen))
+            changes.append(FieldChange(scene.field, at, pixels[-1].seen))
     return PictureModel(kind, blur, turns, weights), pixels, changes
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
@@ -23,18 +22,8 @@ from matcam.reconstruction.observed_pixels import ObservedPixels
 from matcam.reconstruction.picture_model import LampFrame, lamp_coordinates
 from matcam.reconstruction.rig.earlier_rig import KnownRig
 
-_UNSTATED_DISTORTION = 5e-4
-"""Standard deviation of an unspecified distortion at the limb of the sphere, as a share of the radius."""
-
-
 _LARGEST_CHANGE = 1.0
 """Largest change of ln of the radius of the sample. Larger errors indicate a wrong unit of the radius."""
-_GAIN_STD = 0.005
-"""Assumed relative standard deviation of the light of an image, no unit."""
-_LEAST_INDEPENDENT = 1e-9
-"""Smallest independent part of the errors of the light of the images. Common errors alone have a singular covariance."""
-_DEPARTURE = 0.5
-"""Standard deviation of the coefficients of a non-Lambertian diffuse part, no unit."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +76,8 @@ class SphereScene:
 
     def light_at(self, lamps: np.ndarray, nearness: float) -> PictureLight:
         """Determine the light of the images for directions, (pictures, 3), and an inverse distance of the lamp, 1/radii."""
-        return constant_light(len(self.lamps), _GAIN_STD) if self.light is None else self.light(lamps, nearness)
+        # assumed relative standard deviation of the light of an image, no unit
+        return constant_light(len(self.lamps), 0.005) if self.light is None else self.light(lamps, nearness)
 
     @property
     def field(self) -> LensField | None:
@@ -105,35 +95,30 @@ def mirror_ball(layout: JointLayout, p: np.ndarray, k: int) -> tuple[MirrorBall,
 
 def part_of(scene: SphereScene, pictures: Sequence[int]) -> SphereScene:
     count, keep = len(scene.lamps), list(pictures)
+
+    def light(lamps: np.ndarray, nearness: float) -> PictureLight:
+        every = scene.lamps.copy()
+        every[keep] = lamps
+        return scene.light_at(every, nearness).part(keep)
+
     return replace(
         scene,
         centres=scene.centres[keep],
         lamps=scene.lamps[keep],
         lamp_std=np.broadcast_to(scene.lamp_std, count)[keep],
-        light=partial(_light_of, scene, keep),
+        light=light,
         rig=None if scene.rig is None else scene.rig._replace(lamps=scene.rig.lamps[keep]),
     )
 
 
 def with_light(scene: SphereScene, change: Callable[[PictureLight], PictureLight]) -> SphereScene:
     """Change the light of the images, for every position of the lamps."""
-    return replace(scene, light=partial(_changed_light, scene, change))
-
-
-def _changed_light(
-    scene: SphereScene, change: Callable[[PictureLight], PictureLight], lamps: np.ndarray, nearness: float
-) -> PictureLight:
-    return change(scene.light_at(lamps, nearness))
-
-
-def _light_of(scene: SphereScene, pictures: list[int], lamps: np.ndarray, nearness: float) -> PictureLight:
-    every = scene.lamps.copy()
-    every[pictures] = lamps
-    return scene.light_at(every, nearness).part(pictures)
+    return replace(scene, light=lambda lamps, nearness: change(scene.light_at(lamps, nearness)))
 
 
 def unstated_distortion(ball: MirrorBall) -> LensField:
-    return LensField((ball.column, ball.row), ball.radius, Coefficient(0.0, _UNSTATED_DISTORTION))
+    # as a share of the radius at the limb of the sphere
+    return LensField((ball.column, ball.row), ball.radius, Coefficient(0.0, 5e-4))
 
 
 def prior_of(
@@ -215,13 +200,15 @@ def prior_of(
     light = scene.light_at(np.array([frame.base for frame in frames]), about)
     gain_std = np.sqrt(np.diag(light.covariance))
     correlation = light.covariance / np.outer(gain_std, gain_std)
-    for line in whitening(correlation + _LEAST_INDEPENDENT * np.eye(k)) / gain_std:
+    # common errors alone have a singular covariance
+    for line in whitening(correlation + 1e-9 * np.eye(k)) / gain_std:
         row = np.zeros(layout.size)
         row[[layout.gain(i) for i in range(k)]] = line
         row[layout.of("lamp")] = -line @ light.gain_by_nearness
         add("gain", row, float(line @ np.log(light.gain) + row[layout.of("lamp")] * about))
     for index in range(layout.diffuse_shape.start, layout.diffuse_shape.stop):
-        single("diffuse shape", index, _DEPARTURE, 0.0)
+        # standard deviation of the coefficients of a non-Lambertian diffuse part, no unit
+        single("diffuse shape", index, 0.5, 0.0)
     if spline:
         for line in spline_smoothness():
             row = np.zeros(layout.size)

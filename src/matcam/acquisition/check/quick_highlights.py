@@ -14,6 +14,7 @@ from matcam.acquisition.merged_picture import MergedPicture
 from matcam.acquisition.mirror_ball import MirrorBall
 from matcam.acquisition.mosaic_frames import MosaicReader, origin_of
 from matcam.acquisition.radiometry import Radiometry
+from matcam.acquisition.radiometry_remarks import peak_remark
 from matcam.core.errors import FitError
 from matcam.core.remark import Remark, gathered
 from matcam.files.capture import Capture
@@ -24,12 +25,6 @@ _SPOT_STD, _LEAST_STD = 0.3, 0.5
 """Standard deviation of a centroid, in radii of the bright spot, and its smallest value, px. The centroid of a rough
 lobe shifts towards the limb.
 """
-_LINE_STD = 0.15
-"""Standard deviation of the centroid of the bright line of a cylinder, relative to the half width of the line. It is small
-because the profile is the mean of many rows.
-"""
-_BLUR = 0.6
-"""Standard deviation of the blur of lens and pixel together, px, as in `find_highlight`."""
 
 
 class Seen(NamedTuple):
@@ -102,9 +97,7 @@ def quick_highlights(
     for k, (lamp, (frame, above)) in enumerate(shortest.items()):
         count = above or piled.get(k, 0)
         if count:
-            pixels = "pixel is" if count == 1 else "pixels are"
-            text = f"lamp {lamp}: {count} {pixels} clipped in the shortest exposure, {frame.exposure}: add a shorter exposure"
-            peaks.append((lamp, Remark("peak-clipped", text)))
+            peaks.append(peak_remark(lamp, count, frame.exposure))
     return found, remarks + gathered(peaks)
 
 
@@ -169,7 +162,8 @@ def _position(
         origin,
     )
     try:
-        one = find_highlight(picture, MirrorBall(outline.row, outline.column, outline.radius, camera), blur=_BLUR)
+        # the blur of lens and pixel is assumed to be 0.6 px
+        one = find_highlight(picture, MirrorBall(outline.row, outline.column, outline.radius, camera), blur=0.6)
     except FitError:
         return seen
     std = math.hypot(_LEAST_STD, math.sqrt(float(np.trace(one.covariance)) / 2))
@@ -217,4 +211,5 @@ def _bright_line(codes: np.ndarray, first: int, outline: QuickOutline | None) ->
     bright[np.abs(np.arange(profile.size) - peak) > 0.2 * profile.size] = 0
     half = float(np.count_nonzero(bright))
     column = float((bright * columns).sum() / bright.sum())
-    return Seen(column, math.nan, math.hypot(_LEAST_STD, _LINE_STD * half))
+    # in half widths of the line; small, because the profile is the mean of many rows
+    return Seen(column, math.nan, math.hypot(_LEAST_STD, 0.15 * half))

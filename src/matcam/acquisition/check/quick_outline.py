@@ -16,7 +16,7 @@ from matcam.acquisition.limb.given_outline import given_outline
 from matcam.acquisition.limb.straight_outline import straight_outline
 from matcam.acquisition.mosaic_frames import MosaicReader, origin_of
 from matcam.acquisition.outline import Sighting
-from matcam.core.errors import FileFormatError, FitError, MatcamError
+from matcam.core.errors import FitError, MatcamError
 from matcam.core.remark import Remark
 from matcam.files.capture import Capture
 from matcam.files.capture_frames import CaptureFrame
@@ -80,8 +80,8 @@ def quick_outline(capture: Capture, black: float, sigma: float) -> tuple[QuickOu
         return given, found
     reader = MosaicReader(capture)
     positions: list[tuple[CaptureFrame, QuickOutline]] = []
-    for frame in frames:
-        position, said = _measured(capture, reader, frame, black, sigma)
+    for frame, codes in reader.readable(frames, capture.region, found):
+        position, said = _measured(capture, reader, frame, codes, black, sigma)
         found += said
         if position is not None:
             positions.append((frame, position))
@@ -99,13 +99,9 @@ def quick_outline(capture: Capture, black: float, sigma: float) -> tuple[QuickOu
 
 
 def _measured(
-    capture: Capture, reader: MosaicReader, frame: CaptureFrame, black: float, sigma: float
+    capture: Capture, reader: MosaicReader, frame: CaptureFrame, codes: np.ndarray, black: float, sigma: float
 ) -> tuple[QuickOutline | None, list[Remark]]:
     path = capture.folder / frame.file
-    try:
-        codes = reader.read(frame, capture.region)
-    except FileFormatError as error:
-        return None, [Remark("bad-frame", str(error))]
     origin, reach = origin_of(capture.region), field_reach(capture)
     found: list[Remark] = []
     hidden = 0.0

@@ -38,12 +38,6 @@ Centroids have errors of 1 to 2 px.
 """
 _SIGNIFICANT = 4.0
 """Number of standard deviations above which a rotation or a radius is reported: one false alarm in 16,000 captures."""
-_LEAST_TURN = math.radians(0.5)
-"""Rotation, rad, below which there is no report: even in careful set-ups tables are rotated by some tenths of a degree,
-and `reconstruct` fits this rotation.
-"""
-_LEAST_GROWTH = 0.01
-"""Relative difference of radii below which there is no report, because `reconstruct` fits the radius."""
 
 
 class TableCheck(NamedTuple):
@@ -74,26 +68,17 @@ class _Fit(NamedTuple):
     """Distance of each highlight from its expected position, px (n,)."""
 
 
-class _Rig(NamedTuple):
-    """Distances of camera and lamp from the centre of the sample, and the error that their uncertainties cause.
+def _distances(capture: Capture) -> tuple[float, float, float]:
+    """Compute the distances of camera and lamp from the centre of the sample, radii, and the error that they cause.
 
-    Attributes:
-        camera: distance of the camera, radii.
-        lamp: distance of the lamp, radii.
-        growth_std: relative standard deviation of a radius from highlights due to the uncertainties of the distances.
+    The error is the relative standard deviation of a radius from highlights.
     """
 
-    camera: float
-    lamp: float
-    growth_std: float
-
-
-def _rig(capture: Capture) -> _Rig:
     def known(value: Stated | None) -> Stated:
         return GUESSED_NEARNESS if value is None else Stated(1 / value.value, value.std / value.value**2)
 
     (camera, camera_std), (lamp, lamp_std) = known(capture.camera_radii), known(capture.lamp_radii)
-    return _Rig(1 / camera, 1 / lamp, math.hypot(camera_std, lamp_std) / 2)
+    return 1 / camera, 1 / lamp, math.hypot(camera_std, lamp_std) / 2
 
 
 def check_table(capture: Capture, seen: dict[str, Seen], outline: QuickOutline | None) -> TableCheck:
@@ -128,13 +113,13 @@ def check_table(capture: Capture, seen: dict[str, Seen], outline: QuickOutline |
 def _of_sphere(
     capture: Capture, names: list[str], directions: np.ndarray, seen: list[Seen], outline: QuickOutline | None
 ) -> TableCheck:
-    rig = _rig(capture)
+    camera, lamp, growth_std = _distances(capture)
     positions = np.array([[one.column, one.row] for one in seen])
 
     def expected(p: np.ndarray, flip: float = 1.0) -> np.ndarray:
-        ball = MirrorBall(p[4], p[3], abs(p[5]), rig.camera)
+        ball = MirrorBall(p[4], p[3], abs(p[5]), camera)
         turned = Rotation.from_rotvec(p[:3]).apply(directions * [1.0, flip, 1.0])
-        row, column = ball.mirror_position(turned, rig.lamp)
+        row, column = ball.mirror_position(turned, lamp)
         return np.column_stack([column, row])
 
     middle = np.median(positions, axis=0)
@@ -143,7 +128,7 @@ def _of_sphere(
         start, std = np.array([0, 0, 0, *middle, spread]), np.array([0, 0, np.inf, np.inf, np.inf, np.inf])
     else:
         start = np.array([0, 0, 0, outline.column, outline.row, outline.radius])
-        known = np.hypot(outline.std, [0, 0, outline.radius * rig.growth_std])
+        known = np.hypot(outline.std, [0, 0, outline.radius * growth_std])
         std = np.array([np.inf, np.inf, np.inf, *known])
     loose = np.array([0, 0, 0, np.inf, np.inf, np.inf])
     errors = _errors(capture, seen, start[5])
@@ -154,10 +139,10 @@ def _of_sphere(
         text = (
             "the highlights move opposite to the specified lamp directions: measure azimuths from +x (right) to +y (up)"
         )
-        return _NOTHING._replace(centre=_sphere(flipped), remarks=(Remark("table-flipped", text),))
+        return _NOTHING._replace(centre=_circle(flipped), remarks=(Remark("table-flipped", text),))
     if outline is not None:
-        ball = MirrorBall(outline.row, outline.column, outline.radius, rig.camera)
-        lamps = ball.lamp_seen_at(ball.normals(positions[:, 1], positions[:, 0]), rig.lamp)
+        ball = MirrorBall(outline.row, outline.column, outline.radius, camera)
+        lamps = ball.lamp_seen_at(ball.normals(positions[:, 1], positions[:, 0]), lamp)
         good = np.isfinite(lamps).all(axis=1)
         if good.sum() >= _FEWEST:
             verdict = explain_lamp_table(lamps[good], directions[good])
@@ -167,12 +152,7 @@ def _of_sphere(
     fit = _fitted(expected, start, std, positions, errors)
     if wrong := _whole_remarks(fit, errors):
         return _NOTHING._replace(remarks=wrong)
-    remarks = _turn_remarks(fit, std, "sphere's")
-    if outline is not None:
-        remarks += _radius_remarks(fit, outline, std[5])
-    remarks += _single_remarks(capture, names, fit)
-    turn_std = np.where(std[:3] > 0, np.sqrt(np.diag(fit.covariance)[:3]), math.nan)
-    return TableCheck(_sphere(fit), fit.p[:3], turn_std, tuple(remarks))
+    return _checked(capture, names, fit, std, outline)
 
 
 def _of_cylinder(
@@ -182,16 +162,16 @@ def _of_cylinder(
 
     The columns determine only the rotation about the axis of the cylinder.
     """
-    rig = _rig(capture)
+    camera, lamp, growth_std = _distances(capture)
     columns = np.array([[one.column] for one in seen])
 
     def expected(p: np.ndarray, lamps: np.ndarray = directions) -> np.ndarray:
         turned = Rotation.from_rotvec(p[:3]).apply(lamps)
-        positions = [cylinder_line(one, rig.camera, rig.lamp) for one in turned]
+        positions = [cylinder_line(one, camera, lamp) for one in turned]
         return (p[3] + p[5] * np.array(positions))[:, None]
 
     start = np.array([0, 0, 0, outline.column, 0.0, outline.radius])
-    radius_std = math.hypot(outline.std[2], outline.radius * rig.growth_std)
+    radius_std = math.hypot(outline.std[2], outline.radius * growth_std)
     std = np.array([0, np.inf, 0, outline.std[0], 0, radius_std])
     errors = _errors(capture, seen, outline.radius)
     fit = _fitted(expected, start, std, columns, errors)
@@ -200,11 +180,21 @@ def _of_cylinder(
         if not _whole_remarks(_fitted(partial(expected, lamps=lamps), start, std, columns, errors), errors):
             wrong = (radians,)
         return _NOTHING._replace(remarks=wrong)
-    remarks = _turn_remarks(fit, std, "cylinder's")
-    remarks += _radius_remarks(fit, outline, std[5])
+    return _checked(capture, names, fit, std, outline)
+
+
+def _checked(
+    capture: Capture, names: list[str], fit: _Fit, std: np.ndarray, outline: QuickOutline | None
+) -> TableCheck:
+    """Build the result of a fit whose rotation and radius are meaningful. `std` is the prior of its parameters."""
+    sample = capture.settings["sample"]["kind"]
+    remarks = _turn_remarks(fit, std, f"{sample}'s")
+    if outline is not None:
+        remarks += _radius_remarks(fit, outline, std[5])
     remarks += _single_remarks(capture, names, fit)
-    turn_std = np.array([math.nan, math.sqrt(fit.covariance[1, 1]), math.nan])
-    return TableCheck((float(fit.p[3]), math.nan, float(fit.p[5])), fit.p[:3], turn_std, tuple(remarks))
+    turn_std = np.where(std[:3] > 0, np.sqrt(np.diag(fit.covariance)[:3]), math.nan)
+    column, row, radius = _circle(fit)
+    return TableCheck((column, math.nan if sample == "cylinder" else row, radius), fit.p[:3], turn_std, tuple(remarks))
 
 
 def _errors(capture: Capture, seen: list[Seen], radius: float) -> np.ndarray:
@@ -239,14 +229,14 @@ def _fitted(
         return np.append((away(q) / errors[:, None]).ravel(), (p[known] - start[known]) / std[known])
 
     found = least_squares(residual, start[free], loss="soft_l1", x_scale="jac")
-    off = np.hypot(*away(found.x).T) if positions.shape[1] == 2 else np.abs(away(found.x)[:, 0])
+    off = np.linalg.norm(away(found.x), axis=1)
     scatter = robust_std(away(found.x) / errors[:, None])
     covariance = np.zeros((start.size, start.size))
     covariance[np.ix_(free, free)] = np.linalg.pinv(found.jac.T @ found.jac) * max(1.0, scatter) ** 2
     return _Fit(whole(found.x), covariance, off)
 
 
-def _sphere(fit: _Fit) -> tuple[float, float, float]:
+def _circle(fit: _Fit) -> tuple[float, float, float]:
     return float(fit.p[3]), float(fit.p[4]), float(abs(fit.p[5]))
 
 
@@ -267,7 +257,8 @@ def _turn_remarks(fit: _Fit, std: np.ndarray, whose: str) -> list[Remark]:
     free = std[:3] > 0
     turn, covariance = fit.p[:3], fit.covariance[:3, :3]
     size = float(np.linalg.norm(turn))
-    if size < _LEAST_TURN:
+    # even in careful set-ups tables are rotated by some tenths of a degree, and `reconstruct` fits this rotation
+    if size < math.radians(0.5):
         return []
     along = turn / size
     spread = math.sqrt(float(along @ covariance @ along))
@@ -288,7 +279,8 @@ def _turn_remarks(fit: _Fit, std: np.ndarray, whose: str) -> list[Remark]:
 def _radius_remarks(fit: _Fit, outline: QuickOutline, std: float) -> list[Remark]:
     change = float(fit.p[5] - outline.radius)
     known = math.sqrt(max(std**2 - float(fit.covariance[5, 5]), 1e-12))
-    if abs(change) < max(_SIGNIFICANT * known, _LEAST_GROWTH * outline.radius):
+    # differences of less than 1 % are not reported, because `reconstruct` fits the radius
+    if abs(change) < max(_SIGNIFICANT * known, 0.01 * outline.radius):
         return []
     text = f"the highlights indicate a radius of {fit.p[5]:.1f} ± {math.sqrt(fit.covariance[5, 5]):.1f} px, but the "
     text += f"outline has {outline.radius:.1f} px: check sample.radius_mm, the distances and the angles of frames.csv"

@@ -15,8 +15,6 @@ from matcam.acquisition.mirror_ball import unit
 from matcam.core.errors import ArgumentError
 from matcam.core.remark import Remark
 
-_LIKELY = 0.5
-"""Largest ratio of the residual to the original angles at which a mistake is taken to explain a table."""
 _WRONG = np.radians(1.5)
 """Rms angle between highlights and table below which no mistake is assumed, rad."""
 
@@ -26,15 +24,10 @@ class TableVerdict(NamedTuple):
 
     Attributes:
         mistake: "none", "unexplained", or the name of the mistake.
-        rms: rms angle between the lamps from the highlights and the table as given, rad.
-        rms_explained: angle that remains after correction of the mistake, rad: its rms, or its median for
-            "degrees-as-radians". It equals `rms` if no mistake was identified.
         remarks: remark on a disagreement; empty if the table agrees.
     """
 
     mistake: str
-    rms: float
-    rms_explained: float
     remarks: tuple[Remark, ...]
 
 
@@ -63,8 +56,8 @@ def explain_lamp_table(lamps: np.ndarray, table: np.ndarray) -> TableVerdict:
         table: directions as given (n, 3); NaN: unknown.
 
     Returns:
-        The mistake, and the angles between table and highlights before and after its correction. The mistake is "none" if
-        the table agrees within 1.5 degrees rms, and "unexplained" if no common mistake explains the disagreement.
+        The mistake, and a remark on it. The mistake is "none" if the table agrees within 1.5 degrees rms, and "unexplained" if
+        no common mistake explains the disagreement.
 
     Raises:
         ArgumentError: the shapes differ or are not (n, 3), or fewer than three lamps have both directions.
@@ -86,7 +79,7 @@ def explain_lamp_table(lamps: np.ndarray, table: np.ndarray) -> TableVerdict:
     lamps, table = unit(lamps[good]), unit(table[good])
     rms = _rms(lamps, table)
     if rms < _WRONG:
-        return TableVerdict("none", rms, rms, ())
+        return TableVerdict("none", ())
     # residual angles, divided by the factor by which the mistake stretches angles
     left: dict[str, float] = {}
     for name, made, stretch in _mistakes(lamps):
@@ -94,11 +87,12 @@ def explain_lamp_table(lamps: np.ndarray, table: np.ndarray) -> TableVerdict:
         apart = float(np.median(lamp_angles_apart(made, table))) if stretch > 2 else _rms(made, table)
         left[name] = min(apart / stretch, left.get(name, np.inf))
     best = min(left, key=lambda name: left[name])
-    if left[best] < _LIKELY * rms and left[best] < 2 * _WRONG:
+    # the mistake explains the table if it at least halves the angles
+    if left[best] < 0.5 * rms and left[best] < 2 * _WRONG:
         text = f"the lamp table deviates from the highlights by {np.degrees(rms):.1f} degrees rms: {_WORDS[best]}"
-        return TableVerdict(best, rms, left[best], (Remark(f"table-{best}", text),))
+        return TableVerdict(best, (Remark(f"table-{best}", text),))
     text = f"the lamp table deviates from the highlights by {np.degrees(rms):.1f} degrees rms: check its directions"
-    return TableVerdict("unexplained", rms, rms, (Remark("table-contradicts", text),))
+    return TableVerdict("unexplained", (Remark("table-contradicts", text),))
 
 
 def in_radians(table: np.ndarray) -> tuple[np.ndarray, Remark]:

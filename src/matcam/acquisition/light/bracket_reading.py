@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -19,28 +19,8 @@ from matcam.core.remark import Remark
 from matcam.files.capture import Capture, Region
 from matcam.files.capture_frames import CaptureFrame
 
-T = TypeVar("T")
-U = TypeVar("U")
-
-
-class ReadBracket(NamedTuple):
-    """Result of reading the frames of a lamp position.
-
-    Attributes:
-        used: frames that can be used, in the order of the exposures.
-        lacking: exposures without a usable frame.
-        sample: selected pixels; None without a usable frame.
-        largest: largest code of the used frames, DN; -infinity without a usable frame.
-        smallest: smallest code of the used frames, DN; infinity without a usable frame.
-        remarks: warnings and limitations, with the names of the frames.
-    """
-
-    used: tuple[CaptureFrame, ...]
-    lacking: tuple[str, ...]
-    sample: BracketSample | None
-    largest: float
-    smallest: float
-    remarks: tuple[Remark, ...]
+ReadBracket = tuple[BracketSample | None, tuple[Remark, ...]]
+"""Selected pixels of a lamp position, None without a usable frame, and remarks that name frames."""
 
 
 @dataclass
@@ -54,6 +34,7 @@ class BracketReading:
         names: names of the exposures.
         darkness: dark signal of each exposure.
         noise: standard deviation of one pixel's read noise, DN.
+        shape: height and width of the first frames, px.
         kept: cache of results; None: no cache.
     """
 
@@ -63,8 +44,8 @@ class BracketReading:
     names: Sequence[str]
     darkness: dict[str, Darkness]
     noise: float
+    shape: tuple[int, ...]
     kept: KeptWork | None = None
-    _shape: tuple[int, ...] | None = None
 
     def __post_init__(self) -> None:
         about = (
@@ -86,40 +67,34 @@ class BracketReading:
             return self._read(numbered)
         frames = self.capture.of("frames", lamp=numbered[1])
         paths = [self.capture.folder / frame.file for frame in frames]
-        text = f"bracket of {BracketSample._fields} {numbered} {self._shape} {self._about} {frames}\n{identity(paths)}"
+        text = f"bracket of {BracketSample._fields} {numbered} {self.shape} {self._about} {frames}\n{identity(paths)}"
         failed: list[ReadBracket] = []
 
         def made() -> dict[str, np.ndarray]:
             found = self._read(numbered)
-            if any(remark.code == "bad-frame" for remark in found.remarks):
+            if any(remark.code == "bad-frame" for remark in found[1]):
                 failed.append(found)  # not stored, because a slow disk or little memory may be temporary
                 return {}
-            return _packed(found, self._shape)
+            return _packed(found)
 
         arrays = self.kept.store(text, made)
         if failed:
             return failed[0]
-        self._shape = self._shape or tuple(arrays["shape"].tolist()) or None
-        return _unpacked(arrays, numbered[1], frames)
+        return _unpacked(arrays, frames)
 
     def _read(self, numbered: tuple[int, str]) -> ReadBracket:
         number, lamp = numbered
         remarks: list[Remark] = []
         bracket = self._bracket(lamp, remarks)
-        lacking = tuple(name for name in self.names if name not in {frame.exposure for frame, _ in bracket})
         if not bracket:
-            return ReadBracket((), lacking, None, -np.inf, np.inf, tuple(remarks))
+            return None, tuple(remarks)
         sample = self._sample(lamp, bracket, number)
         if number == 0:
             frame, codes = bracket[0]
             light = codes - np.asarray(self.darkness[frame.exposure].level, np.float32)
             correlation = noise_correlation(light, self.noise)
             remarks += processing_remarks(str(self.capture.folder / frame.file), *correlation)
-        largest, smallest = (
-            max(float(codes.max()) for _, codes in bracket),
-            min(float(codes.min()) for _, codes in bracket),
-        )
-        return ReadBracket(tuple(f for f, _ in bracket), lacking, sample, largest, smallest, tuple(remarks))
+        return sample, tuple(remarks)
 
     def _bracket(self, lamp: str, remarks: list[Remark]) -> list[tuple[CaptureFrame, np.ndarray]]:
         found: dict[str, tuple[CaptureFrame, np.ndarray]] = {}
@@ -137,10 +112,9 @@ class BracketReading:
             except FileFormatError as error:
                 remarks.append(Remark("bad-frame", str(error)))
                 continue
-            shape = self._shape = self._shape or codes.shape
-            if codes.shape != shape:
+            if codes.shape != self.shape:
                 text = f"{path}: the frame has {codes.shape[1]} x {codes.shape[0]} px, but the first frames have "
-                text += f"{shape[1]} x {shape[0]} px, so it was omitted: give frames of one size"
+                text += f"{self.shape[1]} x {self.shape[0]} px, so it was omitted: give frames of one size"
                 remarks.append(Remark("other-size", text))
                 continue
             if not np.isfinite(codes).all():
@@ -177,6 +151,7 @@ class BracketReading:
                     reference[i] = means - darkness[frame.exposure].mean
         return BracketSample(
             lamp,
+            tuple(frame for frame, _ in bracket),
             np.array([list(self.names).index(frame.exposure) for frame, _ in bracket]),
             np.stack([codes.ravel()[chosen] for _, codes in bracket]),
             np.stack([one.ravel()[chosen] for one in light]),
@@ -190,34 +165,26 @@ class BracketReading:
                     for f, codes in bracket
                 ]
             ),
+            np.array([(codes.min(), codes.max()) for _, codes in bracket], float),
         )
 
 
-def _packed(found: ReadBracket, shape: tuple[int, ...] | None) -> dict[str, np.ndarray]:
-    sample = {} if found.sample is None else {f"sample_{k}": np.asarray(v) for k, v in found.sample._asdict().items()}
-    return {
-        "used": np.array([frame.file for frame in found.used], dtype=str),
-        "lacking": np.array(found.lacking, dtype=str),
-        "range": np.array([found.largest, found.smallest]),
-        "codes": np.array([remark.code for remark in found.remarks], dtype=str),
-        "texts": np.array([remark.text for remark in found.remarks], dtype=str),
-        "shape": np.array(shape or (), dtype=int),
-        **sample,
-    }
-
-
-def _unpacked(arrays: Mapping[str, np.ndarray], lamp: str, frames: Sequence[CaptureFrame]) -> ReadBracket:
-    sample = None
-    if "sample_lamp" in arrays:
-        parts = {name: arrays[f"sample_{name}"] for name in BracketSample._fields if name != "lamp"}
-        sample = BracketSample(lamp=lamp, **parts)
-    by_file = {frame.file: frame for frame in frames}
-    largest, smallest = (float(value) for value in arrays["range"])
-    return ReadBracket(
-        tuple(by_file[name] for name in arrays["used"].tolist()),
-        tuple(arrays["lacking"].tolist()),
-        sample,
-        largest,
-        smallest,
-        tuple(Remark(*pair) for pair in zip(arrays["codes"].tolist(), arrays["texts"].tolist(), strict=True)),
+def _packed(found: ReadBracket) -> dict[str, np.ndarray]:
+    sample, remarks = found
+    arrays: dict[str, Any] = (
+        {} if sample is None else {f"sample_{name}": value for name, value in sample._asdict().items()}
     )
+    if sample is not None:
+        arrays["sample_frames"] = [frame.file for frame in sample.frames]
+    arrays |= {"codes": [remark.code for remark in remarks], "texts": [remark.text for remark in remarks]}
+    return {name: np.asarray(value) for name, value in arrays.items()}
+
+
+def _unpacked(arrays: Mapping[str, np.ndarray], frames: Sequence[CaptureFrame]) -> ReadBracket:
+    remarks = tuple(Remark(*pair) for pair in zip(arrays["codes"].tolist(), arrays["texts"].tolist(), strict=True))
+    if "sample_lamp" not in arrays:
+        return None, remarks
+    by_file = {frame.file: frame for frame in frames}
+    parts: dict[str, Any] = {name: arrays[f"sample_{name}"] for name in BracketSample._fields}
+    parts |= {"lamp": str(parts["lamp"]), "frames": tuple(by_file[name] for name in parts["frames"].tolist())}
+    return BracketSample(**parts), remarks

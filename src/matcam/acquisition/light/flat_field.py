@@ -13,27 +13,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.polynomial import polynomial
 from scipy.ndimage import uniform_filter
 
-from matcam.acquisition.darkness import Darkness, dark_of
+from matcam.acquisition.darkness import Darkness, dark_level
 from matcam.acquisition.mosaic_frames import MosaicReader
 from matcam.core.errors import FileFormatError
 from matcam.core.remark import Remark
 from matcam.files.capture import Capture, Region
 from matcam.files.capture_frames import CaptureFrame
 from matcam.files.picture_header import read_exif
-from matcam.numerics.normal import robust_std
-
-_MOST = 16
-"""Largest number of flat frames that are used, which bounds the time of reading."""
-_DARK = 100.0
-"""Smallest signal of a flat frame above dark, as a multiple of the read noise, which is then at most 1 % of the signal."""
-_CLIPPED = 1e-3
-"""Share of clipped pixels above which a flat frame is omitted."""
-_SMOOTH = 33
-"""Width of the square moving average that is applied twice for the smooth field, px."""
-_LEAST = 0.1
-"""Response below which a pixel is omitted, because a correction would amplify its noise more than tenfold."""
+from matcam.numerics.normal import robust_fit, robust_std
 
 
 @dataclass(frozen=True)
@@ -84,11 +74,14 @@ def measure_flat(
     total: np.ndarray | None = None
     patch: np.ndarray | None = None
     count, remarks = 0, []
-    for frame in capture.of("flat")[:_MOST]:
+    # 16 frames bound the time of reading
+    for frame in capture.of("flat")[:16]:
         path = capture.folder / frame.file
         try:
             codes = reader.read(frame, region)
-            light = codes - _dark(reader, capture, frame, region, darkness)
+            known = darkness.get(frame.exposure)
+            level = dark_level(reader, capture, frame.exposure, region) if known is None else known.level
+            light = codes - np.asarray(level, np.float32)
             beside = _beside(reader, capture, frame, darkness)
         except (FileFormatError, ValueError) as error:
             text = (
@@ -121,7 +114,8 @@ def measure_flat(
         stds.append(np.sqrt(own * chance / max(own + chance, 1e-30)))
         spreads.append(np.sqrt(own))
         levels.append(level)
-    response[response < _LEAST] = np.nan
+    # a correction of a smaller response would amplify the noise of a pixel more than tenfold
+    response[response < 0.1] = np.nan
     beside = np.ones(len(levels)) if patch is None else patch / np.array(levels)
     return FlatField(response, np.array(stds), beside, float(np.mean(spreads)), count), remarks
 
@@ -135,38 +129,21 @@ def smooth_field(total: np.ndarray, of: np.ndarray) -> tuple[np.ndarray, float]:
         total: dark-subtracted flat frame, (height, width), DN.
         of: mask of the pixels of the colour, (height, width).
     """
-    powers = [np.vander(np.linspace(-1, 1, size), 5, increasing=True) for size in total.shape]  # of row and column
-    positions = np.argwhere(of)[:: max(1, int(of.sum()) // 20_000)]
-    pairs = [(i, j) for i in range(5) for j in range(5 - i)]
-    a = np.stack([powers[0][positions[:, 0], i] * powers[1][positions[:, 1], j] for i, j in pairs], axis=-1)
-    b = total[positions[:, 0], positions[:, 1]]
-    usual = np.ones(len(b), bool)
-    for _ in range(3):
-        found = np.linalg.lstsq(a[usual], b[usual], rcond=None)[0]
-        residual = b - a @ found
-        usual = np.abs(residual) <= 5 * robust_std(residual) + 1e-12
-    coefficients = np.zeros((5, 5))
-    coefficients[tuple(np.transpose(pairs))] = found
-    trend = np.maximum(powers[0] @ coefficients @ powers[1].T, 1e-9)
+    row, column = (np.linspace(-1, 1, size) for size in total.shape)
+    some = tuple(np.argwhere(of)[:: max(1, int(of.sum()) // 20_000)].T)
+    low = np.add.outer(range(5), range(5)) < 5  # powers of row and column of a polynomial of degree 4
+    design = polynomial.polyvander2d(row[some[0]], column[some[1]], (4, 4))[:, low.ravel()]
+    coefficients = np.zeros(low.shape)
+    coefficients[low] = robust_fit(design, total[some]).parameters
+    trend = np.maximum(polynomial.polygrid2d(row, column, coefficients), 1e-9)
     # the local residual contains dust, and structure that a polynomial does not describe
     local, weight = np.where(of, total / trend, 0.0), of.astype(float)
     for _ in range(2):
-        local, weight = (uniform_filter(one, _SMOOTH, mode="constant") for one in (local, weight))
+        # width of the square moving average that is applied twice for the smooth field, px
+        local, weight = (uniform_filter(one, 33, mode="constant") for one in (local, weight))
     field = np.maximum(trend[of] * local[of] / np.maximum(weight[of], 1e-9), 1e-9)
-    row, column = (np.linspace(-1, 1, size) for size in total.shape)
     middle = np.hypot(row[:, None], column)[of] < 0.5
     return field, float(np.mean(field[middle] if middle.any() else field))
-
-
-def _dark(
-    reader: MosaicReader, capture: Capture, frame: CaptureFrame, region: Region | None, darkness: dict[str, Darkness]
-) -> np.ndarray | float:
-    if frame.exposure in darkness:
-        return np.asarray(darkness[frame.exposure].level, np.float32)
-    own = [reader.read(one, region) for one in capture.of("dark", exposure=frame.exposure)]
-    if own:
-        return np.asarray(dark_of(own).level, np.float32)
-    return float(np.mean([one.mean for one in darkness.values()]))
 
 
 def _beside(
@@ -192,9 +169,10 @@ def _wrong(
     sizes = [read_exif(capture.folder / one.file).size for one in (frame, capture.of("frames")[0])]
     if shape not in (None, codes.shape) or (None not in sizes and sizes[0] != sizes[1]):
         return "the flat frame differs in size from other frames: repeat it with the settings of the sample's frames"
-    if np.mean(codes >= clip) > _CLIPPED:
+    if np.mean(codes >= clip) > 1e-3:
         return f"{np.mean(codes >= clip):.1%} of the flat frame's pixels are clipped: expose it less"
     level = float(np.median(light))
-    if level < _DARK * max(noise, 0.3):
+    # the read noise is then at most 1 % of the signal
+    if level < 100.0 * max(noise, 0.3):
         return f"the flat frame is too dark, only {level:.0f} DN above the dark level: expose it more"
     return ""

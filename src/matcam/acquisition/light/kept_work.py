@@ -19,8 +19,6 @@ from matcam.core.sealed import remove_sealed, sealed_files
 from matcam.core.workspace import Workspace, is_kept, kept_file
 
 _PIECE = 1 << 16  # number of bytes at either end of a frame that its fingerprint includes
-_OLD = 14 * 86400.0  # age at which files of other computations are removed, s
-_MOST = 100_000  # number of files in the folder, in effect unlimited, because files are removed by their age
 
 
 @dataclass
@@ -50,10 +48,12 @@ class KeptWork:
             make: function that computes the arrays.
         """
         self._files.add(kept_file(self.folder, description))
-        return Workspace(self.folder, files=_MOST).store(description, make)
+        # in effect unlimited, because files are removed by their age
+        return Workspace(self.folder, files=100_000).store(description, make)
 
     def clear(self) -> None:
-        since = time.time() - _OLD
+        # files of other computations are removed after two weeks
+        since = time.time() - 14 * 86400.0
         old = [name for name, of in sealed_files(self.folder).items() if of.st_mtime < since and is_kept(name)]
         remove_sealed(self.folder, [*(path.name for path in self._files), *old])
 

@@ -13,10 +13,6 @@ _LEAST = math.log(1.22)
 """Smallest reported departure of the logarithm of the light of a frame: just below the smallest usual step of exposures, a
 third of a stop.
 """
-_SUPPORT = 3
-"""Smallest number of ratios with a meaningful median: fewer do not show which of them is wrong."""
-_PIXELS = 10
-"""Smallest number of pixels of a ratio: at 20 times the read noise they have a relative error below 5 %."""
 
 
 def light_ratios(samples: Sequence[BracketSample], nominal: np.ndarray, top: float, noise: float) -> np.ndarray:
@@ -39,7 +35,8 @@ def light_ratios(samples: Sequence[BracketSample], nominal: np.ndarray, top: flo
             for j, second in enumerate(sample.exposures[:i]):
                 good = lit[i] & lit[j] & below[i] & below[j]
                 light = [float(sample.light[k][good].sum()) for k in (i, j)]
-                if good.sum() >= _PIXELS and min(light) > 0:
+                # at 20 times the read noise, 10 pixels have a relative error below 5 %
+                if good.sum() >= 10 and min(light) > 0:
                     ratios[second, first] = math.log(light[0] / light[1])
                     ratios[first, second] = -ratios[second, first]
     return found
@@ -63,7 +60,8 @@ def mislabelled_frames(
         exposure that has this light; None: no exposure has it.
     """
     ratios = light_ratios(samples, nominal, top, noise)
-    enough = np.isfinite(ratios).sum(axis=0) >= _SUPPORT
+    # fewer than three ratios do not show which of them is wrong
+    enough = np.isfinite(ratios).sum(axis=0) >= 3
     expected = np.where(enough, np.nanmedian(np.where(enough, ratios, 0.0), axis=0), np.nan)
     found = []
     for sample, measured in zip(samples, ratios, strict=False):

@@ -9,9 +9,6 @@ import numpy as np
 
 from matcam.files.capture_settings import Stated
 
-_LEAST = 1e-5
-"""Smallest standard deviation of the relative light of an image, no unit."""
-
 
 class PictureLight(NamedTuple):
     """Light of images, and the unit of their values, for one position of each lamp.
@@ -19,7 +16,6 @@ class PictureLight(NamedTuple):
     Attributes:
         gain: light of each image relative to the mean, (pictures,).
         covariance: covariance of ln(`gain`), (pictures, pictures).
-        used: mask of the images whose light was measured, (pictures,).
         gain_by_nearness: derivative of ln(`gain`) with respect to the inverse distance of the lamp, radii, (pictures,).
         unit_by_nearness: derivative of ln(`units`) with respect to the inverse distance of the lamp, radii. Default: 0,
             as for an unknown unit.
@@ -29,7 +25,6 @@ class PictureLight(NamedTuple):
 
     gain: np.ndarray
     covariance: np.ndarray
-    used: np.ndarray
     gain_by_nearness: np.ndarray
     unit_by_nearness: float = 0.0
     units: tuple[Stated, ...] | None = None
@@ -39,7 +34,6 @@ class PictureLight(NamedTuple):
         return self._replace(
             gain=self.gain[keep],
             covariance=self.covariance[np.ix_(keep, keep)],
-            used=self.used[keep],
             gain_by_nearness=self.gain_by_nearness[keep],
         )
 
@@ -58,12 +52,13 @@ of the lamp, 1/radii.
 """
 
 
-def stated_light(gain: np.ndarray, std: np.ndarray, used: np.ndarray) -> PictureLight:
+def stated_light(gain: np.ndarray, std: np.ndarray) -> PictureLight:
     """Build the light of images from relative values with independent errors, at any distance of the lamp."""
-    covariance = np.diag(np.maximum(std, _LEAST) ** 2)
-    return PictureLight(gain / gain.mean(), covariance, used, np.zeros(len(gain)))
+    # smallest standard deviation of the relative light of an image, no unit
+    covariance = np.diag(np.maximum(std, 1e-5) ** 2)
+    return PictureLight(gain / gain.mean(), covariance, np.zeros(len(gain)))
 
 
 def constant_light(count: int, std: float) -> PictureLight:
     """Build the light of images of one lamp without a measurement: equal, with a relative standard deviation."""
-    return stated_light(np.ones(count), np.full(count, std), np.zeros(count, bool))
+    return stated_light(np.ones(count), np.full(count, std))

@@ -32,10 +32,6 @@ _IMPROBABLE = -9.0
 overestimated twofold is still harmless."""
 _SPREAD = 8.0
 """Width of a pile-up, as a multiple of the read noise: noise after the clipping spreads a thousand pixels over this width."""
-_FEW = 3
-"""Smallest number of pixels with one code in an examined frame: with fewer pixels, no probability bound falls below
-`_IMPROBABLE`.
-"""
 _BINS, _IN_BIN = 12, 200
 """Number of brightness bins in which noise is measured, and smallest number of pixels in a bin, which gives an accuracy
 of 6 %.
@@ -44,8 +40,6 @@ _LARGEST_SIDE = 1500
 """Largest side of the part of a frame in which noise is measured, px; it bounds the time for frames of many
 megapixels.
 """
-_HALF_FLOAT = 2.0**-11
-"""Relative spacing of half-precision numbers, the coarsest in which a float image is stored."""
 
 
 class TopCodes(NamedTuple):
@@ -99,11 +93,13 @@ def top_codes(codes: np.ndarray, dark: np.ndarray | float, hot: np.ndarray, step
     good = codes[~hot] if hot.any() else codes.ravel()
     level = float(good.max())
     unit = code_step(codes)
-    unit = unit if math.isfinite(unit) and level >= 2 else _HALF_FLOAT * abs(level)
+    # float images are stored with half precision or better
+    unit = unit if math.isfinite(unit) and level >= 2 else 2.0**-11 * abs(level)
     near = good[good > level - _width(noise, unit)]
     same = int((near == level).sum())
     gain = math.nan
-    if max(same, near.size / 3) >= _FEW:
+    # with fewer than three pixels, no probability bound falls below `_IMPROBABLE`
+    if max(same, near.size / 3) >= 3:
         row, column = (int(np.median(at)) for at in np.nonzero(codes >= level - _width(noise, unit)))
         part = tuple(slice(max(at - _LARGEST_SIDE // 2, 0), at + _LARGEST_SIDE // 2) for at in (row, column))
         light = (codes - dark)[part]

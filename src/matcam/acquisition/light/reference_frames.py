@@ -18,16 +18,10 @@ from matcam.acquisition.bracket_sample import BracketSample
 from matcam.acquisition.darkness import Darkness
 from matcam.acquisition.light.reference_patch import GRAZING
 from matcam.acquisition.mosaic_frames import MosaicReader
-from matcam.core.errors import FileFormatError
 from matcam.core.remark import Remark, some_of
 from matcam.files.capture import Capture, Region, Stated
 from matcam.files.capture_frames import CaptureFrame
 
-_UNEVEN = 1.5
-"""Ratio of the light of two halves of the region above which the region extends beyond the reference.
-
-A near lamp causes smaller ratios.
-"""
 _FEWEST = 3
 """Smallest number of degrees of freedom for an estimate of scatter: with fewer, Student's distribution has no finite
 variance.
@@ -90,22 +84,15 @@ def in_own_frames(
     diffuse = capture.settings["reference"]["kind"] == "diffuse"
     # at grazing incidence a white patch does not determine the light of a lamp
     grazing = {lamp: diffuse and math.cos(capture.lamps[lamp].angle) <= GRAZING for lamp in lamps}
+    usable = []
     for frame in capture.of("reference"):
-        if frame.lamp and frame.lamp in capture.lamps and frame.lamp not in found:
-            continue
-        why = ""
         if not frame.lamp or frame.lamp not in capture.lamps:
-            why = "the sample has no frame of the same lamp"
-        elif frame.exposure not in exposures:
-            why = "the sample has no frame of the same exposure"
-        if why:
-            wrong.setdefault(why, []).append(frame.file)
-            continue
-        try:
-            codes = reader.read(frame, region)
-        except FileFormatError as error:
-            remarks.append(Remark("bad-frame", str(error)))
-            continue
+            wrong.setdefault("the sample has no frame of the same lamp", []).append(frame.file)
+        elif frame.lamp in found and frame.exposure not in exposures:
+            wrong.setdefault("the sample has no frame of the same exposure", []).append(frame.file)
+        elif frame.lamp in found:
+            usable.append(frame)
+    for frame, codes in reader.readable(usable, region, remarks):
         means, pixels = reader.channel_means(codes, region)
         if not pixels.all() or not np.isfinite(codes).all():
             wrong.setdefault("the region lacks a colour, or contains values that are not finite", []).append(frame.file)
@@ -197,7 +184,8 @@ def _uneven(capture: Capture, frame: CaptureFrame, light: np.ndarray, region: Re
     levels = [float(part.mean()) for part in parts if part.size]
     low, high = min(levels), max(levels)
     chance = 10 * float(light.std()) / np.sqrt(light.size / 2)
-    if high < _UNEVEN * max(low, 0.0) or high - low < chance:
+    # a near lamp causes ratios of the halves below 1.5
+    if high < 1.5 * max(low, 0.0) or high - low < chance:
         return []
     return [
         Remark(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -39,30 +39,18 @@ def reference_light(
         if not good.any() or not one.pixels.all():
             found[one.lamp] = tuple(_NONE for _ in one.pixels)
             continue
-        value, std = _merged(one.light[good], exposures[one.exposures[good]], scale, noise, one.pixels)
-        pairs = zip(value / response / scale, std / response / scale, strict=True)
+        light, relative = one.light[good], exposures[one.exposures[good]]
+        variance = (np.maximum(light, 0) * scale + noise**2).sum(0) / one.pixels
+        unit = relative.sum() * response * scale
+        pairs = zip(light.sum(0) / unit, np.sqrt(variance) / unit, strict=True)
         found[one.lamp] = tuple(Stated(float(v), float(s)) for v, s in pairs)
     return found
-
-
-def _merged(
-    light: np.ndarray, relative: np.ndarray, scale: float, noise: float, pixels: np.ndarray | int
-) -> tuple[np.ndarray, np.ndarray]:
-    """Merge the mean values of several exposures, and compute the standard deviation of the result, both in DN.
-
-    The exposures are on the first axis of `light`.
-    """
-    total = relative.sum()
-    variance = (np.maximum(light, 0) * scale + noise**2).sum(0) / pixels
-    return light.sum(0) / total, np.sqrt(variance) / total
 
 
 def lamp_output(
     capture: Capture,
     seen: Sequence[SeenReference],
-    exposures: np.ndarray,
-    scale: float,
-    noise: float,
+    light: Mapping[str, tuple[Stated, ...]],
     between: float = 0.0,
 ) -> dict[str, Stated]:
     """Compute the light of each lamp position from the reference, relative to the mean of all lamp positions.
@@ -72,21 +60,17 @@ def lamp_output(
     Args:
         capture: capture with the specified properties of reference and lamps.
         seen: the reference in the frames of each lamp position.
-        exposures: light of each exposure relative to the one that defines the unit of merged values.
-        scale: unit of merged values, DN.
-        noise: read noise, DN.
+        light: merged value of the reference at each lamp position, by channel.
         between: standard deviation of the change of light between an image of the reference and one of the sample,
             relative. Default: 0, one frame shows both.
     """
     diffuse = capture.settings["reference"] is not None and capture.settings["reference"]["kind"] == "diffuse"
     found: dict[str, Stated] = {}
     for one in seen:
-        pixels = max(int(one.pixels.sum()), 1)
-        mean = one.light @ one.pixels / pixels
-        good = np.isfinite(mean)
-        value, std = math.nan, math.nan
-        if good.any() and one.pixels.any():
-            value, std = map(float, _merged(mean[good], exposures[one.exposures[good]], scale, noise, pixels))
+        share = one.pixels / max(int(one.pixels.sum()), 1)
+        value = float(share @ [channel.value for channel in light[one.lamp]])
+        std = math.hypot(*(share * [channel.std for channel in light[one.lamp]]))
+        if math.isfinite(value):
             if diffuse:  # a white patch that faces the camera
                 angle = capture.lamps[one.lamp].angle
                 cosine = math.cos(angle)

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from matcam.acquisition.light.picture_light import PictureLight
-from matcam.acquisition.mirror_ball import MirrorBall
+from matcam.acquisition.mirror_ball import MirrorBall, unit
 from matcam.files.capture import Region, Stated
 
 GRAZING = 0.2
@@ -130,8 +130,8 @@ def patch_light(
     usual = log_of(at, *start)
     slopes = [(log_of(at, *(start + s)) - log_of(at, *(start - s))) / (2 * _STEP) for s in _STEP * np.eye(4)]
     own = noise**2 + between**2
-    for tangent in _tangents(at):
-        own = own + (lamp_std[used] * (log_of(_turned(at, tangent), *start) - usual) / _STEP) ** 2
+    for axis in np.eye(3):  # a step along the direction itself has no effect
+        own = own + (lamp_std[used] * (log_of(unit(at + _STEP * axis), *start) - usual) / _STEP) ** 2
     # unknowns: ln G of every image, the errors of the patch, ln U
     size = count + len(errors) + 1
     rows = np.zeros((used.sum(), size))
@@ -154,16 +154,4 @@ def patch_light(
         )
     gain, among = np.exp(found[:count]), covariance[:count, :count]
     unit_by_nearness = 0.0 if units is None else float(by_nearness[-1])
-    return PictureLight(gain, among, used, by_nearness[:count], unit_by_nearness, units)
-
-
-def _tangents(lamps: np.ndarray) -> list[np.ndarray]:
-    helper = np.where(np.abs(lamps[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
-    first = np.cross(lamps, helper)
-    first /= np.linalg.norm(first, axis=1, keepdims=True)
-    return [first, np.cross(lamps, first)]
-
-
-def _turned(lamps: np.ndarray, tangent: np.ndarray) -> np.ndarray:
-    turned = lamps + _STEP * tangent
-    return np.asarray(turned / np.linalg.norm(turned, axis=1, keepdims=True))
+    return PictureLight(gain, among, by_nearness[:count], unit_by_nearness, units)

@@ -6,8 +6,6 @@ from matcam.files.capture import Capture
 
 _GRAZING = (4.0, 2.5)
 """Mean and spread of c for metals and glasses, whose Fresnel reflectance at a grazing angle g is exp(-c g)."""
-_REACH_UNKNOWN = np.radians(3.0)
-"""Assumed extent of a backlight of unknown size, rad. Its reflection is not subtracted, but included in the error."""
 
 
 def field_reach(capture: Capture) -> tuple[float, float]:
@@ -33,7 +31,8 @@ def grazing_reflection(radius: float, reach: tuple[float, float] | None) -> tupl
         (0.34, 0.13)
     """
     if reach is None:
-        return 0.0, grazing_reflection(radius, (_REACH_UNKNOWN, 0.0))[0]
+        # the reflection of an assumed field of 3 degrees is not subtracted, but included in the error
+        return 0.0, grazing_reflection(radius, (np.radians(3.0), 0.0))[0]
     angle, angle_std = reach
 
     def shrunk(edge: float, slope: float) -> float:

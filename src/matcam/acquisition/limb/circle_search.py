@@ -7,14 +7,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage
 
-_LARGEST = 320
-"""Longest side of the searched image, px; larger images are binned to bound the time."""
 _EDGES = 2500  # largest number of edges, which bounds the time
-_PAIRS = 40000  # number of random pairs of edges
-_TRIED = 600  # largest number of circles that are evaluated
 _BINS = 72  # number of bins along the circumference
 _NEAR = 1.6  # largest distance of an edge from its circle, px of the binned image
-_STRAIGHT = 0.9  # smallest cosine between the normals of an edge and of its circle
 
 
 class FoundCircle(NamedTuple):
@@ -52,7 +47,8 @@ def find_circles(values: np.ndarray, std: np.ndarray, *, bright_inside: bool, mo
     Returns:
         The circles, in px of the image. Each has edges along at least 0.15 of its circumference.
     """
-    bin_ = int(np.ceil(max(values.shape) / _LARGEST))
+    # larger images are binned to 320 px to bound the time
+    bin_ = int(np.ceil(max(values.shape) / 320))
     bin_ += bin_ % 2 if mosaic else 0
     position, inwards = _edges(*_binned(values, std, bin_), bright_inside)
     found: list[FoundCircle] = []
@@ -119,7 +115,8 @@ def _edges(picture: np.ndarray, noise: float, bright_inside: bool) -> tuple[np.n
 
 
 def _best(position: np.ndarray, inwards: np.ndarray, rng: np.random.Generator, largest: float) -> FoundCircle | None:
-    i, j = rng.integers(0, len(position), (2, _PAIRS))
+    # number of random pairs of edges
+    i, j = rng.integers(0, len(position), (2, 40000))
     apart, turned = position[j] - position[i], inwards[i] - inwards[j]
     size = (turned**2).sum(1)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -127,7 +124,8 @@ def _best(position: np.ndarray, inwards: np.ndarray, rng: np.random.Generator, l
     first, second = position[i] + radius[:, None] * inwards[i], position[j] + radius[:, None] * inwards[j]
     meets = (size > 0.1) & (radius > 6) & (radius < largest)
     meets &= np.hypot(*(first - second).T) < 1 + 0.05 * radius
-    chosen = np.flatnonzero(meets)[:_TRIED]
+    # largest number of circles that are evaluated
+    chosen = np.flatnonzero(meets)[:600]
     if not len(chosen):
         return None
     centre, radius = (first[chosen] + second[chosen]) / 2, radius[chosen]
@@ -156,6 +154,7 @@ def _coverage(
     """Compute the share of a circle's circumference with an edge, and the mask of the edges on this circle."""
     y, x = row - position[:, 0], column - position[:, 1]
     distance = np.hypot(y, x)
-    near = (np.abs(distance - radius) < _NEAR) & (y * inwards[:, 0] + x * inwards[:, 1] > _STRAIGHT * distance)
+    # smallest cosine between the normals of an edge and of its circle
+    near = (np.abs(distance - radius) < _NEAR) & (y * inwards[:, 0] + x * inwards[:, 1] > 0.9 * distance)
     bins = ((np.arctan2(y[near], x[near]) / (2 * np.pi) + 0.5) * _BINS).astype(int) % _BINS
     return np.unique(bins).size / _BINS, near

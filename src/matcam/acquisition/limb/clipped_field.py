@@ -8,13 +8,6 @@ import numpy as np
 
 from matcam.core.remark import Remark
 
-_EVEN = 0.05
-"""Share of the pixels at the largest code above which a field may be clipped. Without clipping, noise brings only a few
-pixels of a frame to that code.
-"""
-_PIXEL = 0.29
-"""Standard deviation of the response of a full pixel, px: 1 / sqrt(12)."""
-
 
 def field_is_clipped(codes: np.ndarray, saturation: float) -> bool:
     """Detect a clipped bright field.
@@ -28,7 +21,8 @@ def field_is_clipped(codes: np.ndarray, saturation: float) -> bool:
         saturation: largest code that the file can hold, DN.
     """
     top = float(codes.max())
-    if np.mean(codes == top) < _EVEN:
+    # without clipping, noise brings only a few pixels of a frame to its largest code
+    if np.mean(codes == top) < 0.05:
         return False
     dark = codes < np.percentile(codes, 20)
     pairs = dark[:, 1:] & dark[:, :-1]
@@ -47,7 +41,8 @@ def hidden_by_clipping(path: Path, sigma: float) -> tuple[float, Remark]:
         path: path of the frame or the frames, for the remark.
         sigma: standard deviation of the lens's blur, px.
     """
-    middle = 0.8 * float(np.hypot(sigma, _PIXEL))
+    # the response of a full pixel has a standard deviation of 1 / sqrt(12) px
+    middle = 0.8 * float(np.hypot(sigma, 0.29))
     return middle, Remark(
         "outline-clipped",
         f"{path}: the bright field is clipped, which hides {middle:.1f} ± {middle:.1f} px of the radius; expose outline "

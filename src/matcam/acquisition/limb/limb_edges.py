@@ -18,16 +18,8 @@ from scipy.special import erf
 
 _STEP = 0.05  # spacing of the table of blurred powers, px
 _HALF_WIDTH = 0.5  # half width of a pixel, px
-_REACH = 24.0  # largest distance inside the edge, px
-_GAUSS = np.polynomial.legendre.leggauss(80)
 _INDEX = 1.5  # refractive index of a clear coat
 _TURNS = 5  # largest number of iterations
-_STILL = 1e-3  # largest change of a position at convergence, px
-_SINGULAR = 1e-9  # relative diagonal element of R below which the fit of a sector is singular
-_STEEPEST = 10.0
-"""Largest coefficient of the radiance in powers of the cosine of the viewing angle, relative to the radiance in the band:
-that of a glass sphere is 6.
-"""
 _FAR = 0.5  # px: largest change of a position in one iteration
 
 
@@ -72,10 +64,11 @@ class BlurredPowers:
     def __init__(self, sigma: float, exponents: Sequence[float], coated: float | None = None):
         self.exponents = tuple(exponents)
         self.variance = sigma**2 + _HALF_WIDTH**2 / 3
-        self.positions = np.arange(-8.0, _REACH, _STEP)
+        # largest distance inside the edge, px
+        self.positions = np.arange(-8.0, 24.0, _STEP)
         end = 8 * np.sqrt(self.variance)
         root2 = np.sqrt(2) * max(sigma, 1e-3)
-        nodes, weights = _GAUSS
+        nodes, weights = np.polynomial.legendre.leggauss(80)
         # u = s^2, the distance inside the edge, removes the infinite slope of the root
         t = self.positions[:, None]
         top, bottom = (np.sqrt(np.maximum(t + side, 0.0)) for side in (end, -end))
@@ -189,7 +182,9 @@ def sector_edges(pixels: BandPixels, powers: BlurredPowers, count: int) -> LimbS
     prior = np.zeros((count, columns, columns))
     for j, exponent in enumerate(powers.exponents):
         if exponent > 0:
-            prior[:, powers_at + j, powers_at + j] = (pixels.radius / 2) ** -exponent / (_STEEPEST * level)
+            # 10 times the radiance in the band: the largest coefficient of a glass sphere, in powers of
+            # the cosine, is 6 times
+            prior[:, powers_at + j, powers_at + j] = (pixels.radius / 2) ** -exponent / (10.0 * level)
     target = np.concatenate([target, np.zeros((count, prior.shape[1]))], axis=1)
     shift = np.zeros(count)
     for turn in range(_TURNS):
@@ -204,7 +199,7 @@ def sector_edges(pixels: BandPixels, powers: BlurredPowers, count: int) -> LimbS
         good = (scale > 0).all(1) & (freedom > number / 4)
         scale[scale == 0] = 1.0
         q, r = np.linalg.qr(matrix / scale[:, None])
-        good &= np.abs(np.diagonal(r, axis1=1, axis2=2)).min(1) > _SINGULAR
+        good &= np.abs(np.diagonal(r, axis1=1, axis2=2)).min(1) > 1e-9
         r[~good] = np.eye(r.shape[1])
         solution = np.linalg.solve(r, np.einsum("spc,sp->sc", q, target)[..., None])[..., 0] / scale
         residual = target - np.einsum("spc,sc->sp", matrix, solution)
@@ -218,7 +213,7 @@ def sector_edges(pixels: BandPixels, powers: BlurredPowers, count: int) -> LimbS
         power = (slope**2).sum(1)
         good &= power > 0
         move = np.where(good, (slope * residual).sum(1) / np.where(good, power, 1.0), 0.0)
-        if turn == _TURNS - 1 or np.abs(move).max(initial=0.0) < _STILL:
+        if turn == _TURNS - 1 or np.abs(move).max(initial=0.0) < 1e-3:
             break
         shift += np.clip(move, -_FAR, _FAR)
     chi2 = ((residual - slope * move[:, None]) ** 2).sum(1)

@@ -16,11 +16,7 @@ from matcam.acquisition.limb.backlight import grazing_reflection
 from matcam.core.errors import FitError
 from matcam.core.remark import Remark
 
-_BLOCKS = 6  # largest number of blocks of rows
 _ABOUT = 9  # width of the fitted profile on either side of an edge, px
-_LEAST_STD = 0.01  # smallest standard deviation of an edge, px
-_LEANS = 0.3  # largest shift of the axis over all rows without a remark, px
-_CONTRAST = 3.0  # smallest ratio of the bright field to the dark sample
 
 
 class StraightOutline(NamedTuple):
@@ -67,7 +63,8 @@ def straight_outline(
     low, high = np.quantile(levels.mean(axis=0), [0.02, 0.98])
     dark = levels.mean(axis=0) < (low + high) / 2
     inside = np.flatnonzero(dark)
-    if high < _CONTRAST * max(low, 1e-3 * high) or not inside.size or inside.size < inside[-1] - inside[0] + 1 - 4:
+    # smallest ratio of the bright field to the dark sample
+    if high < 3.0 * max(low, 1e-3 * high) or not inside.size or inside.size < inside[-1] - inside[0] + 1 - 4:
         raise FitError(
             "outline: the frame shows no upright dark stripe in front of a bright field; repeat the frame, or specify "
             "sample.outline_radius_px and sample.axis_column_px"
@@ -79,7 +76,8 @@ def straight_outline(
             f"{4 * _ABOUT} px wide or more, with {_ABOUT} px of the field on either side: use more pixels for the cylinder, "
             "or a wider field or region"
         )
-    borders = np.linspace(0, height, min(_BLOCKS, max(height // 4, 1)) + 1).round().astype(int)
+    # largest number of blocks of rows
+    borders = np.linspace(0, height, min(6, max(height // 4, 1)) + 1).round().astype(int)
     middle, edges = [], []
     for first, last in pairwise(borders.tolist()):
         middle.append((first + last - 1) / 2)
@@ -89,13 +87,15 @@ def straight_outline(
     lines, *_ = np.linalg.lstsq(design, positions, rcond=None)
     freedom = max(len(at) - 2, 1)
     scatter = float(np.sqrt(((positions - design @ lines) ** 2).sum() / (2 * freedom))) if len(at) > 2 else 0.0
-    noise = max(scatter / np.sqrt(len(at)), _LEAST_STD)
+    # smallest standard deviation of an edge, px
+    noise = max(scatter / np.sqrt(len(at)), 0.01)
     lean = float(lines[1].mean())
     upright = 1 / np.sqrt(1 + lean**2)
     seen = float(lines[0, 1] - lines[0, 0]) / 2 * upright
     mirrored, mirrored_std = grazing_reflection(seen, reach)
     remarks = []
-    if abs(lean) * height > _LEANS:
+    # largest shift of the axis over all rows without a remark, px
+    if abs(lean) * height > 0.3:
         remarks.append(
             Remark(
                 "cylinder-leans",

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from matcam.acquisition.check.unmeasured_lens import lens_sigma
@@ -21,7 +19,7 @@ from matcam.files.capture import Capture, Stated
 from matcam.reconstruction.cylinder.strips import Strip
 from matcam.reconstruction.sphere_scene import SphereScene
 from matcam.reconstruction.stated.captured_scene import CapturedScene
-from matcam.reconstruction.stated.lamp_light import gains_of, under_one_light
+from matcam.reconstruction.stated.lamp_light import gains_of
 from matcam.reconstruction.stated.outline_frames import mean_outline_frame
 from matcam.reconstruction.stated.stated_rig import (
     FEWEST,
@@ -32,31 +30,15 @@ from matcam.reconstruction.stated.stated_rig import (
     without_field,
 )
 
-_ROW_STD = 0.05
-"""Default standard deviation of the row that the camera faces, as a share of the height of a frame."""
 _SHIFT = 0.3
 """Standard deviation of the motion of the axis between images, px."""
 _STATED_STD = 0.05
 """Default standard deviation of a specified radius or axis, px."""
 
 
-class CapturedCylinder(NamedTuple):
-    """Data of a capture of a cylinder before the joint fit.
-
-    Attributes:
-        scene: merged images, prior knowledge of the rig, directions to the lamps, radiometry, remarks.
-        strips: strips of material.
-        outline: outline of the cylinder.
-    """
-
-    scene: CapturedScene
-    strips: tuple[Strip, ...]
-    outline: StraightOutline
-
-
 def captured_cylinder(
     capture: Capture, progress: Progress | None = None, *, workers: int = 1, kept: KeptWork | None = None
-) -> CapturedCylinder:
+) -> tuple[CapturedScene, tuple[Strip, ...]]:
     """Merge the frames of a capture, and find the outline of the cylinder.
 
     Args:
@@ -65,6 +47,9 @@ def captured_cylinder(
             Default: None.
         workers: number of lamp positions that are read at the same time. Default: 1.
         kept: stored results from which an interrupted computation resumes. Default: None, nothing is stored.
+
+    Returns:
+        Merged images with prior knowledge of the rig, and the strips of material.
 
     Raises:
         ArgumentError: the capture has neither frames of the outline nor a specified outline.
@@ -84,11 +69,11 @@ def captured_cylinder(
         remarks.append(
             Remark(
                 "no-direction",
-                f"the fit excludes {', '.join(lost)}, because the lamp direction is unknown: {LIST_NEEDS}",
+                f"the fit excludes {', '.join(lost)}, because the lamp direction is unknown: angle_deg and azimuth_deg of "
+                "frames.csv must specify the direction of the lamp",
             ),
         )
     merged, radiometry = merge(capture, capture.region, progress, workers=workers, kept=kept)
-    merged = under_one_light(merged, capture)
     remarks.extend(radiometry.remarks)
     pictures = [one for one in merged if one.name not in lost]
     if len(pictures) < FEWEST:
@@ -100,7 +85,8 @@ def captured_cylinder(
     assert size is not None  # frames were merged
     height = size[1]
     strips = _strips(capture, pictures[0].values.shape[0], pictures[0].origin[0])
-    row = capture.stated("centre_row_px") or Stated((height - 1) / 2, _ROW_STD * height)
+    # the row that the camera faces is assumed to be the middle row, within 5 % of the height
+    row = capture.stated("centre_row_px") or Stated((height - 1) / 2, 0.05 * height)
     lamps = np.array([directions[one.name] for one in pictures])
     ball = MirrorBall(row.value, outline.column, outline.radius)
     names = [one.name for one in pictures]
@@ -124,10 +110,7 @@ def captured_cylinder(
         light=light,
     )
     found = CapturedScene(pictures, scene, lamps, radiometry, None, lost, tuple(dict.fromkeys(remarks)))
-    return CapturedCylinder(found, strips, outline)
-
-
-LIST_NEEDS = "angle_deg and azimuth_deg of frames.csv must specify the direction of the lamp"
+    return found, strips
 
 
 def _strips(capture: Capture, height: int, first: int) -> tuple[Strip, ...]:

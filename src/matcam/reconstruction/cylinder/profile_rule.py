@@ -15,13 +15,8 @@ from matcam.reconstruction.cylinder.strips import Strip, StripProfiles
 from matcam.reconstruction.observed_pixels import LIMB, LIT, OUTSIDE, ObservedPixels
 from matcam.reconstruction.picture_rule import MARGIN, WINDOW, graded_nodes
 
-_MOST = 2048
-"""Largest number of fitted columns outside the windows, summed over all strips and colours."""
-_NODES = 224
 _ROW_COUNTS = 4, 8, 16, 32, 64, 128
 """Numbers of rows of a strip. There are few, because a program is compiled for each."""
-_ROW_ERROR = 1e-5
-"""Relative error of the mean over the rows of a strip."""
 
 
 class ProfileWindow(NamedTuple):
@@ -83,7 +78,8 @@ def row_count(
     # along a strip, the lobe has poles where the slope is an imaginary number of the size of the roughness; the error of a
     # Gauss-Legendre rule is a power of the size of the ellipse through the poles
     ratio = min(alphas) / max(*tilts, 1e-6)
-    needed = np.log(1 / _ROW_ERROR) / (2 * np.arcsinh(ratio))
+    # relative error of the mean over the rows of a strip
+    needed = np.log(1 / 1e-5) / (2 * np.arcsinh(ratio))
     return next((count for count in _ROW_COUNTS if count >= needed), _ROW_COUNTS[-1])
 
 
@@ -159,7 +155,8 @@ def chosen_columns(
     # the other columns: in a mosaic, the pixels of one colour are in every second column
     anywhere: np.ndarray = np.any(profiles.used, axis=1, keepdims=True)
     candidates = np.flatnonzero(np.broadcast_to(anywhere, profiles.used.shape))
-    step = int(np.ceil(candidates.size / _MOST))
+    # at most 2048 columns outside the windows
+    step = int(np.ceil(candidates.size / 2048))
     candidates = candidates[::step]
     channel, strip_of, column = np.unravel_index(candidates, profiles.values.shape)
     p = (profiles.column[column] - ball.column) / ball.radius
@@ -202,5 +199,5 @@ def _window(
         for end in (columns[0] - 1 - MARGIN, columns[-1] + 1 + MARGIN)
     )
     across = np.hypot(np.cos(strip.turn) / alphas[0], np.sin(strip.turn) / alphas[1])
-    u, weight = graded_nodes(low, high, np.arcsin(peak), 1 / across / 3, plateau, ball.radius, _NODES)
+    u, weight = graded_nodes(low, high, np.arcsin(peak), 1 / across / 3, plateau, ball.radius, 224)
     return u, weight * np.cos(u), columns

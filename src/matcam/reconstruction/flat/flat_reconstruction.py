@@ -29,15 +29,10 @@ from matcam.reconstruction.flat.flat_roughness import FlatRoughness, LobeShares,
 from matcam.reconstruction.flat.flat_stack import MARGIN, FlatPicture, FlatStack, flat_stack
 from matcam.reconstruction.flat.texture_posterior import TexturePosterior, texture_posterior
 from matcam.reconstruction.stated.captured_scene import INCOMPLETE
-from matcam.reconstruction.stated.lamp_light import under_one_light
 from matcam.reconstruction.stated.stated_rig import captured_lens, without_field
 
 MAPS = ("diffuse", "specular")
 _CLIPPED = 0.001  # share of clipped pixels up to which an image is used
-_THETA_D = np.radians(10.0)
-"""Range of theta_d above which a remark reports that F may vary between the images, rad."""
-_LOOSE = 0.05  # standard deviation of ln alpha above which a remark is added
-_MISFIT = 1.3
 
 
 @dataclass(frozen=True, repr=False)
@@ -212,7 +207,6 @@ def reconstruct_flat(
             "texels: give frames of a monochrome camera, and omit camera.cfa"
         )
     merged, radiometry = merge(capture, capture.region, progress, workers=workers, kept=kept)
-    merged = under_one_light(merged, capture)
     remarks.extend(radiometry.remarks)
     pictures, lost = [], []
     for one in merged:
@@ -321,7 +315,8 @@ def _budgets(fitted: FlatRoughness, alpha: float, unit: float) -> tuple[Uncertai
 def _remarks(fitted: FlatRoughness, shares: LobeShares) -> list[Remark]:
     found = [Remark("relative", "both maps are relative: they are scaled so that the larger mean is 1")]
     spread = float(np.sqrt(fitted.covariance[0, 0]))
-    if spread > _LOOSE:
+    # standard deviation of ln alpha above which a remark is added
+    if spread > 0.05:
         found.append(
             Remark(
                 "roughness-loose",
@@ -329,7 +324,8 @@ def _remarks(fitted: FlatRoughness, shares: LobeShares) -> list[Remark]:
                 "half angles of the images differ more",
             )
         )
-    if np.ptp(shares.theta_d) > _THETA_D:
+    # F may vary between images whose theta_d differ by more than 10 degrees
+    if np.ptp(shares.theta_d) > np.radians(10.0):
         low, high = np.degrees([shares.theta_d.min(), shares.theta_d.max()])
         found.append(
             Remark(
@@ -338,7 +334,7 @@ def _remarks(fitted: FlatRoughness, shares: LobeShares) -> list[Remark]:
                 "lamp and camera constant",
             )
         )
-    if fitted.misfit > _MISFIT:
+    if fitted.misfit > 1.3:
         found.append(
             Remark(
                 "misfit",

@@ -20,10 +20,7 @@ from matcam.material.masking import Masking
 from matcam.material.microfacet import Microfacet
 from matcam.reconstruction.flat.flat_stack import FlatStack
 
-_COARSE = 0.15  # frequency below which the texture is coarse, cycles/px
 _WIDTHS = np.geomspace(0.01, 0.9, 46)
-_EXACT = 1e-4
-"""Smallest relative error that is assumed for the mean of an image, no unit."""
 
 
 class FlatRoughness(NamedTuple):
@@ -95,10 +92,12 @@ def fit_roughness(stack: FlatStack, shares: LobeShares, gain_std: np.ndarray) ->
         shares: radiance of the lobe and of a white surface in each image.
         gain_std: prior standard deviation of ln of the gain of each image, (pictures,).
     """
-    coarse = (stack.radius < _COARSE) & (stack.radius > 0)
+    # frequency below which the texture is coarse, cycles/px
+    coarse = (stack.radius < 0.15) & (stack.radius > 0)
     root = np.sqrt(stack.noise[:, coarse])
     data, transfer = stack.spectrum[:, coarse] / root, stack.transfer[:, coarse] / root
-    mean_std = np.hypot(stack.mean_std, _EXACT * np.abs(stack.mean))
+    # smallest relative error that is assumed for the mean of an image, no unit
+    mean_std = np.hypot(stack.mean_std, 1e-4 * np.abs(stack.mean))
     prior = np.maximum(gain_std, 1e-5)
 
     def weights(p: np.ndarray) -> np.ndarray:

@@ -24,7 +24,6 @@ TAPER = 16
 MARGIN = 24
 """Width of the border that is omitted from the maps, texels."""
 _REACH = 16  # half width of the sinc, px
-_BAND = 0.44  # cycles/px on the sensor, up to which the windowed sinc is transparent
 _STEP = 1e-3
 _PASSED = 1e-3
 """MTF of a lens below which its derivative is neglected."""
@@ -120,7 +119,8 @@ def flat_stack(pictures: Sequence[FlatPicture], camera: Camera) -> FlatStack:
         mean = float((rectified * taper).sum() / taper.sum())
         spectrum = np.fft.fft2((rectified - mean) * taper) / np.sqrt(area)
         sensor = _transfer(camera, along / cosine, across)
-        inside = (np.abs(along / cosine) < _BAND) & (np.abs(across) < 0.5)
+        # the windowed sinc is transparent up to 0.44 cycles/px on the sensor
+        inside = (np.abs(along / cosine) < 0.44) & (np.abs(across) < 0.5)
         transfer = np.where(inside, sensor, 0.0)
         # white noise of the sensor; the tilt raises its density
         noise = np.full((height, width), variance / cosine)

@@ -17,7 +17,6 @@ from matcam.reconstruction.flat.flat_stack import FlatStack
 RESOLVED = 0.5
 """Smallest share of the prior variance that the images remove at a resolved frequency."""
 _BINS = np.geomspace(0.02, 0.35, 13)
-_CLEAR = 3.0  # standard deviations by which the power of a bin must exceed its noise
 _STEEPEST, _FLATTEST = -5.0, 0.0
 _NOTHING = 1e-12
 
@@ -137,7 +136,8 @@ def _power_law(estimate: np.ndarray, variance: np.ndarray, radius: np.ndarray) -
         power = float((weight * (np.abs(estimate[ring]) ** 2 - variance[ring])).sum() / weight.sum())
         noise = float(1 / np.sqrt(weight.sum()) * np.sqrt(2))
         rings.append((np.sqrt(low * high), power, noise, int(ring.sum())))
-    clear = [(f, p, n) for f, p, noise, n in rings if p > _CLEAR * noise]
+    # standard deviations by which the power of a bin must exceed its noise
+    clear = [(f, p, n) for f, p, noise, n in rings if p > 3.0 * noise]
     if len(clear) < 2:
         level = max(max((p for _, p, *_ in rings), default=0.0), _NOTHING)
         return PowerLaw(level, 0.0)

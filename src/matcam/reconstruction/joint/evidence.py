@@ -34,8 +34,6 @@ from matcam.reconstruction.observed_pixels import ObservedPixels
 
 ACCURACY = 3e-3
 """Smallest unexplained share of the light that is distinguished from none: the accuracy of a modelled pixel."""
-_UNSPECIFIED = 3.0
-"""Prior standard deviation of strengths and diffuse parts, relative to the largest one."""
 
 
 class ComparedPixels(NamedTuple):
@@ -84,7 +82,8 @@ class ComparedPixels(NamedTuple):
         mean, std = np.zeros(layout.size), np.full(layout.size, np.inf)
         mean[: layout.lobe], std[: layout.lobe] = lobe_priors(kind)
         for part in (layout.diffuse, *(layout.strengths(k) for k in range(layout.pictures))):
-            std[part] = _UNSPECIFIED * self.strength
+            # prior standard deviation of strengths and diffuse parts, relative to the largest one
+            std[part] = 3.0 * self.strength
         return Judged(problem, p, share, log_likelihood, at.gradient, at.normal, mean, std)
 
 

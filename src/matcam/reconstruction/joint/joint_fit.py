@@ -21,12 +21,10 @@ from matcam.reconstruction.joint.likelihood import Likelihood
 
 T = TypeVar("T")
 _STEPS, _ATTEMPTS = 25, 9
-_SETTLED = 1e-3  # largest step at convergence, as a share of a standard deviation
 _SLIGHT, _LOOK_BACK = 10.0, 3
 """Factor of the threshold below which a step is small, and number of steps without progress after which the iteration ends."""
 _NO_CHANGE, _ALL_LOST = 1e-12, 1e-6
 """Relative change of information below which it is neglected, and smallest share of information that remains."""
-_MOST_AT_ONCE = 8  # images at a time; the derivatives of one take up to 12 MB
 
 
 class JointSolution(NamedTuple):
@@ -137,7 +135,8 @@ def solve(problem: JointProblem, start: np.ndarray, judge: Likelihood, enough: f
             break
         gained, moved = at.cost - cost, np.abs((trial - p) * scale).max()
         p, damping = trial, damping if raised else max(damping / 10, 1e-9)
-        if moved < _SETTLED or (gained < enough and (not mixed or abs(at.gradient @ first) < 5 * enough)):
+        # largest step at convergence, as a share of a standard deviation
+        if moved < 1e-3 or (gained < enough and (not mixed or abs(at.gradient @ first) < 5 * enough)):
             break
         at = assembled(problem, judge, p)
         costs.append(at.cost)
@@ -252,24 +251,23 @@ def assembled(
 
 
 def _of_pictures(work: Callable[[int], T], problem: JointProblem) -> Iterator[T]:
-    return in_order(work, range(problem.layout.pictures), min(available_cores(), _MOST_AT_ONCE))
+    # the derivatives of one image take up to 12 MB, so 8 images are processed at a time
+    return in_order(work, range(problem.layout.pictures), min(available_cores(), 8))
 
 
-def cost_at(
-    problem: JointProblem, judge: Likelihood, p: np.ndarray, levels: Sequence[np.ndarray] | None = None
-) -> float:
+def cost_at(problem: JointProblem, judge: Likelihood, p: np.ndarray, levels: Sequence[np.ndarray]) -> float:
     """Compute minus twice the logarithm of likelihood and prior, up to a constant.
 
     Args:
         problem: problem to fit.
         judge: likelihood of the pixels.
         p: parameters, (size,).
-        levels: expected values of the pixels of each image, from which the noise follows. Default: None, the model.
+        levels: expected values of the pixels of each image, from which the noise follows.
     """
 
     def share(k: int) -> float:
         value = problem.picture(p, k, slopes=False).value
-        return judge.cost(problem.pixels[k], value, None if levels is None else levels[k])
+        return judge.cost(problem.pixels[k], value, levels[k])
 
     away = problem.prior_rows @ p - problem.prior_values
     return float(away @ away) + sum(_of_pictures(share, problem))

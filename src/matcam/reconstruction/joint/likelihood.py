@@ -23,12 +23,7 @@ _HUBER = 4.0
 _CUT = 3.0
 _NORMAL = 0.9733
 """Mean of the square of a normal variable, truncated at the square of `_CUT`."""
-_BRIGHT = 10.0
 _FEWEST = 50
-_LOOKED_AT = 12
-"""Number of images in which the correlation is estimated."""
-_LEAST = 0.05
-"""Smallest unexplained share of the variance of residuals by which correlations are divided, no unit."""
 
 
 class Likelihood(NamedTuple):
@@ -132,7 +127,8 @@ def likelihood_at(problem: JointProblem, p: np.ndarray) -> Likelihood:
     share = _share(bright)
     if share == 0:
         return Likelihood(share)
-    return Likelihood(share, _correlated_pixels([bright[k] for k in evenly(len(bright), _LOOKED_AT)], share))
+    # number of images in which the correlation is estimated
+    return Likelihood(share, _correlated_pixels([bright[k] for k in evenly(len(bright), 12)], share))
 
 
 class _Bright(NamedTuple):
@@ -147,7 +143,7 @@ class _Bright(NamedTuple):
         lit = np.flatnonzero(pixels.used & ~pixels.clipped & (fit.value > pixels.std))
         value, residual = fit.value[lit], (pixels.values - fit.value)[lit]
         std = pixels.noise_at(fit.value)[lit]
-        bright = value > _BRIGHT * std
+        bright = value > 10.0 * std
         return cls(value[bright], residual[bright], std[bright], pixels.positions[:, lit[bright]])
 
 
@@ -195,4 +191,5 @@ def _correlated_pixels(pictures: list[_Bright], share: float) -> float:
     together[1] += together[0]  # pixels at one position in several colours
     ends = np.flatnonzero(together[1:] <= 0)
     shared = 2 * float(together[1 : 1 + (ends[0] if ends.size else together.size)].sum()) / total
-    return 1 + shared / max(unexplained / count, _LEAST)
+    # smallest unexplained share of the variance of residuals by which correlations are divided, no unit
+    return 1 + shared / max(unexplained / count, 0.05)

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-import time
-from collections.abc import Callable
+from collections.abc import Sequence
 
 _STUCK = 0.1
 """Unexplained share of the light below which an increase does not end the rounds, because new windows contain other pixels."""
@@ -18,37 +17,32 @@ If the ratio is larger, the model does not describe the images.
 """
 
 
-class Rounds:
-    """Progress of the rounds of one joint fit, which is that of one explanation.
+def round_line(shares: Sequence[float], most: int, pictures: int, seconds: float) -> str:
+    """Announce the next round of the joint fit of one explanation.
 
     The number of explanations that follow is unknown, because it depends on the result.
 
     Args:
+        shares: unexplained share of the light after each finished round.
         most: largest number of rounds.
-        say: function that is called with a line about each round.
         pictures: number of fitted images.
+        seconds: time of the finished rounds, s.
     """
+    done = len(shares)
+    line = f"round {done + 1} of at most {most}, {pictures} images"
+    if not done:
+        return line
+    return (
+        f"{line}, {shares[-1]:.1%} unexplained so far, at most {seconds / done * (most - done):.0f} s left for this "
+        "explanation; others may follow"
+    )
 
-    def __init__(self, most: int, say: Callable[[str], None], pictures: int):
-        self.most, self.say, self.pictures = most, say, pictures
-        self.shares: list[float] = []
-        self._started = time.monotonic()
 
-    def begin(self) -> None:
-        done = len(self.shares)
-        line = f"round {done + 1} of at most {self.most}, {self.pictures} images"
-        if done:
-            left = (time.monotonic() - self._started) / done * (self.most - done)
-            line += f", {self.shares[-1]:.1%} unexplained so far, at most {left:.0f} s left for this explanation; others may "
-            line += "follow"
-        self.say(line)
+def is_stuck(shares: Sequence[float]) -> bool:
+    """Decide whether the last round did not improve the fit, although the unexplained share of the light is large.
 
-    def end(self, share: float) -> None:
-        self.shares.append(share)
-
-    @property
-    def stuck(self) -> bool:
-        """True if the last round did not improve the fit, although the unexplained share is large."""
-        *before, share = self.shares
-        least = min(before, default=math.inf)
-        return share > max(_STUCK, _RISE * least) or share > max(_NOTHING, _FALL * least)
+    `shares` contains the share after each round.
+    """
+    *before, share = shares
+    least = min(before, default=math.inf)
+    return share > max(_STUCK, _RISE * least) or share > max(_NOTHING, _FALL * least)

@@ -21,7 +21,7 @@ from matcam.files.capture import Capture, Stated
 from matcam.reconstruction.rig.earlier_rig import known_rig
 from matcam.reconstruction.rig.rig_document import EarlierRig
 from matcam.reconstruction.sphere_scene import SphereScene, unstated_distortion
-from matcam.reconstruction.stated.lamp_light import gains_of, under_one_light
+from matcam.reconstruction.stated.lamp_light import gains_of
 from matcam.reconstruction.stated.outline_frames import found_outline
 from matcam.reconstruction.stated.stated_lamps import first_lamps, stated_lamps
 from matcam.reconstruction.stated.stated_rig import (
@@ -133,7 +133,6 @@ def captured_scene(
     sighting = Sighting(1 / camera_nearness.value if camera_nearness.value > 0 else np.inf)
     outline, region = found_outline(capture, sighting, lens_sigma(camera), frame, remarks)
     pictures, radiometry = merge(capture, region, progress, workers=workers, kept=kept)
-    pictures = under_one_light(pictures, capture)
     remarks.extend(radiometry.remarks)
     centres: np.ndarray | None = None
     if outline is None:

@@ -2,45 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
 
-from matcam.acquisition.light.picture_light import LightAt, PictureLight, constant_light, stated_light
+from matcam.acquisition.light.picture_light import LightAt, constant_light, stated_light
 from matcam.acquisition.light.reference_patch import ReferencePatch, patch_light
-from matcam.acquisition.merged_picture import MergedPicture
 from matcam.acquisition.mirror_ball import MirrorBall
 from matcam.acquisition.radiometry import Radiometry
-from matcam.core.errors import FitError
 from matcam.core.remark import Remark
 from matcam.files.capture import Capture, Region, Stated
-
-_SEEN = float(np.radians(0.5))
-"""Largest assumed standard deviation of the direction of a lamp, rad, because the highlights determine the direction better."""
-
-
-def under_one_light(pictures: Sequence[MergedPicture], capture: Capture) -> list[MergedPicture]:
-    """Divide the images by the relative intensities of their lamps if the capture has a table of intensities.
-
-    A FitError is raised if the number of intensities of a lamp is neither 1 nor the number of colours.
-    """
-    if capture.settings["lamp"]["intensity"] != "table":
-        return list(pictures)
-    stated = {one.name: np.array(capture.lamps[one.name].intensity) for one in pictures}
-    mean = float(np.mean([light.mean() for light in stated.values()]))
-    found = []
-    for one in pictures:
-        light = stated[one.name] / mean
-        if len(light) not in (1, len(one.channels)):
-            raise FitError(
-                f"{capture.folder}: the number of intensities of lamp {one.name} is {len(light)}, but it must be 1 or the "
-                f"number of colours of the images, {len(one.channels)}"
-            )
-        share = np.broadcast_to(light, len(one.channels))[one.channel]
-        found.append(replace(one, values=one.values / share, std=one.std / share))
-    return found
 
 
 def gains_of(
@@ -62,12 +34,13 @@ def gains_of(
     unknown = constant_light(count, drift)
     reference, region = capture.settings["reference"], capture.reference_position
     if reference is not None and reference["kind"] == "diffuse" and region is not None:
+        # the highlights determine directions that are known to half a degree or worse
         read = partial(
             patch_light,
             _patch(capture, region),
             [radiometry.reference_light[name] for name in names],
             ball,
-            lamp_std=np.full(count, min(capture.direction_std, _SEEN)),
+            lamp_std=np.full(count, min(capture.direction_std, float(np.radians(0.5)))),
             gain_std=drift,
             exposure_std=max(one.std / one.value for one in radiometry.exposures.values()),
             between=radiometry.reference_between,
@@ -82,33 +55,24 @@ def gains_of(
         elif found.units is None:
             text = "F is relative, because the reflectance of the reference is unknown: specify reference.reflectance"
             remarks.append(Remark("no-reflectance", text))
-        return partial(_patch_light_or, unknown, read)
+        return lambda lamps, nearness: read(lamps, nearness) or unknown
     output = [radiometry.lamp_output.get(name) for name in names]
     known = np.array([one is not None and np.isfinite(one.value) and one.value > 0 for one in output])
     if not known.any():
-        return partial(_anywhere, unknown)
+        return lambda lamps, nearness: unknown
     if radiometry.reference_between >= drift:
         text = (
             f"the light changes by {radiometry.reference_between:.1%} between images of reference and sample, so the "
         )
         text += "reference is not used, and lamp.gain_std applies: include the reference in the frames of the sample"
         remarks.append(Remark("reference-unsteady", text))
-        return partial(_anywhere, unknown)
+        return lambda lamps, nearness: unknown
     gain = np.array([one.value if good and one is not None else 1.0 for one, good in zip(output, known, strict=True)])
     std = np.array(
         [one.std / one.value if good and one is not None else drift for one, good in zip(output, known, strict=True)]
     )
-    return partial(_anywhere, stated_light(gain, std, known))
-
-
-def _anywhere(light: PictureLight, lamps: np.ndarray, nearness: float) -> PictureLight:
-    return light
-
-
-def _patch_light_or(
-    otherwise: PictureLight, read: Callable[..., PictureLight | None], lamps: np.ndarray, nearness: float
-) -> PictureLight:
-    return read(lamps, nearness) or otherwise
+    measured = stated_light(gain, std)
+    return lambda lamps, nearness: measured
 
 
 def _patch(capture: Capture, region: Region) -> ReferencePatch:

@@ -11,7 +11,7 @@ from functools import partial
 import numpy as np
 
 from matcam.acquisition.check.quick_outline import dark_disc
-from matcam.acquisition.darkness import dark_of
+from matcam.acquisition.darkness import dark_level
 from matcam.acquisition.limb.backlight import field_reach
 from matcam.acquisition.limb.clipped_field import field_is_clipped, hidden_by_clipping
 from matcam.acquisition.limb.given_outline import given_outline
@@ -21,13 +21,10 @@ from matcam.acquisition.outline import Outline, Sighting, find_outline
 from matcam.core.errors import FitError, MatcamError
 from matcam.core.remark import Remark
 from matcam.files.capture import Capture, Region
-from matcam.files.capture_frames import CaptureFrame
 from matcam.numerics.normal import robust_std
 
 _MARGIN = 0.12
 """Margin about the outline in the region of a frame that is read, as a share of the radius."""
-_LEAST_NOISE = 1e-4
-"""Smallest relative standard deviation of a pixel over the bright field, from the rounding of a field of 3000 codes."""
 
 
 def about_disc(capture: Capture) -> Region | None:
@@ -102,7 +99,8 @@ def backlit_outline(
     pairs = bright[step:] & bright[:-step]
     noise = robust_std(difference[pairs]) / np.sqrt(2) if pairs.any() else 0.0
     level = float(np.median(mean[bright]))
-    scatter = max(noise, _LEAST_NOISE * abs(level), 1e-9)
+    # 1e-4 is the rounding error of a field of 3000 codes
+    scatter = max(noise, 1e-4 * abs(level), 1e-9)
     std = scatter * np.sqrt(np.clip(mean / max(level, 1e-12), 0.05, None))
     picture = MergedPicture(
         f"{capture.folder / 'outline'}",
@@ -132,13 +130,8 @@ def mean_outline_frame(
     """
     total: np.ndarray | None = None
     count, clipped = 0, False
-    for frame in capture.of("outline"):
-        try:
-            codes = reader.read(frame, region)
-            light = codes.astype(np.float64) - _dark(reader, capture, frame, region)
-        except MatcamError as error:
-            remarks.append(Remark("bad-frame", str(error)))
-            continue
+    for frame, codes in reader.readable(capture.of("outline"), region, remarks):
+        light = codes.astype(np.float64) - dark_level(reader, capture, frame.exposure, region)
         if total is not None and total.shape != light.shape:
             remarks.append(
                 Remark(
@@ -154,19 +147,6 @@ def mean_outline_frame(
     if total is None:
         raise FitError(f"{capture.folder / 'outline'}: none of the frames can be used: add at least one readable frame")
     return np.asarray(total / count), clipped
-
-
-def _dark(reader: MosaicReader, capture: Capture, frame: CaptureFrame, region: Region | None) -> np.ndarray | float:
-    """Compute the dark level of a frame, DN, from the dark frames of its exposure.
-
-    If there are no dark frames of this exposure, dark frames of all exposures are used. Without readable dark frames, the
-    level is the specified black level, or 0.
-    """
-    frames = capture.of("dark", exposure=frame.exposure) or capture.of("dark")
-    stack = [codes for _, codes in reader.readable(frames[:8], region)]
-    if not stack:
-        return float(capture.settings["camera"]["black_level_dn"] or 0.0)
-    return np.asarray(dark_of(stack).level, dtype=np.float64)
 
 
 def about_outline(outline: Outline, shape: tuple[int, ...]) -> Region:

@@ -13,11 +13,6 @@ from matcam.core.remark import Remark
 from matcam.files.capture import Capture
 from matcam.reconstruction.stated.stated_rig import FEWEST
 
-_FAR_OFF = float(np.radians(10.0))
-"""Angle between highlights and a lamp table above which the table is not used as a starting point, rad."""
-_ALONE = 3.0
-"""Ratio of the angle between a highlight and the table to its typical value above which a poorly known highlight is rejected.
-"""
 _UNKNOWN = float(np.radians(20.0))
 """Default standard deviation of the direction of a lamp, rad."""
 
@@ -70,7 +65,9 @@ def first_lamps(lamps: np.ndarray, covariances: np.ndarray, stated: np.ndarray, 
     own = np.sqrt(np.trace(covariances, axis1=1, axis2=2) / 2)
     apart = lamp_angles_apart(lamps, stated)
     usual = np.maximum(stds, np.median(apart))
-    doubtful = (apart > _ALONE * usual) & (own > usual)
+    # ratio of the angle between a highlight and the table to its typical value above which a poorly known
+    # highlight is rejected
+    doubtful = (apart > 3.0 * usual) & (own > usual)
     return np.where(doubtful[:, None], unit(stated), lamps)
 
 
@@ -88,7 +85,8 @@ def _table_mistake(lamps: np.ndarray, stated: np.ndarray, stds: np.ndarray, know
         stated[known], stds[known] = lamps[known], _UNKNOWN
         return Remark(said.code, f"{said.text}; the directions from the highlights are used instead")
     usual = float(np.median(lamp_angles_apart(lamps[known], stated[known])))
-    if usual < _FAR_OFF:
+    # angle between highlights and a lamp table above which the table is not used as a starting point, rad
+    if usual < np.radians(10.0):
         return None  # the joint fit determines whether the table, the outline or a distance is wrong
     stds[known] = np.maximum(stds[known], 1.5 * usual)
     return Remark(

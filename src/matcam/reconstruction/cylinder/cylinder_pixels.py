@@ -1,64 +1,25 @@
-"""Joint fit of images of the strips of a cylinder. Likelihood, prior and solver are those for a sphere."""
+"""Columns of the strips of a cylinder for a joint fit. Likelihood, prior and solver are those for a sphere."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
-from typing import Any
 
 import numpy as np
 
 from matcam.acquisition.merged_picture import MergedPicture
-from matcam.core.errors import ArgumentError
 from matcam.forward.integral.blur import blur_of
 from matcam.inverse.fit.fit_parameters import LobeKind
 from matcam.reconstruction.cylinder.profile_model import ProfileModel
 from matcam.reconstruction.cylinder.profile_rule import RowRule, chosen_columns, row_count
-from matcam.reconstruction.cylinder.strips import Strip, StripProfiles, strip_profiles
+from matcam.reconstruction.cylinder.strips import Strip, StripProfiles
 from matcam.reconstruction.joint.field_change import FieldChange
 from matcam.reconstruction.joint.joint_problem import JointLayout, PixelModel
 from matcam.reconstruction.observed_pixels import ObservedPixels
 from matcam.reconstruction.picture_model import LampFrame
 from matcam.reconstruction.picture_rule import lamp_positions
-from matcam.reconstruction.sphere_fit import SphereFit, fit_sphere
 from matcam.reconstruction.sphere_scene import SphereScene, mirror_ball
 from matcam.rigs import Rig
 from matcam.sample.curved import Sphere
-
-
-def fit_cylinder(
-    pictures: Sequence[MergedPicture],
-    scene: SphereScene,
-    family: str = "ggx",
-    *,
-    strips: Sequence[Strip],
-    stretched: bool = False,
-    **more: Any,
-) -> SphereFit:
-    """Fit lobe, strengths, lens, outline, lamps and distances to all images of a cylinder.
-
-    The parameters are those of `fit_sphere`. The centre of an image is in the column of the axis, and in the row to which
-    the directions to lamp and camera refer.
-
-    Args:
-        pictures: merged images, one per lamp position.
-        scene: prior knowledge of the rig; `scene.radius` is half the width of the outline.
-        family: family of the lobe. Default: "ggx".
-        strips: strips of material, with the orientation of each.
-        stretched: True for a lobe with two roughnesses, "ggx" only. Default: False.
-        **more: further arguments of `fit_sphere`.
-
-    Raises:
-        ArgumentError: there are fewer than 2 images, or a lobe with two roughnesses is not GGX or has splines.
-        FitError: a strip has too few rows, or is partly outside the images.
-    """
-    if stretched and family != "ggx":
-        raise ArgumentError(f"a lobe with two roughnesses requires the family ggx, got {family}: give ggx")
-    if stretched and more.get("spline"):
-        raise ArgumentError("a lobe with two roughnesses cannot be spline-modified: set spline to 0")
-    profiles = {picture.name: strip_profiles(picture, strips) for picture in pictures}
-    observe = partial(cylinder_pixels, strips=strips, profiles=profiles)
-    return fit_sphere(pictures, scene, family, stretched=stretched, observe=observe, **more)
 
 
 def cylinder_pixels(
@@ -75,6 +36,9 @@ def cylinder_pixels(
     profiles: dict[str, StripProfiles],
 ) -> tuple[PixelModel, list[ObservedPixels], list[FieldChange]]:
     """Choose the columns of each image for the fit, and build their model.
+
+    The parameters are those of a sphere. The centre of an image is in the column of the axis, and in the row to which the
+    directions to lamp and camera refer. `scene.radius` is half the width of the outline.
 
     `strips` are the strips of material. `profiles` contains the profiles of each image by the name of the image. The other
     arguments and the results are those of `sphere_pixels`.
