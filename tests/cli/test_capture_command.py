@@ -10,7 +10,7 @@ from matcam.camera.sensor import PixelNoise
 from matcam.core.errors import FitError
 from matcam.core.grid import CHANNEL_WAVELENGTHS
 from matcam.files.capture import read_capture, read_settings
-from matcam.forward import synthetic_capture
+from matcam.forward import synthetic_samples
 from matcam.inverse.capture_plan import plan_capture
 from matcam.lamp.lamps import NearLamp
 from matcam.material.optical_constants import metal
@@ -71,7 +71,7 @@ def test_what_an_ended_run_left_is_no_obstacle(matcam, tmp_path, monkeypatch):
     def drawn(*_):
         raise FitError("as far as the pictures")
 
-    monkeypatch.setattr(synthetic_capture, "_drawn", drawn)
+    monkeypatch.setattr(synthetic_samples._CurvedSample, "drawn", drawn)
     folder = tmp_path / "shots"
     (folder / "frames").mkdir(parents=True)
     (folder / "frames" / ".L01_E1-x1.tif").write_bytes(b"half")

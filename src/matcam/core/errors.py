@@ -59,11 +59,10 @@ def described(error: Exception) -> str:
 
 def unknown_name(kind: str, name: object, known: Iterable[str]) -> ArgumentError:
     known = sorted(known)
+    listed = ", ".join(known[:30]) + (f" and {len(known) - 30} others" if len(known) > 30 else "")
     if not isinstance(name, str):
-        return ArgumentError(
-            f"{kind} must be a name, got {' '.join(repr(name).split())[:60]}; known: {', '.join(known)}"
-        )
+        return ArgumentError(f"{kind} must be a name, got {' '.join(repr(name).split())[:60]}; known: {listed}")
     by_lowercase = {candidate.lower(): candidate for candidate in known}
     nearest = difflib.get_close_matches(name.lower(), by_lowercase, n=1, cutoff=0.5)
-    hint = f"did you mean {by_lowercase[nearest[0]]!r}?" if nearest else f"known: {', '.join(known)}"
+    hint = f"did you mean {by_lowercase[nearest[0]]!r}?" if nearest else f"known: {listed}"
     return ArgumentError(f"unknown {kind} {name!r}; {hint}")

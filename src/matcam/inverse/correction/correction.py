@@ -30,7 +30,7 @@ from matcam.inverse.correction.farthest_glare import farthest_glare
 from matcam.inverse.correction.lobe_ratio import CorrectionFits, lattices_ahead, lobe_ratio
 from matcam.inverse.correction.lobe_shape import ShapeUncertainty
 from matcam.inverse.correction.other_maskings import MOST_LINEAR, other_maskings
-from matcam.inverse.correction.rig_refits import RigRefit
+from matcam.inverse.correction.rig_refits import RigRefit, axes_of_refits
 from matcam.inverse.fit.fit_setup import AUTO
 from matcam.inverse.fit.material_fit import MaterialFit
 from matcam.inverse.normalised_fresnel import NO_CAMERA
@@ -143,7 +143,7 @@ class Correction(Summarised):
         brdf, saturated = without_saturated(brdf, rig)
         sampling, located = sampling_of(brdf), located_rig(rig, brdf)
         setup = first_setup(brdf, located.rig, masking=masking, noise=noise, workspace=workspace)
-        expected = setup.axes_with_refits
+        expected = axes_of_refits(setup, located.rig)
         setup.rule()  # computed first, because the other fits reuse the compiled programs
         with done_behind(lambda: lattices_ahead(located.rig, sampling, expected, workspace)):
             found = explain(setup, located, ndf)

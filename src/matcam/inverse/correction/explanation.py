@@ -28,7 +28,7 @@ from matcam.core.workspace import Workspace
 from matcam.forward.pixel_grid import grid_of
 from matcam.inverse.correction.evidence import OtherLobe, Weighing, channel_misfit, noise_without_model
 from matcam.inverse.correction.lobe_shape import ShapeUncertainty, known_shape, shape_uncertainty
-from matcam.inverse.correction.rig_refits import REFITTED, RigRefit, rig_refits
+from matcam.inverse.correction.rig_refits import RigRefit, rig_refits
 from matcam.inverse.correction.spline_lobe import in_all_slices
 from matcam.inverse.fit.fit_data import SEARCH_STEP, at_largest_noise, check_values, noise_text
 from matcam.inverse.fit.fit_parameters import STUDENT, TWO_LOBES
@@ -36,7 +36,7 @@ from matcam.inverse.fit.fit_setup import AUTO, CANDIDATES, FitSetup, free_setup
 from matcam.inverse.fit.material_fit import MaterialFit
 from matcam.inverse.operator.pixel_phase import LocatedRig
 from matcam.inverse.operator.sample_view import sample_view
-from matcam.inverse.rig.rig_axes import LENS, is_guess, known_lens, widths_of
+from matcam.inverse.rig.rig_axes import LAMP, LENS, is_guess, known_lens, widths_of
 from matcam.material.masking import Masking
 from matcam.rigs import Rig
 
@@ -224,9 +224,9 @@ def first_setup(
     """
     setup = free_setup([brdf], rig, masking=masking, noise=noise, slice_step=slice_step, workspace=workspace)
     check_values(setup.tables, setup.rig, slice_step)
-    exact = known_lens(rig.camera).exact
-    there = (*(rig.camera.parameters() if exact else ()), *widths_of(rig))  # an uncertain lens is fitted anyway
-    return setup.with_(lens_shape=not exact, refitted=tuple(name for name in REFITTED if name in there))
+    # not the lens: the nodes of a rule for lenses of any width resolve narrow lobes less well
+    refitted = tuple(name for name in (LAMP,) if name in widths_of(rig))
+    return setup.with_(lens_shape=not known_lens(rig.camera).exact, refitted=refitted)
 
 
 def explain(setup: FitSetup, located: LocatedRig, ndf: str) -> Explanation:

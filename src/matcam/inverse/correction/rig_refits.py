@@ -90,6 +90,12 @@ class RigRefit(NamedTuple):
         return {**self.fit.to_dict(), "contradicts": self.contradicts}
 
 
+def axes_of_refits(setup: FitSetup, rig: Rig) -> tuple[Axis, ...]:
+    """List the parameters of the rig that a fit or one of its refits may change."""
+    there = (*(rig.camera.parameters() if known_lens(rig.camera).exact else ()), *widths_of(rig))
+    return setup.with_(also=tuple(name for name in REFITTED if name in there), nearby=True).prior.axes
+
+
 def rig_refits(setup: FitSetup, rig: Rig, found: MaterialFit, names: Sequence[str] = REFITTED) -> tuple[RigRefit, ...]:
     """Refit with each of several parameters of the rig free.
 

@@ -316,18 +316,10 @@ class FitSetup:
         return FitProblem(fit_data(self.tables, cells), cells, operators, layout, self.prior, radius)
 
     @property
-    def axes_with_refits(self) -> tuple[Axis, ...]:
-        """Axes of the rig parameters in this fit and in later fits.
-
-        They are the axes of a setup whose `also` contains the parameters of `refitted`.
-        """
-        return self.with_(also=self.refitted, nearby=True).prior.axes
-
-    @property
     def _whole(self) -> WholeRule:
         """Slices and axes for which the rule is computed, including those of later fits."""
         slice_step, axes = self._rule_step or self.slice_step, self.prior.axes
-        refitted = self.axes_with_refits if slice_step >= SEARCH_STEP else axes
+        refitted = self.with_(also=self.refitted, nearby=True).prior.axes if slice_step >= SEARCH_STEP else axes
         return WholeRule(slice_step, refitted if set(axes) <= set(refitted) else axes)
 
     @cached_property
