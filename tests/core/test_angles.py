@@ -5,7 +5,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from matcam.core.grid import GRID_SHAPE, azimuth_difference, below_horizon, cosines, merl_grid, theta_h_edges
+from matcam.core.grid import (
+    GRID_SHAPE,
+    azimuth_at_cosines,
+    azimuth_difference,
+    below_horizon,
+    cosines,
+    merl_grid,
+    theta_h_edges,
+)
 
 ANGLES = st.tuples(st.floats(0, 1.5), st.floats(0, 1.5), st.floats(-7, 7))
 
@@ -36,6 +44,8 @@ def test_azimuth_difference_is_wrapped_to_half_a_turn(angles):
     between = np.arctan2(light[1], light[0]) - np.arctan2(view[1], view[0])
     expected = np.abs(np.angle(np.exp(1j * between)))
     assert float(azimuth_difference(*angles)) == pytest.approx(expected, abs=1e-7)
+    accuracy = 1e-7 + 5e-8 / min(np.hypot(*light[:2]), np.hypot(*view[:2]))
+    assert float(azimuth_at_cosines(light[2], view[2], angles[1])) == pytest.approx(expected, abs=accuracy)
 
 
 @given(ANGLES)

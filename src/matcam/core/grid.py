@@ -143,6 +143,16 @@ def azimuth_difference(theta_h: AnyArray, theta_d: AnyArray, phi_d: AnyArray) ->
     return xp.abs(xp.arctan2(sine, xp.where((sine == 0) & (cosine == 0), -1.0, cosine)))
 
 
+def azimuth_at_cosines(cos_i: AnyArray, cos_o: AnyArray, theta_d: AnyArray) -> AnyArray:
+    """Compute `azimuth_difference` from the cosines of the angles of light and view.
+
+    The spherical law of cosines needs fewer trigonometric functions. The error is below 5e-8 rad divided by the smaller
+    sine of the two angles, which suffices for masking: near the normal there is none.
+    """
+    product = xp.sqrt(xp.maximum((1 - cos_i**2) * (1 - cos_o**2), 1e-30))  # of the sines; finite along the normal
+    return xp.arccos(xp.clip((xp.cos(2 * theta_d) - cos_i * cos_o) / product, -1.0, 1.0))
+
+
 def half_and_difference(
     theta_i: ArrayLike, phi_i: ArrayLike, theta_o: ArrayLike, phi_o: ArrayLike
 ) -> tuple[jax.Array, jax.Array, jax.Array]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from typing import Any
 
 import equinox as eqx
 import numpy as np
@@ -48,12 +49,14 @@ def fresnel_conductor(theta: ArrayLike, n: ArrayLike, k: ArrayLike) -> jax.Array
     theta = checks.within("theta", theta, 0, np.pi / 2, "rad")
     n, k = checks.within("n", n, 0, _LARGEST_INDEX, open_low=True), checks.within("k", k, 0, _LARGEST_INDEX)
     checks.broadcast_shape(theta=theta, n=n, k=k)
-    return (_compiled if has_jax(theta, n, k) else _mean_of_polarisations)(theta, n, k)
+    return (_compiled if has_jax(theta, n, k) else _at_angle)(theta, n, k)
 
 
-def _mean_of_polarisations(theta: jax.Array, n: jax.Array, k: jax.Array) -> jax.Array:
-    """Compute the reflectance with real numbers, which takes a third of the time of complex numbers."""
-    cos_i = cosine(theta)
+def reflectance_at_cosine(cos_i: Any, n: Any, k: Any) -> Any:
+    """Compute `fresnel_conductor` from the cosine of the angle of incidence, without checks of the arguments.
+
+    Real numbers take a third of the time of complex numbers.
+    """
     real, imaginary = (n - k) * (n + k), 2 * n * k  # of the squared index
     # real and imaginary part, both positive, of the index times the cosine of the refracted ray
     square = real - (1 - cos_i) * (1 + cos_i)
@@ -66,7 +69,11 @@ def _mean_of_polarisations(theta: jax.Array, n: jax.Array, k: jax.Array) -> jax.
     return (r_s + r_p) / 2
 
 
-_compiled = jax.jit(_mean_of_polarisations)
+def _at_angle(theta: jax.Array, n: jax.Array, k: jax.Array) -> jax.Array:
+    return reflectance_at_cosine(cosine(theta), n, k)
+
+
+_compiled = jax.jit(_at_angle)
 
 
 class Reflectance(eqx.Module):

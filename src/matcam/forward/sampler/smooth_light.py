@@ -14,7 +14,7 @@ def record_inside(scene: Scene, blur: Blur, x: jax.Array, y: jax.Array) -> jax.A
 
     Args:
         scene: the scene, under one lamp or one lamp per pixel.
-        blur: blur of which all terms are included.
+        blur: blur; the record contains all its terms.
         x: positions of the pixels to the right of the optical axis, (pixels,), px.
         y: positions of the pixels above the optical axis, (pixels,), px.
 

@@ -92,8 +92,9 @@ class RigRefit(NamedTuple):
 
 def axes_of_refits(setup: FitSetup, rig: Rig) -> tuple[Axis, ...]:
     """List the parameters of the rig that a fit or one of its refits may change."""
-    there = (*(rig.camera.parameters() if known_lens(rig.camera).exact else ()), *widths_of(rig))
-    return setup.with_(also=tuple(name for name in REFITTED if name in there), nearby=True).prior.axes
+    fitted = [axis.name for axis in setup.prior.axes]
+    also = tuple(name for name in REFITTED if name not in fitted and _is_there(name, rig))
+    return setup.with_(also=also, nearby=True).prior.axes
 
 
 def rig_refits(setup: FitSetup, rig: Rig, found: MaterialFit, names: Sequence[str] = REFITTED) -> tuple[RigRefit, ...]:
@@ -111,11 +112,15 @@ def rig_refits(setup: FitSetup, rig: Rig, found: MaterialFit, names: Sequence[st
     for name in names:
         if name in [axis.name for axis in found.coordinates.axes]:
             refits.append(_fitted_refit(found, name, rig))
-        elif name in widths_of(rig) or name in rig.camera.parameters():
+        elif _is_there(name, rig):
             refits.append(_followed_refit(setup.with_(also=(name,)), found, name))
     if not found.resolved:  # a lobe at its lower bound biases the width of the lens
         return tuple(_with_any_lens(refit, setup, rig) if refit.axis.name == LENS else refit for refit in refits)
     return tuple(refits)
+
+
+def _is_there(name: str, rig: Rig) -> bool:
+    return name in widths_of(rig) or name in rig.camera.parameters()
 
 
 def _with_any_lens(refit: RigRefit, setup: FitSetup, rig: Rig) -> RigRefit:

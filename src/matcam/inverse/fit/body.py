@@ -29,6 +29,7 @@ from matcam.core.jax import AnyArray, jax, jnp, placed
 from matcam.core.programs import kept_program
 from matcam.material.microfacet import Microfacet
 from matcam.material.ndf.ggx import GGX
+from matcam.material.reflectance import reflectance_at_cosine
 
 NARROWEST_PX = 8.0
 """Smallest product of the roughness of a base and the radius of the sphere, px. At this value a lens with a blur of 0.5 px
@@ -104,16 +105,10 @@ def transmittance(theta_h: AnyArray, theta_d: AnyArray, phi_d: AnyArray) -> AnyA
 
     The product has the broadcast shape of the angles, rad.
     """
-    into, out = (1 - _fresnel_of_coat(cosine) for cosine in cosines(theta_h, theta_d, phi_d))
+    into, out = (
+        1 - reflectance_at_cosine(xp.maximum(cosine, 0.0), _INDEX, 0.0) for cosine in cosines(theta_h, theta_d, phi_d)
+    )
     return into * out
-
-
-def _fresnel_of_coat(cos: AnyArray) -> AnyArray:
-    """Compute the unpolarised reflectance of a coat (Born & Wolf, 1.5.2); cosines below 0 count as 0."""
-    cos = xp.maximum(cos, 0.0)
-    refracted = xp.sqrt(_INDEX**2 - 1 + cos**2)  # times the index
-    r_s, r_p = (cos - refracted) / (cos + refracted), (_INDEX**2 * cos - refracted) / (_INDEX**2 * cos + refracted)
-    return (r_s**2 + r_p**2) / 2
 
 
 def loss_in_coat(theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> np.ndarray:

@@ -36,8 +36,8 @@ them. Cells with smaller cosines depend on the pixels at the limb.
 SLICE_CELLS = 112
 """Largest number of cells of a slice. The arrays of all slices are padded to this length."""
 _RINGS = np.concatenate([np.arange(12), np.arange(12, 26, 2), np.arange(26, 90, 5)])
-_MOST_IN_RING = 4
-_MOST_NEAR = 24
+_MOST_NEAR, _MOST_IN_RING = 24, 4
+"""Largest number of azimuths that are considered in a ring, within `NEAR_RINGS` and beyond."""
 
 
 class RealPixels(NamedTuple):
@@ -256,7 +256,7 @@ def _slice_cells(view: SampleView, sampling: Sampling, slice_: int, pixels: Pixe
 def _ring_azimuths(positions: int, odd: bool, count: int) -> np.ndarray:
     """Choose the indices of phi_d that are considered in a ring, in an order in which any first few are spread over the ring.
 
-    Neighbouring rings, odd and even ones, have other azimuths. `count` is the number of values of phi_d in a table.
+    Odd and even rings have different azimuths. `count` is the number of values of phi_d in a table.
     """
     share = (np.arange(positions) + (0.5 if odd else 0.2)) / positions
     azimuths = np.unique((share * count).astype(int))

@@ -28,7 +28,7 @@ from matcam.camera.optics.colour import ColourOptics
 from matcam.camera.optics.optics import checked_isotropic
 from matcam.core import checks
 from matcam.core.errors import ArgumentError
-from matcam.core.grid import Sampling
+from matcam.core.grid import Sampling, azimuth_at_cosines
 from matcam.core.jax import jax
 from matcam.core.threads import available_cores, in_order
 from matcam.core.workspace import Workspace, default_workspace
@@ -208,9 +208,7 @@ def _nodes(
     mean = np.cos(theta) * np.cos(theta_d)
     half = np.sin(theta) * np.sin(theta_d) * cos_psi
     cos_i, cos_o = (np.maximum(c, _LEAST_COSINE) for c in (mean + half, mean - half))
-    # azimuth between light and view about the normal, by the spherical law of cosines; finite along the normal
-    across = np.sqrt(np.maximum((1 - cos_i**2) * (1 - cos_o**2), 1e-30))
-    azimuth = np.arccos(np.clip((np.cos(2 * theta_d) - cos_i * cos_o) / across, -1.0, 1.0))
+    azimuth = np.asarray(azimuth_at_cosines(cos_i, cos_o, theta_d))
     light_and_view = TabulatedDirections.of(np.stack([cos_i, cos_o], axis=1), COTS.size)
     return NodeArrays(slope2, weight, along, light_and_view, azimuth, share)
 
